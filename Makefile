@@ -1,0 +1,42 @@
+# Each target sets up what it needs: python3 (>= 3.11) and make are enough.
+PYTHON ?= python3
+BIN := .venv/bin
+ARGS ?=
+
+.PHONY: help demo test check bench clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+
+demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--duration 30 --view none"
+	@$(BIN)/teleop run --config configs/demo.yaml $(ARGS)
+
+test: .venv/dev.done  ## all tests; ARGS goes to pytest
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: .venv/dev.done  ## format, lint, types, import rules
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run
+	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+clean:  ## remove the environment and everything made by running
+	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12 ...")'
+	@$(PYTHON) -m venv .venv || { echo "No venv module: install it (Debian: apt-get install python3-venv)"; rm -rf .venv; exit 1; }
+
+.venv/run.done: .venv/bin/python pyproject.toml
+	@echo "Setting up .venv (once) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+.venv/dev.done: .venv/run.done
+	@echo "Adding the tools for tests and checks (once) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@

@@ -1,0 +1,1 @@
+"""The operator's side: haptic devices, force feedback, the master loop."""

@@ -1,0 +1,1 @@
+"""The tendon side: rigs, plant, tendon control, the slave loop, commands on rig data."""

@@ -1,0 +1,1 @@
+"""Ground truth by brute force: slow, simple, and sharing nothing with the estimator."""
