@@ -1,0 +1,104 @@
+"""One clock and one absolute time grid.
+
+Stamps are nanoseconds since the Unix epoch, anchored once to the system clock and carried on by the
+monotonic one: they compare across processes and name a date in a recording, yet never jump.
+"""
+
+import gc
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+_ANCHOR_NS = time.time_ns() - time.monotonic_ns()
+
+
+def now_ns() -> int:
+    """Return the present stamp [ns]: monotonic, counted from the Unix epoch."""
+    return _ANCHOR_NS + time.monotonic_ns()
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One point of the grid: its index, its time and the time since the last one that ran."""
+
+    index: int
+    stamp_ns: int  # when the tick really began
+    dt: float  # [s] since the previous tick; a whole number of periods
+
+
+@dataclass(slots=True)
+class TickStats:
+    """Counts of one loop, read while it runs (status line) and after it (summary)."""
+
+    ticks: int = 0
+    overruns: int = 0  # periods skipped because a tick outlasted its own
+    lateness_max_ns: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+    @property
+    def rate_hz(self) -> float:
+        """Achieved rate [Hz] between the first and the last tick."""
+        span = self.last_ns - self.first_ns
+        return (self.ticks - 1) * 1e9 / span if span > 0 else 0.0
+
+
+class Grid:
+    """An absolute time grid: ticks fall on `start + k * period` whatever their work took.
+
+    A tick whose work outlasts its period makes the grid skip whole periods and count them; it never
+    catches up with a burst, because a burst of forces is not what a late force was.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Grid rate [Hz].
+    stop : callable
+        Asked before each tick; the iteration ends when it returns true.
+    now, sleep : callable
+        Injected by tests; the process's clock otherwise.
+    """
+
+    def __init__(
+        self,
+        rate_hz: float,
+        stop: Callable[[], bool],
+        now: Callable[[], int] = now_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.period_ns = round(1e9 / rate_hz)
+        self.stats = TickStats()
+        self._stop, self._now, self._sleep = stop, now, sleep
+
+    def __iter__(self) -> Iterator[Tick]:
+        """Yield ticks until told to stop."""
+        stats, period = self.stats, self.period_ns
+        target = self._now()
+        index, skipped = 0, 0
+        while not self._stop():
+            wait = target - self._now()
+            if wait > 0:
+                self._sleep(wait * 1e-9)
+            begin = self._now()
+            stats.ticks += 1
+            stats.first_ns = stats.first_ns or begin
+            stats.last_ns = begin
+            stats.lateness_max_ns = max(stats.lateness_max_ns, begin - target)
+            yield Tick(index, begin, (1 + skipped) * period * 1e-9)
+            skipped = max(0, (self._now() - target) // period)
+            stats.overruns += skipped
+            target += (1 + skipped) * period
+            index += 1 + skipped
+
+
+class quiet_garbage:  # noqa: N801 - used as a statement: `with quiet_garbage():`
+    """Keep the garbage collector out of a loop: what exists is frozen, what comes is left alone."""
+
+    def __enter__(self) -> None:
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+
+    def __exit__(self, *_: object) -> None:
+        gc.enable()
+        gc.unfreeze()

@@ -1,0 +1,11 @@
+"""The network: the only place that knows Zenoh.
+
+Keys are `teleop/<session>/<topic>`; presence tokens are below `teleop/<session>/@`.
+"""
+
+from teleop.link.config import LinkConfig, TlsConfig
+from teleop.link.link import Link
+from teleop.link.listener import Heard, Listener
+from teleop.link.reception import NEVER_NS, Counts, Latest
+
+__all__ = ["NEVER_NS", "Counts", "Heard", "Latest", "Link", "LinkConfig", "Listener", "TlsConfig"]

@@ -1,0 +1,214 @@
+"""The link of one process to a session: publish, latest value, listen, presence."""
+
+import time
+from collections.abc import Callable, Iterable
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import zenoh
+
+from teleop.clock import now_ns
+from teleop.errors import PeerError, UsageError
+from teleop.link import presence
+from teleop.link.config import LinkConfig
+from teleop.link.listener import Listener
+from teleop.link.network import declare_publisher, open_session
+from teleop.link.presence import Stage, Token
+from teleop.link.reception import Counts, Latest
+from teleop.link.roster import Roster
+from teleop.messages import LAYOUT, Message
+from teleop.topics import Role, Topic
+
+M = TypeVar("M", bound=Message)
+
+SETTLE_S = 0.3  # how long a newcomer waits for the link, and again looks about before it starts
+RING = 16  # messages kept between two looks, so that a late look is not taken for a loss
+
+
+class Link:
+    """What a process has of the network, as a context manager; used from one thread.
+
+    Nothing here waits once the link is open, and the network never raises: a peer that is gone
+    shows in `present`, in ages and in counts.
+
+    Parameters
+    ----------
+    config : LinkConfig
+        Endpoints and protection.
+    session : str
+        Root of all keys.
+    role : Role
+        Who this process is. The master listens and connects to the slave, the slave listens, the
+        others connect to both.
+
+    Raises
+    ------
+    PeerError
+        On entering: the session has a master (slave) already, or a peer of another message layout.
+    UsageError
+        On entering: an endpoint cannot be listened on.
+    """
+
+    def __init__(self, config: LinkConfig, session: str, role: Role) -> None:
+        self.config, self.session, self.role = config, session, role
+        self.nonce = presence.new_nonce()
+        self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
+        self._publishers: dict[str, _Publisher] = {}
+        self._latest: dict[str, tuple[Latest[Any], Any]] = {}
+        self._subscribers: list[Any] = []
+
+    def __enter__(self) -> Self:
+        self._zenoh: Any = self._open()
+        try:
+            relay = self.role == Role.SLAVE
+            self._roster = Roster(self._zenoh, self.session, self.nonce, relay)
+            liveliness = self._zenoh.liveliness()
+            claim = liveliness.declare_token(self._token.key(self.session))
+            self._settle()
+            self._token = Token(self.role, LAYOUT, self.nonce, Stage.HELD)
+            self._held = liveliness.declare_token(self._token.key(self.session))
+            claim.undeclare()
+        except BaseException:
+            self._zenoh.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._roster.close()
+        self._zenoh.close()
+
+    def publish(self, topic: Topic[M], message: M) -> int:
+        """Send `message` and return its stamp [ns]; takes microseconds, whoever is listening."""
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            publisher = self._publishers[topic.name] = self._declare(topic)
+        stamp = now_ns()
+        publisher.sequence += 1
+        publisher.put(topic.message.schema.pack(message, self.nonce, publisher.sequence, stamp))
+        return stamp
+
+    def publish_raw(self, topic: Topic[Any], data: bytes) -> None:
+        """Send a message packed elsewhere: for a replay, which waits for room rather than drop it.
+
+        Nobody admits it unless the sender in it is our `nonce`.
+        """
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            publisher = self._publishers[topic.name] = self._declare(topic, patient=True)
+        publisher.put(data)
+
+    def subscribe_latest(self, topic: Topic[M]) -> Latest[M]:
+        """Begin to receive `topic`; call it before a loop so that the first tick does not."""
+        if topic.publisher is None:
+            raise ValueError(f"{topic.name} has several publishers, so no one latest value")
+        latest = Latest(topic, lambda nonce: self._announced(topic, nonce))
+        ring = self._zenoh.declare_subscriber(self._key(topic), zenoh.handlers.RingChannel(RING))
+        self._subscribers.append(ring)
+        self._latest[topic.name] = latest, ring.try_recv
+        return latest
+
+    def latest(self, topic: Topic[M]) -> Latest[M]:
+        """Return the newest message of `topic` with its age, having looked for newer ones."""
+        entry = self._latest.get(topic.name)
+        if entry is None:
+            self.subscribe_latest(topic)
+            entry = self._latest[topic.name]
+        latest, try_recv = entry
+        arrived: list[bytes] = []
+        while len(arrived) < RING and (sample := try_recv()) is not None:
+            arrived.append(sample.payload.to_bytes())
+        latest.take(arrived, now_ns(), overflowed=len(arrived) == RING)
+        return latest
+
+    def listen(self, topics: Iterable[Topic[Any]]) -> Listener:
+        """Return a queue of everything published on `topics` from now on."""
+        listener = Listener(self._announced)
+        for topic in topics:
+            subscriber = self._zenoh.declare_subscriber(self._key(topic), listener.store(topic))
+            self._subscribers.append(subscriber)
+        return listener
+
+    def present(self, role: Role) -> bool:
+        """Return whether a process of `role` is connected to this one and has finished starting."""
+        return self._roster.present(role)
+
+    def check_peers(self) -> None:
+        """Raise `PeerError` if this process must leave the session; costs microseconds."""
+        why = presence.conflict(self._token, self._roster.others)
+        if why is not None:
+            raise PeerError(f"session {self.session!r} {why}")
+
+    def counts(self) -> Counts:
+        """Return what became of the messages of all latest-value topics together."""
+        return sum((latest.counts for latest, _ in self._latest.values()), Counts())
+
+    def _key(self, topic: Topic[Any]) -> str:
+        return f"teleop/{self.session}/{topic.name}"
+
+    def _announced(self, topic: Topic[Any], nonce: int) -> bool:
+        return topic.publisher is not None and self._roster.present(topic.publisher, nonce)
+
+    def _declare(self, topic: Topic[Any], patient: bool = False) -> "_Publisher":
+        """Declare the publisher of a topic, which must be this role's."""
+        if topic.publisher not in (None, self.role):
+            raise ValueError(f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}")
+        live = topic.live and not patient
+        publisher = declare_publisher(self._zenoh, self._key(topic), live, patient)
+        return _Publisher(publisher.put)
+
+    def _endpoints(self) -> tuple[list[str], list[str]]:
+        """Return where to listen and where to connect."""
+        master, slave = self.config.master, self.config.slave
+        if self.role == Role.MASTER:
+            return [master], [slave]
+        return ([slave], []) if self.role == Role.SLAVE else ([], [master, slave])
+
+    def _open(self) -> Any:
+        listen, connect = self._endpoints()
+        try:
+            return open_session(self.config, listen, connect)
+        except UsageError:
+            if listen:
+                self._blame_rival(listen)
+            raise
+
+    def _blame_rival(self, endpoints: list[str]) -> None:
+        """Raise `PeerError` if it is our own session's peer that has the endpoint."""
+        with open_session(self.config, [], endpoints) as session:
+            roster = Roster(session, self.session, self.nonce, relay=False)
+            time.sleep(SETTLE_S)
+            roster.close()
+        if any(t.role == self.role and not t.relayed for t in roster.others):
+            name = self.role.name.lower()
+            raise PeerError(
+                f"session {self.session!r} has a {name} already, at {endpoints[0]}; stop that one "
+                "first, or choose another session name and other endpoints"
+            )
+
+    def _settle(self) -> None:
+        """Look about before taking a place: at most `SETTLE_S` for the link, then as long again."""
+        begin = now_ns()
+        linked = None
+        while True:
+            self.check_peers()
+            now = now_ns()
+            if linked is None and self._zenoh.info.peers_zid():
+                linked = now
+            if now - (begin if linked is None else linked) > SETTLE_S * 1e9:
+                return
+            time.sleep(0.01)
+
+
+class _Publisher:
+    """A declared publisher and the sequence number of its last message."""
+
+    __slots__ = ("put", "sequence")
+
+    def __init__(self, put: Callable[[bytes], None]) -> None:
+        self.put = put
+        self.sequence = 0

@@ -1,0 +1,154 @@
+"""What has arrived on one topic: which message counts, which were lost, how old the newest is."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Generic, TypeVar
+
+from teleop.messages import Head, Message, MessageError
+from teleop.topics import Topic
+
+M = TypeVar("M", bound=Message)
+
+NEVER_NS = 2**63 - 1  # the age of what has not come: beyond every limit
+DRIFT = 1000  # two clocks drift apart by at most 1 part in this; NTP slews by half of that
+
+
+@dataclass(slots=True)
+class Counts:
+    """What became of the messages of one topic."""
+
+    received: int = 0
+    lost: int = 0  # gaps in the sender's sequence
+    overwritten: int = 0  # arrived, but a newer one did before the reader looked
+    corrupted: int = 0
+    layout: int = 0  # of other declarations than ours
+    repeated: int = 0
+    out_of_order: int = 0
+    foreign: int = 0  # from another sender while ours is alive
+    restarts: int = 0  # the sender's process was replaced
+
+    @property
+    def rejected(self) -> int:
+        """How many arrived and were not let in."""
+        return self.corrupted + self.layout + self.repeated + self.out_of_order + self.foreign
+
+    def __add__(self, other: "Counts") -> "Counts":
+        return Counts(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+
+class Reception:
+    """Decides which messages of a topic are let in; keeps the counts. Pure bookkeeping.
+
+    Parameters
+    ----------
+    topic : Topic
+        What it should be.
+    announced : callable
+        Whether the sender of a given nonce is now present in the role that publishes this topic.
+    """
+
+    def __init__(self, topic: Topic[M], announced: Callable[[int], bool]) -> None:
+        self.counts = Counts()
+        self.sender: int | None = None
+        self.sequence = 0
+        self._schema = topic.message.schema
+        self._announced = announced
+
+    def admit(self, data: bytes, overflowed: bool = False) -> Head | None:
+        """Return the head of `data` if it is let in, else None.
+
+        `overflowed` says that the channel was full, so that a gap before `data` is our own doing.
+
+        A sender not (yet) announced is passed over uncounted: its first messages may overtake its
+        token.
+        """
+        counts = self.counts
+        try:
+            head = self._schema.check(data)
+        except MessageError as error:
+            if error.kind == "layout":
+                counts.layout += 1
+            else:
+                counts.corrupted += 1
+            return None
+        if head.sender == self.sender:
+            gap = head.sequence - self.sequence
+            if gap <= 0:
+                counts.repeated += gap == 0
+                counts.out_of_order += gap < 0
+                return None
+            if overflowed:
+                counts.overwritten += gap - 1
+            else:
+                counts.lost += gap - 1
+        elif self.sender is not None and self._announced(self.sender):
+            counts.foreign += 1
+            return None
+        elif not self._announced(head.sender):
+            return None
+        else:
+            counts.restarts += self.sender is not None
+            self.sender = head.sender
+        self.sequence = head.sequence
+        counts.received += 1
+        return head
+
+
+class Latest(Generic[M]):
+    """The newest message of a topic and its age.
+
+    The age of a message is the time since it was first seen here, plus how much later it came than
+    the quickest of its sender's messages. So a message that sat in a stalled network is old when
+    it arrives, although the two clocks were never set to each other:
+
+        delay = seen - stamp            (both clocks: unknown offset + travelling time)
+        least = running minimum of delay, let rise by 1/DRIFT of the time for the clocks' drift
+        age   = (now - seen) + (delay - least)
+
+    The constant part of the travelling time cannot be seen this way and is not in it.
+    """
+
+    def __init__(self, topic: Topic[M], announced: Callable[[int], bool]) -> None:
+        self.message: M | None = None
+        self.new = False  # whether the last look brought a new message
+        self.received_ns = 0  # when the message was first seen
+        self._reception = Reception(topic, announced)
+        self._message = topic.message
+        self._least_ns = 0
+        self._late_ns = 0
+
+    @property
+    def counts(self) -> Counts:
+        """What became of all messages so far."""
+        return self._reception.counts
+
+    def age_ns(self, now_ns: int) -> int:
+        """Return the age [ns] of the message at `now_ns`; `NEVER_NS` if there is none."""
+        if self.message is None:
+            return NEVER_NS
+        return max(0, now_ns - self.received_ns) + self._late_ns
+
+    def is_fresh(self, now_ns: int, limit_ns: int) -> bool:
+        """Return whether there is a message not older than `limit_ns` [ns]."""
+        return self.age_ns(now_ns) <= limit_ns
+
+    def take(self, arrived: list[bytes], now_ns: int, overflowed: bool) -> None:
+        """Take in what arrived since the last look, oldest first."""
+        before, newest, newest_head = self._reception.sender, None, None
+        for data in arrived:
+            head = self._reception.admit(data, overflowed)
+            overflowed = False
+            if head is not None:
+                newest, newest_head = data, head
+        self.new = newest is not None
+        if newest is None or newest_head is None:
+            return
+        delay = now_ns - newest_head.stamp_ns
+        if self._reception.sender == before:
+            risen = self._least_ns + max(0, now_ns - self.received_ns) // DRIFT
+            self._least_ns = min(risen, delay)
+        else:
+            self._least_ns = delay
+        self._late_ns = delay - self._least_ns
+        self.received_ns = now_ns
+        self.message = self._message.unpack(newest)

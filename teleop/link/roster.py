@@ -1,0 +1,60 @@
+"""Who is announced in a session at this moment."""
+
+from dataclasses import replace
+from typing import Any
+
+import zenoh
+
+from teleop.link.presence import Stage, Token, root
+from teleop.topics import Role
+
+
+class Roster:
+    """Keeps the tokens of all others; a slave also repeats those of the masters it hears.
+
+    Zenoh's thread writes, one call at a time; anyone reads.
+
+    Parameters
+    ----------
+    zenoh_session : zenoh.Session
+        An open one.
+    session : str
+        Root of the keys.
+    nonce : int
+        Our own, which is left out.
+    relay : bool
+        Whether to repeat the tokens of masters, for other masters.
+    """
+
+    def __init__(self, zenoh_session: zenoh.Session, session: str, nonce: int, relay: bool) -> None:
+        self.others: frozenset[Token] = frozenset()  # replaced as a whole, so that reading is safe
+        self._session, self._nonce, self._relay = session, nonce, relay
+        self._relayed: dict[Token, Any] = {}
+        self._liveliness = zenoh_session.liveliness()
+        self._watch: Any = self._liveliness.declare_subscriber(
+            f"{root(session)}/**", self._on_token, history=True
+        )
+
+    def present(self, role: Role, nonce: int | None = None) -> bool:
+        """Return whether one of `role` (and of this nonce) is there and has finished starting."""
+        return any(
+            t.role == role and t.stage == Stage.HELD and not t.relayed and nonce in (None, t.nonce)
+            for t in self.others
+        )
+
+    def close(self) -> None:
+        """Stop watching; before the session is closed."""
+        self._watch.undeclare()
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        token = Token.from_key(str(sample.key_expr))
+        if token is None or token.nonce == self._nonce:
+            return
+        came = sample.kind == zenoh.SampleKind.PUT
+        self.others = self.others | {token} if came else self.others - {token}
+        if self._relay and token.role == Role.MASTER and not token.relayed:
+            if came and token not in self._relayed:
+                key = replace(token, relayed=True).key(self._session)
+                self._relayed[token] = self._liveliness.declare_token(key)
+            elif not came and token in self._relayed:
+                self._relayed.pop(token).undeclare()

@@ -1,0 +1,338 @@
+"""Messages with a fixed layout, declared once.
+
+A message is a frozen dataclass whose fields are annotated with a wire type (`F64`, `U32`, ...) or a
+fixed array of one (`Joints`, `Tendons`, ...). From that one declaration come the packed bytes, the
+numpy dtype, the ROS 2 message definition and the table in the docs. The bytes are CDR,
+little-endian, as ROS 2 writes them: a four-byte encapsulation header, then each field at its
+natural alignment. So the bytes that cross the network go into a recording as they are.
+
+Every message begins with the same five fields, which the link fills in and checks:
+
+========== ==== ==========================================================================
+checksum   u32  CRC-32 of everything after it: a corrupted message is dropped and counted
+layout     u32  CRC-32 of the declarations: a peer built from other ones is refused
+sender     u64  a nonce drawn when the process started: a restarted peer is a new sender
+sequence   u64  one more for each message of a topic: loss, repetition and reordering show
+stamp_ns   i64  when it was sent, on the sender's clock (`teleop.clock`)
+========== ==== ==========================================================================
+"""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, ClassVar, NamedTuple, Self, get_args, get_type_hints
+
+import numpy as np
+
+from teleop.errors import TeleopError
+
+MAX_JOINTS = 8
+MAX_TENDONS = 2 * MAX_JOINTS
+MAX_SECTIONS = 16
+PROFILE_POINTS = 65
+TEXT_BYTES = 256
+
+# What TendonState.phase counts, in the paper's words
+PHASE_NAMES = ("slack", "virgin", "pull", "pull to release", "release", "release to pull")
+
+ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
+_CHECKED_FROM = len(ENCAPSULATION) + 4  # the checksum covers all that follows it
+_HEAD = struct.Struct("<IIQQq")
+
+
+class MessageError(TeleopError):
+    """Bytes that are not the message they should be; `kind` says in what way."""
+
+    def __init__(self, kind: str, detail: str) -> None:
+        super().__init__(f"{kind}: {detail}")
+        self.kind = kind
+
+
+class Head(NamedTuple):
+    """Who sent a message, which one it is, and when on the sender's clock."""
+
+    sender: int
+    sequence: int
+    stamp_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """How a field travels: its `struct` code, its ROS 2 and numpy names, its fixed count."""
+
+    code: str
+    ros: str
+    numpy: str
+    count: int = 1
+
+    @property
+    def size(self) -> int:
+        """Bytes of one element, which in CDR is its alignment too."""
+        return struct.calcsize(self.code)
+
+
+U8 = Annotated[int, Wire("B", "uint8", "u1")]
+U32 = Annotated[int, Wire("I", "uint32", "<u4")]
+U64 = Annotated[int, Wire("Q", "uint64", "<u8")]
+I64 = Annotated[int, Wire("q", "int64", "<i8")]
+F64 = Annotated[float, Wire("d", "float64", "<f8")]
+JointFlags = Annotated[tuple[int, ...], Wire("I", "uint32", "<u4", MAX_JOINTS)]
+Joints = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", MAX_JOINTS)]
+TendonFlags = Annotated[tuple[int, ...], Wire("I", "uint32", "<u4", MAX_TENDONS)]
+Tendons = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", MAX_TENDONS)]
+Sections = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", MAX_SECTIONS)]
+ProfilePoints = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", PROFILE_POINTS)]
+
+TextBytes = Annotated[tuple[int, ...], Wire("B", "uint8", "u1", TEXT_BYTES)]
+
+# Field defaults, one for each array type
+NO_JOINTS = (0.0,) * MAX_JOINTS
+NO_JOINT_FLAGS = (0,) * MAX_JOINTS
+NO_TENDONS = (0.0,) * MAX_TENDONS
+NO_TENDON_FLAGS = (0,) * MAX_TENDONS
+NO_SECTIONS = (0.0,) * MAX_SECTIONS
+NO_PROFILE = (0.0,) * PROFILE_POINTS
+NO_TEXT = (0,) * TEXT_BYTES
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """The head that all messages share; see the module's table."""
+
+    checksum: U32 = 0
+    layout: U32 = 0
+    sender: U64 = 0
+    sequence: U64 = 0
+    stamp_ns: I64 = 0
+
+    schema: ClassVar["Schema"]
+
+    def pack(self, sender: int, sequence: int, stamp_ns: int) -> bytes:
+        """Return the bytes to send, with the head filled in."""
+        return self.schema.pack(self, sender, sequence, stamp_ns)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Self:
+        """Return the message in `data`; `MessageError` if it is damaged or of another layout."""
+        message: Self = cls.schema.unpack(data)
+        return message
+
+
+class Schema:
+    """The wire form of one message class, worked out once from its annotations."""
+
+    def __init__(self, cls: type[Message]) -> None:
+        hints = get_type_hints(cls, include_extras=True)
+        self.cls = cls
+        self.name = cls.__name__
+        self.wires: dict[str, Wire] = {}
+        for item in fields(cls):
+            self.wires[item.name] = next(
+                a for a in get_args(hints[item.name]) if isinstance(a, Wire)
+            )
+        code, offset, offsets = "<", 0, []
+        for wire in self.wires.values():
+            padding = -offset % wire.size
+            code += f"{padding}x" * (padding > 0) + (f"{wire.count}" * (wire.count > 1)) + wire.code
+            offsets.append(offset + padding)
+            offset += padding + wire.size * wire.count
+        self.size = offset + len(ENCAPSULATION)
+        self._struct = struct.Struct(code)
+        self.dtype = np.dtype(
+            {
+                "names": list(self.wires),
+                "formats": [
+                    (w.numpy, (w.count,)) if w.count > 1 else w.numpy for w in self.wires.values()
+                ],
+                "offsets": [len(ENCAPSULATION) + o for o in offsets],
+                "itemsize": self.size,
+            }
+        )
+        self.ros_definition = "".join(
+            f"{w.ros}{f'[{w.count}]' if w.count > 1 else ''} {name}\n"
+            for name, w in self.wires.items()
+        )
+        # (name, first slot, last slot or None for a scalar) in the flat tuple `struct` returns
+        self._slots: list[tuple[str, int, int | None]] = []
+        slot = 0
+        for name, wire in self.wires.items():
+            self._slots.append((name, slot, slot + wire.count if wire.count > 1 else None))
+            slot += wire.count
+
+    def pack(self, message: Message, sender: int, sequence: int, stamp_ns: int) -> bytes:
+        """Pack `message` under the given head."""
+        flat: list[Any] = [0, LAYOUT, sender, sequence, stamp_ns]
+        for name, _, end in self._slots[5:]:
+            value = getattr(message, name)
+            if end is None:
+                flat.append(value)
+            else:
+                flat.extend(value)
+        body = self._struct.pack(*flat)[4:]
+        return ENCAPSULATION + struct.pack("<I", zlib.crc32(body)) + body
+
+    def sender(self, data: bytes) -> int:
+        """Return whom `data` claims to be from, unchecked; 0 if it is too short to say."""
+        short = len(data) < len(ENCAPSULATION) + _HEAD.size
+        return 0 if short else int(_HEAD.unpack_from(data, len(ENCAPSULATION))[2])
+
+    def check(self, data: bytes) -> Head:
+        """Return the head of `data`; `MessageError` if it is damaged or of another layout."""
+        if len(data) != self.size:
+            raise MessageError("layout", f"{self.name} has {self.size} bytes, got {len(data)}")
+        checksum, layout, sender, sequence, stamp_ns = _HEAD.unpack_from(data, len(ENCAPSULATION))
+        if checksum != zlib.crc32(data[_CHECKED_FROM:]) or data[:4] != ENCAPSULATION:
+            raise MessageError("corruption", f"{self.name} fails its checksum")
+        if layout != LAYOUT:
+            theirs, ours = f"{layout:08x}", f"{LAYOUT:08x}"
+            raise MessageError("layout", f"{self.name} is of layout {theirs}, ours is {ours}")
+        return Head(sender, sequence, stamp_ns)
+
+    def unpack(self, data: bytes) -> Any:
+        """Check and unpack `data`."""
+        self.check(data)
+        flat = self._struct.unpack_from(data, len(ENCAPSULATION))
+        values: dict[str, Any] = {
+            name: flat[slot] if end is None else flat[slot:end] for name, slot, end in self._slots
+        }
+        return self.cls(**values)
+
+
+def padded(values: Sequence[float], size: int) -> tuple[float, ...]:
+    """Return `values` filled up with zeros to the `size` of an array field."""
+    return (*values, *(0.0,) * (size - len(values)))
+
+
+def text_bytes(text: str) -> tuple[int, ...]:
+    """Return `text` as UTF-8, cut and zero-padded to `TEXT_BYTES`."""
+    raw = text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
+    return tuple(raw.ljust(TEXT_BYTES, b"\0"))
+
+
+def text_of(raw: tuple[int, ...]) -> str:
+    """Return the text in a `TextBytes` field."""
+    return bytes(raw).rstrip(b"\0").decode(errors="replace")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Command(Message):
+    """Master to slave, every master tick: where the tips shall be."""
+
+    state: U32 = 0  # teleop.session.State of the master
+    reason: U32 = 0  # teleop.session.Reason behind it
+    echo_stamp_ns: I64 = 0  # stamp_ns of the newest SlaveState received, 0 = none
+    position: Joints = NO_JOINTS  # [m] tip travel asked for, positive = pulled in
+    velocity: Joints = NO_JOINTS  # [m/s]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlaveState(Message):
+    """Slave to master, every slave tick: the force at the tips, and how far it can be trusted."""
+
+    state: U32 = 0  # teleop.session.State of the slave
+    reason: U32 = 0  # teleop.session.Reason behind it
+    joints: U32 = 0  # how many entries of the arrays are in use
+    echo_stamp_ns: I64 = 0  # stamp_ns of the Command this state answers, 0 = none
+    position: Joints = NO_JOINTS  # [m] estimated tip travel
+    force: Joints = NO_JOINTS  # [N] estimated distal force, positive = against pulling
+    force_low: Joints = NO_JOINTS  # [N] the certified interval's ends
+    force_high: Joints = NO_JOINTS  # [N]
+    status: JointFlags = NO_JOINT_FLAGS  # estimator status flags, all tendons of the joint
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TendonState(Message):
+    """Slave to listeners, every rig sample: all tendons in detail, bench sensors too."""
+
+    tendons: U32 = 0  # how many entries of the arrays are in use
+    time_s: F64 = 0.0  # rig time of the sample; one message a sample, however many ticks it lasts
+    proximal_tension: Tendons = NO_TENDONS  # [N] measured at the housing
+    proximal_displacement: Tendons = NO_TENDONS  # [m] NaN where there is no encoder
+    commanded_displacement: Tendons = NO_TENDONS  # [m] what the gate let through to the motors
+    distal_tension: Tendons = NO_TENDONS  # [N] estimated
+    distal_tension_low: Tendons = NO_TENDONS  # [N]
+    distal_tension_high: Tendons = NO_TENDONS  # [N]
+    elongation: Tendons = NO_TENDONS  # [m] estimated
+    front: Tendons = NO_TENDONS  # [m] X', how deep the newest reversal has travelled
+    phase: TendonFlags = NO_TENDON_FLAGS  # index into PHASE_NAMES
+    status: TendonFlags = NO_TENDON_FLAGS  # estimator.online.Status flags
+    bench_distal_tension: Tendons = NO_TENDONS  # [N] NaN where no bench sensor
+    bench_distal_displacement: Tendons = NO_TENDONS  # [m] NaN where no bench sensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hand(Message):
+    """Master to listeners, every master tick: the hand, and the force it was given."""
+
+    state: U32 = 0  # teleop.session.State of the sender
+    reason: U32 = 0  # teleop.session.Reason behind it
+    joints: U32 = 0  # how many entries of the arrays are in use
+    round_trip_ns: I64 = 0  # from a command sent to its force written; 0 = no new answer
+    state_age_ns: I64 = 0  # age of the newest SlaveState; -1 = none yet
+    position: Joints = NO_JOINTS  # [m] of the device
+    velocity: Joints = NO_JOINTS  # [m/s]
+    force: Joints = NO_JOINTS  # [N] written to the device, positive = along +position
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TensionProfile(Message):
+    """Slave to listeners, at view rate: T(x) along one tendon at `length * k / (points - 1)`."""
+
+    tendon: U32 = 0  # which one, from 0
+    length: F64 = 0.0  # [m]
+    front: F64 = 0.0  # [m] X'
+    tension: ProfilePoints = NO_PROFILE  # [N]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sheath(Message):
+    """Slave to listeners, once a second (late joiners): the shape and constants of one sheath."""
+
+    tendon: U32 = 0  # which one, from 0
+    joint: U32 = 0  # the one it moves, from 0
+    sections: U32 = 0  # how many entries of the arrays are in use
+    effective_friction: F64 = 0.0  # K
+    axial_stiffness: F64 = 0.0  # EA [N]
+    section_length: Sections = NO_SECTIONS  # [m]
+    section_radius: Sections = NO_SECTIONS  # [m] inf = straight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event(Message):
+    """Any process to all, reliable: a change of session state, or something worth a line."""
+
+    role: U32 = 0  # teleop.topics.Role of the sender
+    state: U32 = 0  # teleop.session.State of the sender
+    reason: U32 = 0  # teleop.session.Reason behind it
+    text: TextBytes = NO_TEXT  # UTF-8, zero-padded
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopReport(Message):
+    """Master and slave to all, twice a second: how the loop keeps time and what the link lost."""
+
+    role: U32 = 0  # teleop.topics.Role of the sender
+    state: U32 = 0  # teleop.session.State of the sender
+    reason: U32 = 0  # teleop.session.Reason behind it
+    ticks: U64 = 0  # since the loop began
+    overruns: U64 = 0  # whole periods skipped
+    received: U64 = 0  # of the peer's messages, since the loop began
+    lost: U64 = 0  # gaps in the peer's sequence numbers, latest-value overwrites not counted
+    rejected: U64 = 0  # corrupted, repeated, out of order, foreign
+    rate_hz: F64 = 0.0  # achieved over the last report's span
+    lateness_max_ns: I64 = 0  # the latest tick since the loop began
+    latency_p50_ns: I64 = 0  # command to force, over the last report's span (master only)
+    latency_p99_ns: I64 = 0  # the same
+
+
+MESSAGES: tuple[type[Message], ...] = (
+    Command, SlaveState, TendonState, Hand, TensionProfile, Sheath, Event, LoopReport,
+)  # fmt: skip
+
+for _cls in MESSAGES:
+    _cls.schema = Schema(_cls)
+
+LAYOUT = zlib.crc32(
+    "".join(f"{c.schema.name}\n{c.schema.ros_definition}" for c in MESSAGES).encode()
+)

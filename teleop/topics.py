@@ -1,0 +1,57 @@
+"""The table of topics: one line each, read by publisher, subscriber, recorder, viewer and docs.
+
+Keys are `teleop/<session>/<topic>`. A live topic is best effort: an old value is dropped rather
+than delivered late. Others are reliable.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Generic, TypeVar
+
+from teleop.messages import (
+    Command,
+    Event,
+    Hand,
+    LoopReport,
+    Message,
+    Sheath,
+    SlaveState,
+    TendonState,
+    TensionProfile,
+)
+
+
+class Role(IntEnum):
+    """Who a process is in a session."""
+
+    LAUNCHER = 0
+    MASTER = 1
+    SLAVE = 2
+    RECORDER = 3
+    VIEWER = 4
+
+
+M = TypeVar("M", bound=Message)
+
+
+@dataclass(frozen=True, slots=True)
+class Topic(Generic[M]):
+    """One line of the table."""
+
+    name: str
+    message: type[M]
+    publisher: Role | None  # None = any
+    rate_hz: float  # expected in normal running; 0 = now and then
+    live: bool  # latest value counts: best effort, real-time priority, dropped when congested
+
+
+COMMAND = Topic("command", Command, Role.MASTER, 1000, live=True)
+STATE = Topic("state", SlaveState, Role.SLAVE, 1000, live=True)
+TENDONS = Topic("tendons", TendonState, Role.SLAVE, 1000, live=True)
+HAND = Topic("hand", Hand, Role.MASTER, 1000, live=True)
+PROFILE = Topic("profile", TensionProfile, Role.SLAVE, 50, live=True)
+SHEATH = Topic("sheath", Sheath, Role.SLAVE, 1, live=False)
+EVENT = Topic("event", Event, None, 0, live=False)
+REPORT = Topic("report", LoopReport, None, 2, live=False)
+
+TOPICS: tuple[Topic[Any], ...] = (COMMAND, STATE, TENDONS, HAND, PROFILE, SHEATH, EVENT, REPORT)

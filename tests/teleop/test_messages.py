@@ -1,0 +1,196 @@
+"""Packed messages: against numpy, against ROS 2's own reader, and against damage."""
+
+import struct
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap_ros2._dynamic import generate_dynamic
+
+from teleop import topics
+from teleop.messages import (
+    ENCAPSULATION,
+    LAYOUT,
+    MESSAGES,
+    TEXT_BYTES,
+    Command,
+    Message,
+    MessageError,
+    Schema,
+    padded,
+    text_bytes,
+    text_of,
+)
+from teleop.messages_page import page
+
+HEAD = ("checksum", "layout", "sender", "sequence", "stamp_ns")
+RANGES = {
+    "B": st.integers(0, 2**8 - 1),
+    "I": st.integers(0, 2**32 - 1),
+    "Q": st.integers(0, 2**64 - 1),
+    "q": st.integers(-(2**63), 2**63 - 1),
+    "d": st.floats(),
+}
+
+
+@st.composite
+def messages(draw: st.DrawFn) -> Message:
+    """Any message with any values its wire types can hold, NaN and infinities among them."""
+    cls = draw(st.sampled_from(MESSAGES))
+    values: dict[str, Any] = {}
+    for name, wire in list(cls.schema.wires.items())[len(HEAD) :]:
+        one = RANGES[wire.code]
+        if wire.count == 1:
+            values[name] = draw(one)
+        else:  # a few drawn values, repeated: drawing 256 of them would be slow
+            few = draw(st.lists(one, min_size=1, max_size=3))
+            values[name] = tuple(few[k % len(few)] for k in range(wire.count))
+    return cls(**values)
+
+
+HEADS = st.tuples(RANGES["Q"], RANGES["Q"], RANGES["q"])
+
+
+def same(one: Any, two: Any) -> bool:
+    """Equality that takes NaN for equal to NaN, and bytes for a sequence of numbers."""
+    one, two = (list(x) if isinstance(x, bytes) else x for x in (one, two))
+    return bool(np.array_equal(np.asarray(one), np.asarray(two), equal_nan=True))
+
+
+@given(messages(), HEADS)
+def test_what_is_packed_is_unpacked(message: Message, head: tuple[int, int, int]) -> None:
+    data = message.pack(*head)
+    assert len(data) == message.schema.size
+    back = type(message).unpack(data)
+    assert (back.sender, back.sequence, back.stamp_ns) == head
+    assert back.layout == LAYOUT
+    for item in fields(message):
+        if item.name not in HEAD:
+            assert same(getattr(back, item.name), getattr(message, item.name))
+    assert message.schema.check(data) == head
+    assert message.schema.sender(data) == head[0]
+
+
+@given(messages(), HEADS)
+def test_the_numpy_dtype_sees_the_same_values(message: Message, head: tuple[int, int, int]) -> None:
+    data = message.pack(*head)
+    row = np.frombuffer(data, message.schema.dtype)[0]
+    back = type(message).unpack(data)
+    for name in message.schema.wires:
+        assert same(row[name], getattr(back, name))
+
+
+@given(messages(), HEADS)
+@settings(max_examples=50)
+def test_an_independent_ros2_reader_sees_the_same_values(
+    message: Message, head: tuple[int, int, int]
+) -> None:
+    schema = message.schema
+    kind = f"teleop/msg/{schema.name}"
+    decoded = generate_dynamic(kind, schema.ros_definition)[kind](message.pack(*head))
+    back = type(message).unpack(message.pack(*head))
+    for name in schema.wires:
+        assert same(getattr(decoded, name), getattr(back, name))
+
+
+@given(messages(), st.data())
+def test_any_changed_byte_is_noticed(message: Message, data: st.DataObject) -> None:
+    packed = bytearray(message.pack(1, 2, 3))
+    position = data.draw(st.integers(0, len(packed) - 1))
+    packed[position] ^= data.draw(st.integers(1, 255))
+    with pytest.raises(MessageError):
+        type(message).unpack(bytes(packed))
+
+
+@pytest.mark.parametrize("cls", MESSAGES)
+def test_every_single_changed_byte_is_noticed(cls: type[Message]) -> None:
+    whole = cls().pack(1, 2, 3)
+    for position in range(len(whole)):
+        packed = bytearray(whole)
+        packed[position] ^= 0x80
+        with pytest.raises(MessageError):
+            cls.unpack(bytes(packed))
+
+
+@given(st.sampled_from(MESSAGES), st.binary(max_size=800))
+def test_any_bytes_at_all_are_a_message_error(cls: type[Message], data: bytes) -> None:
+    with pytest.raises(MessageError):
+        cls.unpack(data)
+    with pytest.raises(MessageError):
+        cls.unpack(data[: cls.schema.size].ljust(cls.schema.size, b"\0"))
+
+
+def test_the_messages_of_another_version_are_told_from_damaged_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cls = MESSAGES[0]
+    monkeypatch.setattr("teleop.messages.LAYOUT", 0xABCDEF01)
+    theirs = cls().pack(1, 2, 3)
+    monkeypatch.undo()
+    with pytest.raises(MessageError, match=rf"abcdef01, ours is {LAYOUT:08x}") as caught:
+        cls.unpack(theirs)
+    assert caught.value.kind == "layout"
+    with pytest.raises(MessageError) as caught:
+        cls.unpack(theirs[:-1])
+    assert caught.value.kind == "layout"
+    damaged = bytearray(cls().pack(1, 2, 3))
+    damaged[-1] ^= 1
+    with pytest.raises(MessageError) as caught:
+        cls.unpack(bytes(damaged))
+    assert caught.value.kind == "corruption"
+
+
+def test_all_messages_have_their_own_size_or_are_told_apart_by_their_topic() -> None:
+    """A topic carries one message, so equal sizes would do; the names must differ all the same."""
+    assert len({m.schema.name for m in MESSAGES}) == len(MESSAGES)
+    assert {t.message for t in topics.TOPICS} == set(MESSAGES)
+    assert len({t.name for t in topics.TOPICS}) == len(topics.TOPICS)
+
+
+@pytest.mark.parametrize("cls", MESSAGES)
+def test_the_bytes_are_cdr(cls: type[Message]) -> None:
+    """Each field at its natural alignment, counted from behind the encapsulation header."""
+    data = cls().pack(0x0102030405060708, 2, 3)
+    assert data.startswith(ENCAPSULATION)
+    offset = 0
+    for name, wire in cls.schema.wires.items():
+        size = struct.calcsize(f"<{wire.code}")
+        offset += -offset % size
+        assert cls.schema.dtype.fields[name][1] == offset + 4
+        offset += size * wire.count
+    assert len(data) == offset + 4
+    assert data[12:20] == bytes(range(8, 0, -1))
+
+
+def test_the_layout_number_follows_every_declaration() -> None:
+    """Any change of name, type, count or order changes the definition the number is made of."""
+    definitions = {m: m.schema.ros_definition for m in MESSAGES}
+    for cls, definition in definitions.items():
+        lines = definition.splitlines()
+        assert len(lines) == len(fields(cls))
+        for line, item in zip(lines, fields(cls), strict=True):
+            assert line.split(" ")[1] == item.name
+        assert Schema(cls).ros_definition == definition
+
+
+def test_text_is_cut_between_characters() -> None:
+    for text in ("", "engaged", "Zugspannung 5 µN", "é" * 200, "a" + "é" * 200, "x" * 1000):
+        raw = text_bytes(text)
+        assert len(raw) == TEXT_BYTES
+        assert text.startswith(text_of(raw))
+        assert len(text_of(raw).encode()) >= min(len(text.encode()), TEXT_BYTES - 1)
+
+
+def test_padding_fills_up_and_too_many_values_do_not_pass() -> None:
+    assert padded([1.0, 2.0], 4) == (1.0, 2.0, 0.0, 0.0)
+    with pytest.raises(struct.error):
+        Command(position=padded([0.0] * 9, 8)).pack(1, 2, 3)
+
+
+def test_the_page_in_the_docs_is_current() -> None:
+    path = Path(__file__).parents[2] / "docs" / "messages.md"
+    assert path.read_text() == page(), "run: python -m teleop.messages_page > docs/messages.md"

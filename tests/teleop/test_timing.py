@@ -1,0 +1,40 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from teleop.timing import Durations
+
+
+@given(st.lists(st.integers(0, 99_000_000), min_size=1, max_size=300), st.floats(0.0, 100.0))
+def test_percentiles_are_those_of_the_values_to_a_bin(values, percent):
+    durations = Durations()
+    for value in values:
+        durations.add(value)
+    truth = np.percentile(values, percent, method="higher")
+    lower = np.percentile(values, percent, method="lower")
+    assert lower - 1000 < durations.percentile_ns(percent) <= truth
+    assert durations.count == len(values)
+
+
+def test_absurd_durations_are_counted_and_not_lost():
+    durations = Durations()
+    for value in (-5, 10**12):
+        durations.add(value)
+    assert durations.count == 2
+    assert durations.percentile_ns(0.0) == 0
+    assert durations.percentile_ns(100.0) == 100_000_000
+
+
+def test_a_span_forgets_the_one_before():
+    durations = Durations()
+    assert durations.take_span() == (0, 0)
+    for value in (1, 2, 3):
+        durations.add(value)
+    assert durations.take_span() == (2, 2)
+    durations.add(9)
+    assert durations.take_span() == (9, 9)
+    assert durations.percentile_ns(50.0) is not None
+
+
+def test_nothing_has_no_percentile():
+    assert Durations().percentile_ns(50.0) is None
