@@ -1,0 +1,89 @@
+"""How a motor is moved to make measured data: pure functions of time, tension and their memory."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+
+class Memory(NamedTuple):
+    """What a motion remembers from sample to sample."""
+
+    leg: int = 0  # of the tensions to turn at, the one aimed for
+    target: float = 0.0  # [m] where the motor was last sent
+
+
+class Seen(NamedTuple):
+    """What a motion may go by: one sample."""
+
+    time_s: float  # [s] since the start
+    tension: float  # [N] measured at the housing
+    dt: float  # [s] until the next
+
+
+class Motion(Protocol):
+    """Where to send one motor next."""
+
+    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+        """Return the motor position wanted [m] at the next sample, and the new memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """Constant speed, turning whenever the housing tension reaches the next of `levels`, for ever.
+
+    With (20 N, 5 N) this is the pull, release and pull of Phee et al. 2009, Fig. 7; with shrinking
+    swings it is nested reversals.
+    """
+
+    levels: tuple[float, ...]  # [N] no two neighbours alike, last and first included
+    speed: float  # [m/s]
+
+    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+        """See `Motion`."""
+        leg = memory.leg
+        if self._direction(leg) * (seen.tension - self._level(leg)) >= 0.0:
+            leg += 1
+        target = memory.target + self._direction(leg) * self.speed * seen.dt
+        return target, Memory(leg, target)
+
+    def _level(self, leg: int) -> float:
+        return self.levels[leg % len(self.levels)]
+
+    def _direction(self, leg: int) -> float:
+        return 1.0 if leg == 0 or self._level(leg) > self._level(leg - 1) else -1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """Between the start and `stroke` and back, once a `period`."""
+
+    stroke: float  # [m]
+    period: float  # [s]
+
+    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+        """See `Motion`."""
+        turn = 2.0 * math.pi * (seen.time_s + seen.dt) / self.period
+        target = 0.5 * self.stroke * (1.0 - math.cos(turn))
+        return target, memory._replace(target=target)
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How far and how fast to move."""
+
+    peak: float = 20.0  # [N] highest housing tension, of the motions that turn at tensions
+    speed: float = 0.004  # [m/s] of those
+    stroke: float = 0.010  # [m] of the sine
+    period: float = 4.0  # [s] of the sine
+
+
+def _turns(*shares: float) -> Callable[[Scale], Motion]:
+    return lambda scale: Turns(tuple(share * scale.peak for share in shares), scale.speed)
+
+
+MOTIONS: dict[str, Callable[[Scale], Motion]] = {
+    "pull-release-pull": _turns(1.0, 0.25),
+    "nested": _turns(1.0, 0.2, 0.8, 0.3, 0.65, 0.4),
+    "sine": lambda scale: Sine(scale.stroke, scale.period),
+}

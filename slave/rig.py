@@ -1,0 +1,58 @@
+"""The contract of a rig: motors and sensors at the housing, simulated, replayed or real."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RigSample:
+    """What one read of the rig returns; arrays have shape (tendons,).
+
+    The two bench arrays are for judging, recording and showing. They are never given to an
+    estimator or a controller, and are None where the rig has no such sensor.
+    """
+
+    time_s: float  # [s] on the rig's own clock, increasing; only differences count
+    proximal_tension: Array  # [N] at the housing
+    proximal_displacement: Array | None  # [m] pulled in at the housing; None without an encoder
+    bench_distal_tension: Array | None = None  # [N] at the tip
+    bench_distal_displacement: Array | None = None  # [m] at the tip, positive towards the housing
+
+
+class RigFault(Exception):
+    """The rig can no longer be trusted to measure or to obey; the message says why."""
+
+
+class Rig(Protocol):
+    """A tendon rig as the slave loop sees it.
+
+    Opened by its constructor, used from one thread, closed exactly once. `read` and `write` must
+    return well within a millisecond and never wait for hardware; a failure raises `RigFault`, and
+    the loop then goes to fault and calls nothing but `close`.
+    """
+
+    tendons: int
+
+    def read(self, time_s: float) -> tuple[RigSample, ...]:
+        """Return the samples that are new at session time `time_s` [s], oldest first.
+
+        Often none or one, several when they come faster than the reads; each is returned once.
+        `time_s` never decreases. A simulated rig advances its plant to that time; a replayed one
+        gives the rows due by then and raises `RigFinished` behind its last; a real one gives what
+        its sensors sent since the last read.
+        """
+
+    def write(self, proximal_displacement: Array) -> None:
+        """Set the motor positions [m], shape (tendons,). Only the gate calls this."""
+
+    def close(self) -> None:
+        """Stop the motors where they are and let go of the hardware."""
+
+
+class RigFinished(Exception):
+    """A replayed rig has played its last row: the session ends without fault."""

@@ -1,0 +1,178 @@
+"""Write measured data as a simulated rig would give it, faster than real time.
+
+  teleop simulate configs/demo.yaml --out bench.csv
+  teleop simulate configs/demo.yaml --out nested.parquet --profile nested --duration 60 --seed 7
+
+The rig is slave.rig of the config file, defaults without one. All its motors make the same motion;
+the table has the housing's sensors and, as on a calibration bench, the true values at the tip
+(docs/data-format.md). The same command writes the same file.
+"""
+
+import argparse
+import dataclasses
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slave.config import SlaveConfig
+from slave.motion import MOTIONS, Memory, Motion, Scale, Seen
+from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
+from slave.table import Columns, check_destination, write_table
+from teleop.config import load
+from teleop.errors import UsageError
+
+Array = NDArray[np.float64]
+
+
+class Run(NamedTuple):
+    """What was measured: times [s], shape (samples,), and the rest, shape (samples, tendons)."""
+
+    time: Array
+    proximal_tension: Array  # [N]
+    proximal_displacement: Array  # [m]
+    distal_tension: Array  # [N]
+    distal_displacement: Array  # [m]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    scale = Scale()
+    parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="config file (YAML)")
+    parser.add_argument("--out", type=Path, required=True, help=".csv, .csv.gz or .parquet")
+    parser.add_argument("--duration", type=float, default=30.0, help="[s] (default 30)")
+    parser.add_argument("--profile", choices=MOTIONS, default="pull-release-pull")
+    parser.add_argument("--rate", type=float, default=1000.0, help="[Hz] of samples (default 1000)")
+    parser.add_argument("--seed", type=int, help="of the noise, in place of the config's")
+    parser.add_argument(
+        "--peak",
+        type=float,
+        default=scale.peak,
+        help=f"[N] housing tension to turn at (default {scale.peak:g})",
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=scale.speed,
+        help=f"[m/s] of the motor between turns (default {scale.speed:g})",
+    )
+    parser.add_argument(
+        "--stroke",
+        type=float,
+        default=scale.stroke,
+        help=f"[m] of the sine (default {scale.stroke:g})",
+    )
+    parser.add_argument(
+        "--period",
+        type=float,
+        default=scale.period,
+        help=f"[s] of the sine (default {scale.period:g})",
+    )
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override one value of the config",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    for name in ("duration", "rate", "peak", "speed", "stroke", "period"):
+        if not 0.0 < getattr(args, name) <= 1e5:
+            raise UsageError(f"--{name} {getattr(args, name)}: must be above 0 and at most 100 000")
+    check_destination(args.out)
+    config = _rig_config(args)
+    if args.rate * config.period > 1.0 + 1e-9:
+        raise UsageError(
+            f"--rate {args.rate:g}: the rig's slave.rig.period allows 1/period at most"
+        )
+    motion = MOTIONS[args.profile](Scale(args.peak, args.speed, args.stroke, args.period))
+    began = time.perf_counter()
+    run = simulate(config, motion, args.duration, args.rate, progress=sys.stderr.isatty())
+    took = time.perf_counter() - began
+    write_table(args.out, table_of(run))
+    _print_summary(args.out, config, run, took)
+    return 0
+
+
+def simulate(
+    config: SimulatedRigConfig,
+    motion: Motion,
+    duration: float,
+    rate: float,
+    progress: bool = False,
+) -> Run:
+    """Move all motors of a simulated rig by `motion` for `duration` [s], sampled at `rate` [Hz]."""
+    rig = SimulatedRig(config)
+    memories = [Memory()] * rig.tendons
+    samples = []
+    count = int(duration * rate + 1e-9) + 1
+    for k in range(count):
+        (sample,) = rig.read(k / rate)
+        samples.append(sample)
+        tensions = sample.proximal_tension.tolist()
+        moves = [
+            motion.step(memory, Seen(sample.time_s, tension, 1.0 / rate))
+            for memory, tension in zip(memories, tensions, strict=True)
+        ]
+        memories = [memory for _, memory in moves]
+        rig.write(np.array([target for target, _ in moves]))
+        if progress and (k % 2000 == 0 or k == count - 1):
+            _show_progress((k + 1) / count)
+    rig.close()
+    return Run(
+        np.array([sample.time_s for sample in samples]),
+        np.array([sample.proximal_tension for sample in samples]),
+        np.array([sample.proximal_displacement for sample in samples]),
+        np.array([sample.bench_distal_tension for sample in samples]),
+        np.array([sample.bench_distal_displacement for sample in samples]),
+    )
+
+
+def table_of(run: Run) -> dict[str, Array]:
+    """Return a run as the columns of a measured-data file; tendons 2, 3, ... are numbered."""
+    columns = {"time_s": run.time}
+    for tendon in range(run.proximal_tension.shape[1]):
+        names = Columns.of_tendon(tendon + 1).names()
+        del names["time"]
+        columns |= {name: getattr(run, item)[:, tendon] for item, name in names.items()}
+    return columns
+
+
+def _rig_config(args: argparse.Namespace) -> SimulatedRigConfig:
+    config = load(args.config, SlaveConfig, "slave", args.overrides).rig
+    place = args.config or "defaults"
+    if not isinstance(config, SimulatedRigConfig):
+        raise UsageError(f"{place}: slave.rig.type: must be simulated, {config.type} moves nothing")
+    if args.seed is None:
+        return config
+    try:
+        return dataclasses.replace(config, seed=args.seed)
+    except ValueError as error:
+        raise UsageError(f"--{error}") from error
+
+
+def _show_progress(share: float) -> None:
+    bar = "#" * round(40 * share)
+    print(f"\r[{bar:<40}] {share:4.0%}", end="\n" if share == 1.0 else "", file=sys.stderr)
+
+
+def _print_summary(path: Path, config: SimulatedRigConfig, run: Run, took: float) -> None:
+    span = float(run.time[-1])
+    print(f"{path}: {len(run.time)} rows, {span:g} s, simulated {span / took:.0f} x real time")
+    for i, joint in enumerate(config.joints):
+        sheath = joint.sheath
+        bend = sum(section.length / section.radius for section in sheath.sections)
+        print(
+            f"tendon {i + 1}: K = {sheath.friction * bend:.4g}, EA = {sheath.axial_stiffness:g} N; "
+            f"peaks {run.proximal_tension[:, i].max():.3g} N at the housing, "
+            f"{run.distal_tension[:, i].max():.3g} N at the tip; "
+            f"the motor moved {1e3 * np.ptp(run.proximal_displacement[:, i]):.3g} mm, "
+            f"the tip {1e3 * np.ptp(run.distal_displacement[:, i]):.3g} mm"
+        )

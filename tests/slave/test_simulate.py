@@ -1,0 +1,104 @@
+import argparse
+
+import numpy as np
+import pytest
+
+from slave import simulate
+from slave.plant.sensors import EncoderConfig, LoadCellConfig
+from slave.rigs.simulated import JointConfig, SimulatedRigConfig
+from slave.table import Columns, read_table, read_tables
+from teleop.errors import UsageError
+
+
+def run(*words):
+    parser = argparse.ArgumentParser()
+    simulate.add_arguments(parser)
+    return simulate.main(parser.parse_args([str(word) for word in words]))
+
+
+def test_it_writes_measured_data_of_the_asked_length(tmp_path, capsys):
+    path = tmp_path / "bench.csv"
+    assert run("--out", path, "--duration", 2.5, "--rate", 200) == 0
+    table = read_table(path)
+    assert len(table.time) == 501
+    assert np.diff(table.time) == pytest.approx(1 / 200)
+    assert table.proximal_displacement is not None
+    assert table.distal_tension is not None
+    assert table.distal_displacement is not None
+    assert np.ptp(table.distal_displacement) > 1e-3
+    printed = capsys.readouterr()
+    assert "501 rows" in printed.out
+    assert "K = 1," in printed.out
+    assert printed.err == ""  # no progress bar where nobody looks
+
+
+def test_the_same_seed_writes_the_same_file_and_another_does_not(tmp_path):
+    seeds = {"a": 3, "b": 3, "c": 4}
+    for name, seed in seeds.items():
+        run("--out", tmp_path / f"{name}.csv", "--duration", 0.5, "--seed", seed)
+    one, same, other = ((tmp_path / f"{name}.csv").read_bytes() for name in seeds)
+    assert one == same
+    assert one != other
+
+
+def test_the_papers_swing_loses_at_the_tip_what_friction_takes(tmp_path):
+    path = tmp_path / "swing.parquet"
+    run("--out", path, "--duration", 20)
+    table = read_table(path)
+    T_in, T_out = table.proximal_tension, table.distal_tension
+    assert T_in.max() == pytest.approx(20.0, abs=0.3)
+    assert T_out[T_in.argmax()] / T_in.max() == pytest.approx(np.exp(-1.0), rel=0.02)
+    turn = T_in.argmax()
+    after = slice(turn, turn + 500)  # the tip does not know of the release at once
+    assert np.ptp(T_in[after]) > 3.0
+    assert np.ptp(T_out[after]) < 0.05
+
+
+def test_without_noise_the_sensors_tell_what_the_plant_does():
+    quiet = JointConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))
+    motion = simulate.MOTIONS["sine"](simulate.Scale(stroke=0.008, period=1.0))
+    result = simulate.simulate(SimulatedRigConfig(joints=(quiet,) * 2), motion, 2.0, 1000.0)
+    assert result.proximal_tension.shape == (2001, 2)
+    assert np.array_equal(result.proximal_tension[:, 0], result.proximal_tension[:, 1])
+    travel = result.proximal_displacement[:, 0]
+    wanted = 0.004 * (1 - np.cos(2 * np.pi * result.time))
+    assert np.abs(travel - wanted).max() < 0.010 * 0.008 * np.pi * 1.05  # lag times top speed
+    assert np.abs(travel - wanted).max() > 0.1 * 0.010 * 0.008 * np.pi
+
+
+def test_further_joints_are_numbered_columns(tmp_path):
+    config = tmp_path / "two.yaml"
+    config.write_text("slave: {rig: {type: simulated, joints: [{}, {tip: {spring: 900}}]}}\n")
+    path = tmp_path / "two.csv"
+    run(config, "--out", path, "--duration", 1)
+    first, second = read_tables(path, (Columns(), Columns.of_tendon(2)))
+    assert np.ptp(second.distal_displacement) < np.ptp(first.distal_displacement)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--duration", "0"], "--duration"),
+        (["--duration", "nan"], "--duration"),
+        (["--rate", "2000"], "--rate"),
+        (["--seed", "-1"], "--seed"),
+        (["--peak", "-5"], "--peak"),
+    ],
+)
+def test_wrong_usage_is_one_line(tmp_path, words, message):
+    with pytest.raises(UsageError, match=message):
+        run("--out", tmp_path / "x.csv", *words)
+
+
+@pytest.mark.parametrize("name", ["x.txt", "x.mcap", "missing/x.csv"])
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(tmp_path, name, monkeypatch):
+    monkeypatch.setattr(simulate, "simulate", lambda *_, **__: pytest.fail("work was done"))
+    with pytest.raises(UsageError):
+        run("--out", tmp_path / name)
+
+
+def test_a_replayed_rig_cannot_be_simulated(tmp_path):
+    config = tmp_path / "replay.yaml"
+    config.write_text("slave: {rig: {type: replayed, file: x.csv}}\n")
+    with pytest.raises(UsageError, match="simulated"):
+        run(config, "--out", tmp_path / "x.csv")
