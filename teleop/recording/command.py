@@ -1,0 +1,93 @@
+"""Record a session to a file: every message of every topic, as it crossed the link.
+
+  teleop record                                      the session of the defaults, until Ctrl-C
+  teleop record --config configs/demo.yaml --out /data/bench --duration 60
+
+The recorder only listens: it may start before the session or in the middle of it, be slow, or be
+killed, and the loops do not notice. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and
+Python: see docs/recordings.md.
+"""
+
+import argparse
+import dataclasses
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from teleop.clock import now_ns
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import load
+from teleop.errors import UsageError
+from teleop.link import Link
+from teleop.process import Stop, supervised, write_summary
+from teleop.recording.config import RecordConfig
+from teleop.recording.writer import RecordingWriter
+from teleop.run_config import RunConfig
+from teleop.topics import TOPICS, Role
+
+_NICENESS = 5  # where loops and recorder share a processor, the loops go first
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop record`."""
+    add_config_arguments(parser)
+    parser.add_argument("--out", metavar="DIR", help="record into DIR (recordings)")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--json", metavar="FILE", help="write the summary to FILE")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Record until told to stop; returns the exit code."""
+    if args.duration is not None and not args.duration > 0:
+        raise UsageError(f"--duration {args.duration:g}: must be more than 0 s")
+    run = load(args.config, RunConfig, None, args.overrides)
+    config = load(args.config, RecordConfig, "record", args.overrides)
+    if args.out:
+        config = dataclasses.replace(config, directory=args.out)
+    config_text = args.config.read_text() if args.config else ""
+    os.nice(_NICENESS)
+    stop = Stop(args.duration)
+    with Link(run.link, run.session, Role.RECORDER) as link:
+        listener = link.listen(TOPICS)
+        writer = RecordingWriter(config, run.session, now_ns(), config_text, args.overrides)
+        print(f"recording session {run.session!r} to {writer.path}", flush=True)
+        try:
+            with writer:
+                stopping = False
+                while not stopping:
+                    time.sleep(config.drain_s)
+                    stopping = (
+                        stop()
+                    )  # asked before the last look: it finds all that came until then
+                    writer.write(listener.drain(), now_ns())
+        finally:
+            summary = summary_of(writer)
+            write_summary(args.json, summary)
+            if not supervised():
+                print("\n".join(lines(summary)))
+    return 0
+
+
+def summary_of(writer: RecordingWriter) -> dict[str, Any]:
+    """Return what was recorded, for a program."""
+    return {
+        "file": str(writer.path),
+        "seconds": (writer.last_ns - writer.first_ns) * 1e-9,
+        "messages": dict(writer.messages),
+        "gaps": writer.gaps.by_topic(),
+        "bytes": writer.bytes_written,
+    }
+
+
+def lines(summary: dict[str, Any]) -> list[str]:
+    """Return what was recorded, for a reader."""
+    size_MB, seconds = summary["bytes"] / 1e6, summary["seconds"]
+    out = [f"recorded {Path(summary['file'])}: {seconds:.1f} s, {size_MB:.1f} MB"]
+    for topic, count in summary["messages"].items():
+        lost = summary["gaps"][topic]
+        rate = f"{(count - 1) / seconds:7.1f}/s" if seconds > 0 else ""
+        out.append(f"  {topic:10} {count:9} messages {rate}" + (f", {lost} lost" if lost else ""))
+    if not summary["messages"]:
+        out.append("  nobody published anything in this session")
+    return out

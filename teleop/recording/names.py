@@ -1,0 +1,19 @@
+"""What things are called inside a recording, for writer and reader alike."""
+
+from mcap.records import Channel
+
+SESSION_METADATA = "recording"  # session, start, message layout
+VERSIONS_METADATA = "versions"  # of what wrote it
+GAPS_METADATA = "gaps"  # "<topic>/<sender>": lost messages; the last record of the name counts
+CONFIG_ATTACHMENT = "config.yaml"
+SCHEMA_PACKAGE = "tendon_teleop"
+
+
+def channel_name(topic: str) -> str:
+    """Return the MCAP name of a topic, which as in ROS begins with a slash."""
+    return f"/{topic}"
+
+
+def topic_in(channel: Channel) -> str:
+    """Return the topic's name in `teleop.topics`."""
+    return channel.topic.removeprefix("/")

@@ -1,0 +1,60 @@
+"""Recorded messages under a new address: the same content from another sender."""
+
+import zlib
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from teleop.recording.reader import Recorded
+from teleop.topics import TOPICS, Role, Topic
+
+_TOPICS = {topic.name: topic for topic in TOPICS}
+
+
+class Addressed(NamedTuple):
+    """A message ready to be sent by the link of `role`."""
+
+    role: Role
+    topic: Topic[Any]
+    data: bytes
+
+
+class Readdress:
+    """Makes recorded messages look as if present senders had sent them.
+
+    Listeners admit a sender that is present and numbers that rise. So sender, sequence and checksum
+    are rewritten; a number that was missing in the recording is missing again. All else is left as
+    it was recorded, also the stamp, unless it is to be shifted.
+
+    Parameters
+    ----------
+    nonces : mapping
+        The new sender for what the master and what the slave had sent. What another process sent
+        goes with the slave's.
+    """
+
+    def __init__(self, nonces: Mapping[Role, int]) -> None:
+        self._nonces = nonces
+        self._sent: dict[tuple[Role, str], int] = {}  # newest number given to a topic
+        self._seen: dict[tuple[str, int], int] = {}  # newest number recorded, by topic and sender
+
+    def __call__(self, recorded: Recorded, shift_ns: int = 0) -> Addressed:
+        """Return `recorded` under its new address, its stamp moved by `shift_ns`."""
+        topic = _TOPICS[recorded.topic]
+        schema = topic.message.schema
+        head = schema.check(recorded.data)
+        content = bytearray(recorded.data)
+        row = np.frombuffer(content, schema.dtype)
+        role = topic.publisher
+        if role is None:
+            role = Role.MASTER if row["role"][0] == Role.MASTER else Role.SLAVE
+        before = self._seen.get((topic.name, head.sender), head.sequence)
+        self._seen[topic.name, head.sender] = head.sequence
+        sequence = self._sent.get((role, topic.name), 0) + max(1, head.sequence - before)
+        self._sent[role, topic.name] = sequence
+        row["sender"], row["sequence"] = self._nonces[role], sequence
+        row["stamp_ns"] = head.stamp_ns + shift_ns
+        checked_from = schema.dtype.fields["layout"][1]
+        row["checksum"] = zlib.crc32(memoryview(content)[checked_from:])
+        return Addressed(role, topic, bytes(content))

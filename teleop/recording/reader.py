@@ -1,0 +1,205 @@
+"""Reading recordings: what is in one, its messages, and its topics as numpy columns.
+
+A recording is read by its own message definitions, so one made with other message layouts opens
+like any other, with the fields it has. A file cut off by a kill or a full disk gives every chunk
+that was finished.
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from numpy.lib.recfunctions import repack_fields
+from numpy.typing import NDArray
+
+from teleop.recording.definition import dtype_of
+from teleop.recording.names import (
+    CONFIG_ATTACHMENT,
+    GAPS_METADATA,
+    SESSION_METADATA,
+    VERSIONS_METADATA,
+    topic_in,
+)
+from teleop.recording.scan import MESSAGE_HEAD, RecordingError, Scan
+
+_TIMES_AT = 6  # where the two times begin in a MESSAGE_HEAD; a row of columns begins there
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One message of a recording."""
+
+    topic: str
+    data: bytes  # as it crossed the link
+    log_time_ns: int  # when the recorder received it
+    publish_time_ns: int  # when it was sent, on its sender's clock
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingInfo:
+    """What a recording holds."""
+
+    path: Path
+    complete: bool  # closed properly; False = cut off, all finished chunks are there
+    session: str  # "" = not stated
+    layout: int | None  # CRC-32 of the message declarations it was made with, None = not stated
+    versions: dict[str, str]
+    config_text: str  # the session's config file, "" = ran on defaults
+    overrides: tuple[str, ...]  # what the command line said over it
+    messages: dict[str, int]  # per topic
+    lost: dict[str, int]  # per topic: sent, but never received by the recorder
+    first_ns: int  # log time of the first message, 0 = there is none
+    last_ns: int
+
+    @property
+    def seconds(self) -> float:
+        """Time [s] from the first message to the last."""
+        return (self.last_ns - self.first_ns) * 1e-9
+
+
+def open_recording(path: str | Path) -> RecordingInfo:
+    """Return what a recording holds; `RecordingError` if the file is none or is damaged."""
+    scan = Scan(Path(path))
+    counts: dict[int, int] = {}
+    first, last = 0, 0
+    for block in scan.blocks():
+        for channel, start, _ in block.messages:
+            counts[channel] = counts.get(channel, 0) + 1
+            log_time = MESSAGE_HEAD.unpack_from(block.content, start)[2]
+            first = min(first or log_time, log_time)
+            last = max(last, log_time)
+    messages: dict[str, int] = {}
+    for channel, count in counts.items():
+        topic = topic_in(scan.channel(channel))
+        messages[topic] = messages.get(topic, 0) + count
+    head = scan.metadata.get(SESSION_METADATA, {})
+    try:
+        lost = dict.fromkeys(messages, 0)
+        for stream, count_text in scan.metadata.get(GAPS_METADATA, {}).items():
+            topic = stream.partition("/")[0]
+            lost[topic] = lost.get(topic, 0) + int(count_text)
+        layout = int(head["layout"], 16) if "layout" in head else None
+    except ValueError as error:
+        raise RecordingError(f"{path}: is damaged: metadata that is no number: {error}") from error
+    return RecordingInfo(
+        path=scan.path,
+        complete=scan.complete,
+        session=head.get("session", ""),
+        layout=layout,
+        versions=scan.metadata.get(VERSIONS_METADATA, {}),
+        config_text=scan.attachments.get(CONFIG_ATTACHMENT, b"").decode(errors="replace"),
+        overrides=tuple(head.get("overrides", "").splitlines()),
+        messages=messages,
+        lost=lost,
+        first_ns=first,
+        last_ns=last,
+    )
+
+
+def read_messages(path: str | Path, topics: Collection[str] | None = None) -> Iterator[Recorded]:
+    """Yield the messages of a recording in the order of the file (None = of all topics)."""
+    scan = Scan(Path(path))
+    for block in scan.blocks():
+        for channel, start, end in block.messages:
+            topic = topic_in(scan.channel(channel))
+            if topics is None or topic in topics:
+                _, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(block.content, start)
+                data = block.content[start + MESSAGE_HEAD.size : end]
+                yield Recorded(topic, data, log_time, publish_time)
+
+
+def read_columns(
+    path: str | Path, topic: str, names: Sequence[str] | None = None
+) -> NDArray[np.void]:
+    """Return all messages of one topic as a structured array, one row a message.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    topic : str
+        Name of the topic, as in `teleop.topics`.
+    names : sequence of str, optional
+        The fields wanted; fewer fields take less memory. All by default.
+
+    Returns
+    -------
+    ndarray
+        Fields `log_time_ns` (received) and `publish_time_ns` (sent), then those of the message;
+        rows in the order of the file.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no recording, is damaged, or has no such topic or field.
+    """
+    scan = Scan(Path(path))
+    parts: list[NDArray[np.void]] = []
+    for block in scan.blocks():
+        wanted = {n for n, channel in scan.channels.items() if topic_in(channel) == topic}
+        pieces = [
+            block.content[start + _TIMES_AT : end]
+            for channel, start, end in block.messages
+            if channel in wanted
+        ]
+        if pieces:
+            rows = _rows(pieces, _row_dtype(scan, wanted, topic), scan.path, topic)
+            parts.append(rows if names is None else _selected(rows, names, scan.path, topic))
+    if not parts:
+        present = ", ".join(sorted(map(topic_in, scan.channels.values()))) or "none at all"
+        raise RecordingError(f"{path}: no messages of topic {topic!r}; it has {present}")
+    return np.concatenate(parts)
+
+
+def _row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.void]:
+    """Return the dtype of a row: the two times of the message record, and the message."""
+    dtypes = []
+    for channel in (scan.channels[n] for n in wanted):
+        schema = scan.schemas.get(channel.schema_id)
+        if (
+            schema is None
+            or schema.encoding != SchemaEncoding.ROS2
+            or channel.message_encoding != MessageEncoding.CDR
+        ):
+            raise RecordingError(f"{scan.path}: topic {topic!r} is not in the ROS 2 encoding")
+        try:
+            dtypes.append(dtype_of(schema.data.decode()))
+        except ValueError as error:
+            raise RecordingError(f"{scan.path}: topic {topic!r}: {error}") from error
+    message = dtypes[0]
+    if any(other != message for other in dtypes):
+        raise RecordingError(f"{scan.path}: topic {topic!r} has messages of several definitions")
+    fields: Mapping[str, Any] = message.fields or {}
+    return np.dtype(
+        {
+            "names": ["log_time_ns", "publish_time_ns", *fields],
+            "formats": ["<i8", "<i8", *(entry[0] for entry in fields.values())],
+            "offsets": [0, 8, *(16 + entry[1] for entry in fields.values())],
+            "itemsize": 16 + message.itemsize,
+        }
+    )
+
+
+def _rows(
+    pieces: list[bytes], dtype: np.dtype[np.void], path: Path, topic: str
+) -> NDArray[np.void]:
+    if any(len(piece) != dtype.itemsize for piece in pieces):
+        raise RecordingError(f"{path}: a {topic} message has another size than its definition says")
+    return np.frombuffer(b"".join(pieces), dtype)
+
+
+def _selected(
+    rows: NDArray[np.void], names: Sequence[str], path: Path, topic: str
+) -> NDArray[np.void]:
+    present = rows.dtype.names or ()
+    for name in names:
+        if name not in present:
+            raise RecordingError(
+                f"{path}: {topic} messages have no field {name!r} (another message layout?); "
+                f"they have {', '.join(present)}"
+            )
+    selected: NDArray[np.void] = repack_fields(rows[list(names)])
+    return selected

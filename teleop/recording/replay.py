@@ -1,0 +1,141 @@
+"""Play a recording back onto the link, so that viewers and recorders see the session again.
+
+  teleop replay recordings/demo-20260102T030405Z.mcap
+  teleop view --set session=demo-replay              in another terminal
+  teleop replay FILE --speed 0.1 --loop              in slow motion, again and again
+
+A replay is a session of its own, `<session>-replay`, in which it takes the master's and the slave's
+places. So it starts only where neither is, and while it runs neither can join: no recorded command
+reaches a rig, and no recorded force a hand.
+"""
+
+import argparse
+import itertools
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+from teleop.clock import now_ns
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import load
+from teleop.errors import UsageError
+from teleop.launch.status import StatusLine
+from teleop.link import Link
+from teleop.messages import LAYOUT
+from teleop.process import Stop
+from teleop.recording.readdress import Readdress
+from teleop.recording.reader import RecordingInfo, open_recording, read_messages
+from teleop.recording.scan import RecordingError
+from teleop.run_config import RunConfig
+from teleop.topics import Role
+
+_LOOK_S = 0.05  # [s] between two looks at whether to stop, who is there and how far it is
+_BREATH_NS = 1_000_000  # [ns] between the last message of a pass and the first of the next
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop replay`."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="the recording (.mcap)")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="X", help="times as fast as it was (1)"
+    )
+    parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
+    parser.add_argument(
+        "--session", metavar="NAME", help="play it as session NAME (<recorded session>-replay)"
+    )
+    add_config_arguments(parser)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Play a recording; returns the exit code."""
+    if not 0.001 <= args.speed <= 1000:
+        raise UsageError(f"--speed {args.speed:g}: allowed are 0.001 to 1000")
+    overrides = [*args.overrides, *([f"session={args.session}"] if args.session else [])]
+    run = load(args.config, RunConfig, None, overrides)
+    info = open_recording(args.file)
+    require_playable(info)
+    session = args.session or f"{info.session or run.session}-replay"
+    stop, status = Stop(), StatusLine()
+    with ExitStack() as stack:
+        links = {
+            role: stack.enter_context(Link(run.link, session, role))
+            for role in (Role.SLAVE, Role.MASTER)
+        }
+        status.say(
+            f"playing {info.seconds:.1f} s as session {session!r}; "
+            f"see it with: teleop view --set session={session}"
+        )
+        player = Player(info, args.speed, links)
+        stack.callback(status.clear)
+        for number in itertools.count() if args.loop else (0,):
+            if not player.play(number, stop, status.show):
+                break
+    print(f"played {player.messages} messages")
+    return 0
+
+
+class Player:
+    """Sends the messages of a recording at the times they were received, on an absolute grid.
+
+    Parameters
+    ----------
+    info : RecordingInfo
+        The recording.
+    speed : float
+        Times as fast as it was.
+    links : mapping
+        The links that take the master's and the slave's place.
+    """
+
+    def __init__(self, info: RecordingInfo, speed: float, links: Mapping[Role, Link]) -> None:
+        self.messages = 0  # sent so far
+        self._info, self._speed, self._links = info, speed, links
+        self._readdress = Readdress({role: link.nonce for role, link in links.items()})
+        self._start_ns = now_ns()
+        self._look_ns = 0
+
+    def play(self, number: int, stop: Callable[[], bool], show: Callable[[str], None]) -> bool:
+        """Play pass `number`, counted from 0; return whether it was played to its end.
+
+        The stamps of a later pass continue those of the one before, so time never runs backwards.
+        """
+        info = self._info
+        shift_ns = number * (info.last_ns - info.first_ns + _BREATH_NS)
+        for recorded in read_messages(info.path):
+            elapsed_ns = recorded.log_time_ns - info.first_ns
+            due_ns = self._start_ns + round((elapsed_ns + shift_ns) / self._speed)
+            while not stop() and (wait_ns := due_ns - now_ns()) > 0:
+                time.sleep(min(wait_ns * 1e-9, _LOOK_S))
+            if stop():
+                return False
+            self._look(due_ns, elapsed_ns * 1e-9, number, show)
+            role, topic, data = self._readdress(recorded, shift_ns)
+            self._links[role].publish_raw(topic, data)
+            self.messages += 1
+        return True
+
+    def _look(self, due_ns: int, at_s: float, number: int, show: Callable[[str], None]) -> None:
+        """Now and then, see that the places are still ours, and show how far the replay is."""
+        now = now_ns()
+        if now < self._look_ns:
+            return
+        self._look_ns = now + round(_LOOK_S * 1e9)
+        for link in self._links.values():
+            link.check_peers()
+        late_s = (now - due_ns) * 1e-9
+        again = f", pass {number + 1}" if number else ""
+        late = f", {late_s:.1f} s late" if late_s > _LOOK_S else ""
+        show(f"{at_s:.1f} of {self._info.seconds:.1f} s{again}{late}")
+
+
+def require_playable(info: RecordingInfo) -> None:
+    """Raise `RecordingError` unless the link's peers would understand the recording's messages."""
+    if not info.messages:
+        raise RecordingError(f"{info.path}: has no messages")
+    if info.layout != LAYOUT:
+        made_by = info.versions.get("tendon-teleop", "unknown")
+        raise RecordingError(
+            f"{info.path}: has another message layout than this version (made by tendon-teleop "
+            f"{made_by}), so viewers would refuse it; teleop.recording.reader still reads it"
+        )

@@ -1,0 +1,263 @@
+"""Writing a recording: messages as they crossed the link, in an MCAP file that survives a kill.
+
+The file needs nothing beside it: every channel carries its ROS 2 message definition, and what made
+the file (session, layout, versions, config) stands at its head. See docs/recordings.md.
+"""
+
+import contextlib
+import io
+import platform
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, cast
+
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from teleop.errors import TeleopError, UsageError
+from teleop.link import Heard
+from teleop.messages import LAYOUT
+from teleop.recording.config import RecordConfig
+from teleop.recording.gaps import Gaps
+from teleop.recording.names import (
+    CONFIG_ATTACHMENT,
+    GAPS_METADATA,
+    SCHEMA_PACKAGE,
+    SESSION_METADATA,
+    VERSIONS_METADATA,
+    channel_name,
+)
+from teleop.topics import Topic
+
+_VERSIONS_OF = ("tendon-teleop", "eclipse-zenoh", "mcap", "numpy", "numba")
+_COMPRESSION = {
+    "zstd": CompressionType.ZSTD,
+    "lz4": CompressionType.LZ4,
+    "none": CompressionType.NONE,
+}
+
+
+class RecordingWriter:
+    """A recording being written; a context manager, which closes the file whatever happened.
+
+    Messages collect in memory and go to the kernel as one closed chunk each time `chunk_s` has
+    passed, so a process that is killed loses its last `chunk_s` and no more. What the kernel has
+    is safe from the end of the process; a power cut may still cost what it had not yet written.
+
+    Parameters
+    ----------
+    config : RecordConfig
+        Directory, chunk length, compression.
+    session : str
+        Name of the session, the first part of the file's name.
+    started_ns : int
+        Present stamp [ns since the Unix epoch], the second part of the file's name.
+    config_text : str
+        The session's config file, kept as an attachment.
+    overrides : sequence of str
+        What was said over it on the command line, kept as metadata.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be created.
+    """
+
+    def __init__(
+        self,
+        config: RecordConfig,
+        session: str,
+        started_ns: int,
+        config_text: str = "",
+        overrides: Sequence[str] = (),
+    ) -> None:
+        self.messages: dict[str, int] = {}  # topic -> messages in the file
+        self.gaps = Gaps()
+        self.first_ns = self.last_ns = 0  # when the first and the last of them were received
+        self._taken: dict[str, int] = {}  # topic -> messages in the file or on the way there
+        self._span_ns = (0, 0)
+        self.path, file = _create(Path(config.directory), session, started_ns)
+        self._file = _WholeWrites(file)
+        self._chunk_ns = round(config.chunk_s * 1e9)
+        self._committed_ns = started_ns
+        self._noted_loss = 0
+        self._channels: dict[str, int] = {}
+        self._mcap = Writer(
+            cast(io.BufferedWriter, self._file),
+            compression=_COMPRESSION[config.compression],
+            enable_data_crcs=True,
+        )
+        self._mcap.start(profile=Profile.ROS2, library=f"tendon-teleop {_version('tendon-teleop')}")
+        started = datetime.fromtimestamp(started_ns * 1e-9, UTC).isoformat(timespec="milliseconds")
+        self._mcap.add_metadata(
+            SESSION_METADATA,
+            {
+                "session": session,
+                "started": started,
+                "started_ns": str(started_ns),
+                "layout": f"{LAYOUT:08x}",
+                "overrides": "\n".join(overrides),
+            },
+        )
+        self._mcap.add_metadata(
+            VERSIONS_METADATA,
+            {"python": platform.python_version()} | {name: _version(name) for name in _VERSIONS_OF},
+        )
+        if config_text:
+            self._mcap.add_attachment(
+                started_ns, started_ns, CONFIG_ATTACHMENT, "application/yaml", config_text.encode()
+            )
+        self._commit()
+
+    @property
+    def bytes_written(self) -> int:
+        """Length of the file [bytes] as the kernel has it."""
+        return self._file.length
+
+    def write(self, heard: Iterable[Heard], now_ns: int) -> None:
+        """Take what was heard; put it into the file if `chunk_s` has passed since the last time.
+
+        Call it also with nothing heard: that is what moves the last messages into the file when
+        the session falls silent.
+        """
+        for item in heard:
+            name = item.topic.name
+            channel = self._channels.get(name) or self._register(item.topic)
+            self._mcap.add_message(
+                channel_id=channel,
+                log_time=item.received_ns,
+                publish_time=item.stamp_ns,
+                sequence=item.sequence & 0xFFFFFFFF,
+                data=item.data,
+            )
+            self._taken[name] += 1
+            self.gaps.note(name, item.sender, item.sequence)
+            self._span_ns = (self._span_ns[0] or item.received_ns, item.received_ns)
+        if now_ns - self._committed_ns >= self._chunk_ns:
+            self._committed_ns = now_ns
+            self._mcap.flush()
+            if self.gaps.total != self._noted_loss:
+                self._note_gaps()
+            self._commit()
+
+    def close(self) -> None:
+        """Write what is held, the counts and the index, and close the file."""
+        if self._file.closed:
+            return
+        try:
+            self._mcap.flush()
+            self._note_gaps()
+            self._mcap.finish()
+            self._commit()
+        finally:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        _type: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _register(self, topic: Topic[Any]) -> int:
+        schema = topic.message.schema
+        schema_id = self._mcap.register_schema(
+            f"{SCHEMA_PACKAGE}/msg/{schema.name}",
+            SchemaEncoding.ROS2,
+            schema.ros_definition.encode(),
+        )
+        channel = self._mcap.register_channel(
+            channel_name(topic.name), MessageEncoding.CDR, schema_id
+        )
+        self._channels[topic.name] = channel
+        self._taken[topic.name] = 0
+        return channel
+
+    def _note_gaps(self) -> None:
+        counts = {f"{topic}/{sender:016x}": str(n) for (topic, sender), n in self.gaps.lost.items()}
+        self._mcap.add_metadata(GAPS_METADATA, counts)
+        self._noted_loss = self.gaps.total
+
+    def _commit(self) -> None:
+        try:
+            self._file.commit()
+        except OSError as error:
+            self._file.close()
+            raise TeleopError(
+                f"{self.path}: cannot write on: {error.strerror}; what was in the file is kept, "
+                "free some space or choose another --out"
+            ) from error
+        self.messages = dict(self._taken)
+        self.first_ns, self.last_ns = self._span_ns
+
+
+class _WholeWrites:
+    """What mcap writes into: held until `commit`, which the file then has whole or not at all."""
+
+    def __init__(self, file: io.FileIO) -> None:
+        self.length = 0
+        self._file = file
+        self._held: list[bytes] = []
+        self._held_bytes = 0
+
+    def write(self, data: bytes) -> None:
+        self._held.append(data)
+        self._held_bytes += len(data)
+
+    def tell(self) -> int:
+        return self.length + self._held_bytes
+
+    def flush(self) -> None:
+        """Wait for `commit`."""
+
+    def commit(self) -> None:
+        rest = memoryview(b"".join(self._held))
+        self._held, self._held_bytes = [], 0
+        end = self.length + len(rest)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError:
+            with contextlib.suppress(OSError):  # a torn last record is readable too
+                self._file.truncate(self.length)
+            raise
+        self.length = end
+
+    @property
+    def closed(self) -> bool:
+        return self._file.closed
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _create(directory: Path, session: str, started_ns: int) -> tuple[Path, io.FileIO]:
+    """Create a file of a new name, `<session>-<UTC time>.mcap`; one that exists is left alone."""
+    stem = f"{session}-{datetime.fromtimestamp(started_ns // 10**9, UTC):%Y%m%dT%H%M%SZ}"
+    attempt = 1
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        while True:
+            path = directory / (f"{stem}.mcap" if attempt == 1 else f"{stem}-{attempt}.mcap")
+            try:
+                return path, path.open("xb", buffering=0)
+            except FileExistsError:
+                attempt += 1
+    except OSError as error:
+        raise UsageError(
+            f"{directory}: cannot record here: {error.strerror}; choose another --out"
+        ) from error
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "not installed"

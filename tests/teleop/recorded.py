@@ -1,0 +1,77 @@
+"""Messages as a listener hears them, links and commands, for tests of recordings."""
+
+import socket
+import subprocess
+import sys
+import textwrap
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from teleop.link import Heard, LinkConfig
+from teleop.messages import Message
+from teleop.topics import Topic
+
+START_NS = 1_700_000_000_000_000_000
+SENDER = 0x0123_4567_89AB_CDEF
+
+
+def random_message(cls: type[Message], rng: np.random.Generator) -> Message:
+    """A message with every field of its own, so that a swapped or shifted field shows."""
+    values: dict[str, Any] = {}
+    for item in fields(cls)[5:]:
+        wire = cls.schema.wires[item.name]
+        dtype = np.dtype(wire.numpy)
+        if dtype.kind == "f":
+            row = rng.normal(size=wire.count).tolist()
+        else:
+            row = rng.integers(0, np.iinfo(dtype).max, wire.count, dtype=dtype).tolist()
+        values[item.name] = tuple(row) if wire.count > 1 else row[0]
+    return cls(**values)
+
+
+def heard(
+    topic: Topic[Any], sequence: int, rng: np.random.Generator, sender: int = SENDER
+) -> Heard:
+    """A message sent on a 1 ms grid and received 0.3 ms later."""
+    sent_ns = START_NS + sequence * 1_000_000
+    data = random_message(topic.message, rng).pack(sender, sequence, sent_ns)
+    return Heard(topic, data, sent_ns + 300_000, sender, sequence, sent_ns)
+
+
+def free_link() -> LinkConfig:
+    """A link on two ports that are free."""
+    with socket.socket() as one, socket.socket() as other:
+        one.bind(("127.0.0.1", 0))
+        other.bind(("127.0.0.1", 0))
+        ports = one.getsockname()[1], other.getsockname()[1]
+    return LinkConfig(master=f"tcp/127.0.0.1:{ports[0]}", slave=f"tcp/127.0.0.1:{ports[1]}")
+
+
+RUN = textwrap.dedent(
+    """
+    import argparse, importlib, sys
+    from teleop.errors import TeleopError
+
+    command = importlib.import_module(sys.argv[1])
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    try:
+        sys.exit(command.main(parser.parse_args(sys.argv[2:])))
+    except TeleopError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)
+    """
+)
+
+
+def start(module: str, link: LinkConfig, *arguments: str) -> "subprocess.Popen[str]":
+    """Start a command module as a process of its own."""
+    ends = [f"--set=link.master={link.master}", f"--set=link.slave={link.slave}"]
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN, module, *arguments, *ends],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )

@@ -1,0 +1,409 @@
+import dataclasses
+import re
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from mcap_ros2.writer import Writer as Ros2Writer
+
+from teleop.errors import TeleopError, UsageError
+from teleop.link import Heard
+from teleop.messages import LAYOUT, MESSAGES
+from teleop.recording.config import RecordConfig
+from teleop.recording.definition import dtype_of
+from teleop.recording.gaps import Gaps
+from teleop.recording.reader import open_recording, read_columns, read_messages
+from teleop.recording.scan import RecordingError
+from teleop.recording.writer import RecordingWriter
+from teleop.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
+from tests.teleop.recorded import START_NS, heard
+
+
+def chunk_by_chunk(
+    directory: Path, chunks: list[list[Heard]], compression: str = "zstd"
+) -> tuple[Path, list[int]]:
+    """Record `chunks`; returns the file and its length after each of them."""
+    config = RecordConfig(directory=str(directory), chunk_s=0.01, compression=compression)  # type: ignore[arg-type]
+    writer = RecordingWriter(config, "demo", START_NS, "session: demo\n", ["rate_hz=500", "a=b"])
+    lengths = []
+    for k, chunk in enumerate(chunks):
+        writer.write(chunk, START_NS + (k + 1) * 10_000_000)
+        lengths.append(writer.path.stat().st_size)
+    writer.close()
+    return writer.path, lengths
+
+
+@pytest.fixture(scope="module")
+def all_topics(tmp_path_factory):
+    """Five messages of each topic in two chunks."""
+    rng = np.random.default_rng(1)
+    messages = [heard(topic, k, rng) for k in range(5) for topic in TOPICS]
+    path, _ = chunk_by_chunk(tmp_path_factory.mktemp("all"), [messages[:17], messages[17:]])
+    return path, messages
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_ros_2_tools_read_the_values_that_were_sent(tmp_path, compression):
+    rng = np.random.default_rng(2)
+    messages = [heard(topic, k, rng) for k in range(3) for topic in TOPICS]
+    path, _ = chunk_by_chunk(tmp_path, [messages], compression)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        decoded = list(reader.iter_decoded_messages(log_time_order=False))
+    assert len(decoded) == len(messages)
+    for sent, (schema, channel, record, values) in zip(messages, decoded, strict=True):
+        assert channel.topic == f"/{sent.topic.name}"
+        assert schema.name == f"tendon_teleop/msg/{sent.topic.message.__name__}"
+        assert (record.log_time, record.sequence) == (sent.received_ns, sent.sequence)
+        assert record.publish_time == START_NS + sent.sequence * 1_000_000
+        for name, value in dataclasses.asdict(sent.topic.message.unpack(sent.data)).items():
+            theirs = getattr(values, name)
+            np.testing.assert_array_equal(
+                list(theirs) if isinstance(theirs, bytes) else theirs, value
+            )
+
+
+def test_messages_come_back_byte_for_byte(all_topics):
+    path, messages = all_topics
+    back = list(read_messages(path))
+    assert [(m.topic, m.data, m.log_time_ns) for m in back] == [
+        (m.topic.name, m.data, m.received_ns) for m in messages
+    ]
+    only = list(read_messages(path, ["event"]))
+    assert [m.data for m in only] == [m.data for m in messages if m.topic is EVENT]
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_columns_hold_every_field(all_topics, topic):
+    path, messages = all_topics
+    sent = [m for m in messages if m.topic is topic]
+    columns = read_columns(path, topic.name)
+    np.testing.assert_array_equal(columns["log_time_ns"], [m.received_ns for m in sent])
+    np.testing.assert_array_equal(columns["publish_time_ns"], columns["stamp_ns"])
+    for k, one in enumerate(sent):
+        for name, value in dataclasses.asdict(topic.message.unpack(one.data)).items():
+            np.testing.assert_array_equal(columns[name][k], value)
+
+
+def test_chosen_columns_are_packed_and_equal(all_topics):
+    path, _ = all_topics
+    everything = read_columns(path, "tendons")
+    some = read_columns(path, "tendons", ["stamp_ns", "proximal_tension"])
+    assert some.dtype.names == ("stamp_ns", "proximal_tension")
+    assert some.dtype.itemsize == 8 + 16 * 8
+    for name in some.dtype.names:
+        np.testing.assert_array_equal(some[name], everything[name])
+
+
+def test_a_recording_says_what_made_it(all_topics):
+    path, messages = all_topics
+    info = open_recording(path)
+    assert info.complete
+    assert (info.session, info.layout, info.config_text) == ("demo", LAYOUT, "session: demo\n")
+    assert info.overrides == ("rate_hz=500", "a=b")
+    assert info.messages == {topic.name: 5 for topic in TOPICS}
+    assert (info.first_ns, info.last_ns) == (messages[0].received_ns, messages[-1].received_ns)
+    assert info.seconds == pytest.approx(0.004)
+    assert set(info.versions) >= {"python", "mcap", "tendon-teleop"}
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda message: message.__name__)
+def test_our_definitions_give_our_dtypes(message):
+    assert dtype_of(message.schema.ros_definition) == message.schema.dtype
+
+
+widths = (8, 16, 32, 64)
+scalar_types = st.sampled_from(
+    ["bool", "float32", "float64", *(f"{sign}int{w}" for sign in ("", "u") for w in widths)]
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(scalar_types, st.integers(0, 5)), min_size=1, max_size=12), st.data())
+def test_recordings_of_any_other_layout_are_read(tmp_path_factory, layout, data):
+    """Written by the ROS 2 tools' own encoder, from definitions this project never had."""
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    lines = ["# an older layout", "uint8 SOME_CONSTANT=3", ""]
+    message = {}
+    for k, (kind, count) in enumerate(layout):
+        lines.append(f"{kind}{f'[{count}]' if count else ''} field_{k}  # [N]")
+        dtype = np.dtype(kind)
+        if dtype.kind == "f":
+            row = rng.normal(size=max(count, 1)).astype(dtype).tolist()
+        elif dtype.kind == "b":
+            row = (rng.random(max(count, 1)) > 0.5).tolist()
+        else:
+            row = rng.integers(0, np.iinfo(dtype).max, max(count, 1), dtype=dtype).tolist()
+        message[f"field_{k}"] = row if count else row[0]
+    path = tmp_path_factory.mktemp("old") / "old.mcap"
+    with path.open("wb") as file:
+        writer = Ros2Writer(file)
+        schema = writer.register_msgdef("old/msg/State", "\n".join(lines))
+        for k in range(3):
+            writer.write_message("/state", schema, message, log_time=k, publish_time=k)
+        writer.finish()
+    columns = read_columns(path, "state")
+    assert len(columns) == 3
+    for name, value in message.items():
+        np.testing.assert_array_equal(columns[name][2], value)
+    with pytest.raises(RecordingError, match="no field 'distal_tension'"):
+        read_columns(path, "state", ["distal_tension"])
+
+
+@pytest.mark.parametrize("definition", ["string text", "float64[] many", "Head head", "what?"])
+def test_fields_of_variable_size_are_refused(definition):
+    with pytest.raises(ValueError, match="not a field of fixed size"):
+        dtype_of(definition)
+
+
+@pytest.fixture(scope="module")
+def three_chunks(tmp_path_factory):
+    """A small recording: its bytes, its messages, and (length, messages) after each chunk."""
+    rng = np.random.default_rng(3)
+    messages = [heard((COMMAND, EVENT)[k % 2], k // 2, rng) for k in range(6)]
+    chunks = [messages[:2], messages[2:4], messages[4:]]
+    path, lengths = chunk_by_chunk(tmp_path_factory.mktemp("three"), chunks)
+    return path.read_bytes(), [m.data for m in messages], list(zip(lengths, (2, 4, 6), strict=True))
+
+
+def test_cut_off_anywhere_every_finished_chunk_is_read(tmp_path, three_chunks):
+    content, sent, finished = three_chunks
+    path = tmp_path / "cut.mcap"
+    for length in range(8, len(content)):
+        path.write_bytes(content[:length])
+        back = [m.data for m in read_messages(path)]
+        assert back == sent[: len(back)]
+        assert len(back) >= max((count for end, count in finished if end <= length), default=0)
+        if length % 50 == 0 or length > len(content) - 10:
+            info = open_recording(path)
+            assert not info.complete
+            assert sum(info.messages.values()) == len(back)
+
+
+def test_a_damaged_byte_is_noticed_or_harmless(tmp_path, three_chunks):
+    content, sent, _ = three_chunks
+    path = tmp_path / "damaged.mcap"
+    for at in range(len(content)):
+        path.write_bytes(content[:at] + bytes([content[at] ^ 0x01]) + content[at + 1 :])
+        try:
+            back = [message.data for message in read_messages(path)]
+            info = open_recording(path)
+            read_columns(path, "command")
+        except RecordingError:
+            continue
+        assert back == sent[: len(back)]
+        assert len(back) == len(sent) or not info.complete
+
+
+def test_a_damaged_byte_before_a_cut_gives_no_wrong_message(tmp_path, three_chunks):
+    """Without an end the file's own checksum is gone; each chunk still has one."""
+    content, sent, finished = three_chunks
+    content = content[: finished[1][0]]
+    path = tmp_path / "damaged.mcap"
+    for at in range(len(content)):
+        path.write_bytes(content[:at] + bytes([content[at] ^ 0x01]) + content[at + 1 :])
+        try:
+            back = [message.data for message in read_messages(path)]
+        except RecordingError:
+            continue
+        assert set(back) <= set(sent)
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (b"", "not an MCAP recording"),
+        (b"time_s,proximal_tension_N\n", "not an MCAP recording"),
+        (b"\x89MCAP0\r", "not an MCAP recording"),
+        (None, "cannot be read: No such file"),
+    ],
+)
+def test_what_is_no_recording_gets_one_line(tmp_path, content, what):
+    path = tmp_path / "a.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    for read in (open_recording, lambda p: list(read_messages(p)), lambda p: read_columns(p, "x")):
+        with pytest.raises(UsageError, match=what) as caught:
+            read(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(UsageError, match="Is a directory"):
+        open_recording(tmp_path)
+
+
+def test_a_missing_topic_is_named_with_those_present(three_chunks, tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(three_chunks[0])
+    with pytest.raises(
+        RecordingError, match="no messages of topic 'tendons'; it has command, event"
+    ):
+        read_columns(path, "tendons")
+
+
+@settings(deadline=None)
+@given(st.data())
+def test_gaps_are_the_numbers_missing_between_first_and_last(data):
+    """Several senders and topics, each losing any part of what it sent, arriving interleaved."""
+    streams = {}
+    arrivals = []
+    for stream in [("state", 1), ("state", 2), ("hand", 1)]:
+        first = data.draw(st.integers(0, 2**40))
+        received = sorted(data.draw(st.sets(st.integers(first, first + 60), min_size=1)))
+        streams[stream] = received
+        arrivals += [(stream, sequence) for sequence in received]
+    order = data.draw(st.permutations(range(len(arrivals))))
+    slots = sorted(range(len(arrivals)), key=lambda k: order[k])
+    queues = {stream: iter(received) for stream, received in streams.items()}
+    gaps = Gaps()
+    for slot in slots:
+        stream = arrivals[slot][0]
+        gaps.note(*stream, next(queues[stream]))
+    for stream, received in streams.items():
+        whole = set(range(received[0], received[-1] + 1))
+        assert gaps.lost[stream] == len(whole - set(received))
+    assert gaps.by_topic()["state"] == gaps.lost["state", 1] + gaps.lost["state", 2]
+    assert gaps.total == sum(gaps.lost.values())
+
+
+def test_gaps_stand_in_the_file_before_it_is_closed(tmp_path):
+    rng = np.random.default_rng(4)
+    before = [heard(STATE, k, rng) for k in (5, 6, 9)]
+    restarted = [heard(STATE, k, rng, sender=2) for k in (0, 1, 3)]
+    path, lengths = chunk_by_chunk(tmp_path, [before, restarted])
+    path.write_bytes(path.read_bytes()[: lengths[-1]])
+    info = open_recording(path)
+    assert not info.complete
+    assert info.messages == {"state": 6}
+    assert info.lost == {"state": 3}
+
+
+def test_silence_moves_the_last_messages_into_the_file(tmp_path):
+    rng = np.random.default_rng(5)
+    with RecordingWriter(RecordConfig(directory=str(tmp_path)), "demo", START_NS) as writer:
+        writer.write([heard(STATE, 0, rng)], START_NS + 10_000_000)
+        writer.write([], START_NS + 50_000_000)
+        assert not list(read_messages(writer.path))
+        writer.write([], START_NS + 100_000_000)
+        assert len(list(read_messages(writer.path))) == 1
+
+
+def test_an_earlier_recording_is_never_overwritten(tmp_path):
+    paths = [chunk_by_chunk(tmp_path, [])[0]]
+    before = paths[0].read_bytes()
+    paths += [chunk_by_chunk(tmp_path, [])[0] for _ in range(2)]
+    assert [path.name for path in paths] == [
+        "demo-20231114T221320Z.mcap",
+        "demo-20231114T221320Z-2.mcap",
+        "demo-20231114T221320Z-3.mcap",
+    ]
+    assert paths[0].read_bytes() == before
+
+
+def test_a_directory_that_cannot_be_written_is_a_usage_error(tmp_path):
+    (tmp_path / "file").touch()
+    for directory in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(UsageError, match="cannot record here") as caught:
+            RecordingWriter(RecordConfig(directory=str(directory)), "demo", START_NS)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_full_disk_ends_the_recording_and_keeps_what_is_there(tmp_path):
+    """The limit on file size makes the kernel refuse the write half-way, as a full disk does."""
+    rng = np.random.default_rng(6)
+    config = RecordConfig(directory=str(tmp_path), chunk_s=0.01, compression="none")
+    writer = RecordingWriter(config, "demo", START_NS)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    kept = 0
+
+    def record() -> None:
+        nonlocal kept
+        with writer:
+            for k in range(100):
+                now_ns = START_NS + (k + 1) * 10_000_000
+                writer.write([heard(TENDONS, 2 * k + j, rng) for j in range(2)], now_ns)
+                kept = 2 * (k + 1)
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        with pytest.raises(TeleopError, match="cannot write on") as caught:
+            record()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert caught.value.exit_code == 1
+    assert 0 < kept < 200
+    assert len(read_columns(writer.path, "tendons")) == kept
+    assert writer.messages == {"tendons": kept}
+    assert writer.last_ns == open_recording(writer.path).last_ns
+    assert writer.path.stat().st_size == writer.bytes_written
+
+
+KILLED = textwrap.dedent(
+    """
+    import sys, time
+    import numpy as np
+    from teleop.clock import now_ns
+    from teleop.link import Heard
+    from teleop.recording.config import RecordConfig
+    from teleop.recording.writer import RecordingWriter
+    from teleop.topics import STATE
+    from tests.teleop.recorded import SENDER
+
+    writer = RecordingWriter(RecordConfig(directory=sys.argv[1]), "killed", now_ns())
+    sequence = 0
+    while True:
+        time.sleep(0.02)
+        stamp = now_ns()
+        data = STATE.message().pack(SENDER, sequence, stamp)
+        writer.write([Heard(STATE, data, stamp, SENDER, sequence, stamp)], stamp)
+        sequence += 1
+        print(stamp, flush=True)
+    """
+)
+
+
+@pytest.mark.parametrize("lines", [13, 31, 47])
+def test_a_killed_recorder_loses_at_most_a_quarter_of_a_second(tmp_path, lines):
+    recorder = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    with recorder:
+        assert recorder.stdout is not None
+        stamps = [int(recorder.stdout.readline()) for _ in range(lines)]
+        recorder.send_signal(signal.SIGKILL)
+        stamps += [int(line) for line in recorder.stdout]
+    (path,) = tmp_path.iterdir()
+    written = read_columns(path, "state")["stamp_ns"]
+    assert len(written) > 0
+    np.testing.assert_array_equal(written, stamps[: len(written)])
+    assert stamps[-1] - written[-1] <= 250_000_000
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [({"directory": ""}, "directory:"), ({"chunk_s": 0}, "chunk_s:"), ({"drain_s": 2}, "drain_s:")],
+)
+def test_config_ranges(change, what):
+    with pytest.raises(ValueError, match=what):
+        RecordConfig(**change)
+
+
+def test_the_documented_snippets_run(all_topics, capsys):
+    page = Path(__file__).parents[2] / "docs" / "recordings.md"
+    snippets = re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    assert len(snippets) == 2
+    for snippet in snippets:
+        exec(compile(snippet, str(page), "exec"), {"FILE": str(all_topics[0])})  # noqa: S102
+    said = capsys.readouterr().out
+    assert "demo 0.004" in said
+    assert "(5, 8)" in said
+    assert "/state" in said

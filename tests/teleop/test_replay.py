@@ -1,0 +1,280 @@
+import json
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.clock import now_ns
+from teleop.errors import PeerError
+from teleop.link import Heard, Link
+from teleop.messages import Event
+from teleop.recording import writer as writer_module
+from teleop.recording.config import RecordConfig
+from teleop.recording.gaps import Gaps
+from teleop.recording.readdress import Readdress
+from teleop.recording.reader import Recorded, open_recording, read_columns, read_messages
+from teleop.recording.replay import Player, require_playable
+from teleop.recording.scan import RecordingError
+from teleop.recording.writer import RecordingWriter
+from teleop.topics import COMMAND, EVENT, STATE, TOPICS, Role
+from tests.teleop.recorded import START_NS, free_link, heard, start
+
+NONCES = {Role.MASTER: 0xAAAA, Role.SLAVE: 0xBBBB}
+HEAD = ("checksum", "sender", "sequence", "stamp_ns")
+PATIENCE_S = 20.0
+
+
+def recorded(item: Heard) -> Recorded:
+    return Recorded(item.topic.name, item.data, item.received_ns, item.stamp_ns)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+def meet(*links: Link) -> None:
+    """Wait until all hear each other; subscriptions may follow presence by a moment."""
+    wait_for(lambda: all(a.present(b.role) for a in links for b in links if a is not b))
+    time.sleep(0.2)
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """Two hundred messages within 40 ms, one of them missing; returns file and messages."""
+    rng = np.random.default_rng(1)
+    messages = [heard(t, k, rng) for k in range(40) for t in TOPICS if (t, k) != (STATE, 20)]
+    with RecordingWriter(RecordConfig(directory=str(tmp_path)), "demo", START_NS) as writer:
+        writer.write(messages, START_NS)
+    return writer.path, messages
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_only_the_head_of_a_message_changes(topic):
+    sent = heard(topic, 7, np.random.default_rng(2))
+    role, same_topic, data = Readdress(NONCES)(recorded(sent), shift_ns=500)
+    before, after = topic.message.unpack(sent.data), topic.message.unpack(data)
+    assert same_topic is topic
+    assert role == (topic.publisher or Role.SLAVE)
+    assert (after.sender, after.sequence) == (NONCES[role], 1)
+    assert after.stamp_ns == before.stamp_ns + 500
+    unchanged = dict.fromkeys(HEAD, 0)
+    assert replace(after, **unchanged) == replace(before, **unchanged)
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_shared_topic_goes_where_its_sender_was(role):
+    data = Event(role=role).pack(1, 1, START_NS)
+    addressed = Readdress(NONCES)(Recorded("event", data, START_NS, START_NS))
+    assert addressed.role == (Role.MASTER if role == Role.MASTER else Role.SLAVE)
+
+
+@given(st.lists(st.sets(st.integers(0, 200), min_size=1, max_size=20), min_size=1, max_size=4))
+@settings(deadline=None, max_examples=50)
+def test_numbers_rise_through_restarts_and_loops_and_keep_the_gaps(processes):
+    """Each set is what arrived of one process of the same role; then all of it is played again."""
+    readdress, before, after = Readdress(NONCES), Gaps(), Gaps()
+    sequences = []
+    for _ in range(2):
+        for sender, arrived in enumerate(processes, start=1):
+            for sequence in sorted(arrived):
+                data = STATE.message().pack(sender, sequence, START_NS)
+                head = STATE.message.schema.check(
+                    readdress(Recorded("state", data, START_NS, START_NS)).data
+                )
+                assert head.sender == NONCES[Role.SLAVE]
+                sequences.append(head.sequence)
+                after.note("state", head.sender, head.sequence)
+    for sender, arrived in enumerate(processes, start=1):
+        for sequence in sorted(arrived):
+            before.note("state", sender, sequence)
+    assert sequences == sorted(set(sequences))
+    assert after.total == 2 * before.total
+
+
+def test_what_peers_would_refuse_is_not_played(tmp_path, monkeypatch):
+    config = RecordConfig(directory=str(tmp_path))
+    with RecordingWriter(config, "demo", START_NS) as empty:
+        pass
+    with pytest.raises(RecordingError, match="has no messages"):
+        require_playable(open_recording(empty.path))
+    monkeypatch.setattr(writer_module, "LAYOUT", 0x1234)
+    with RecordingWriter(config, "demo", START_NS) as other:
+        other.write([heard(STATE, 0, np.random.default_rng(3))], START_NS)
+    with pytest.raises(RecordingError, match="another message layout"):
+        require_playable(open_recording(other.path))
+
+
+def test_listeners_hear_the_session_again_never_early(recording):
+    path, messages = recording
+    config, speed = free_link(), 0.5
+    with (
+        Link(config, "demo-replay", Role.SLAVE) as slave,
+        Link(config, "demo-replay", Role.MASTER) as master,
+        Link(config, "demo-replay", Role.RECORDER) as recorder,
+    ):
+        listener = recorder.listen(TOPICS)
+        meet(slave, master, recorder)
+        began_ns = now_ns()
+        player = Player(open_recording(path), speed, {Role.SLAVE: slave, Role.MASTER: master})
+        assert player.play(0, lambda: False, lambda _: None)
+        arrived: list[Heard] = []
+
+        def all_there() -> bool:
+            arrived.extend(listener.drain())
+            return len(arrived) >= len(messages)
+
+        wait_for(all_there)
+    assert player.messages == len(messages)
+    first_ns = messages[0].received_ns
+    for topic in TOPICS:
+        sent = [m for m in messages if m.topic is topic]
+        back = [m for m in arrived if m.topic is topic]
+        assert len(back) == len(sent)
+        for one, again in zip(sent, back, strict=True):
+            unchanged = dict.fromkeys(("checksum", "sender", "sequence"), 0)
+            assert replace(topic.message.unpack(again.data), **unchanged) == replace(
+                topic.message.unpack(one.data), **unchanged
+            )
+            assert again.received_ns - began_ns >= (one.received_ns - first_ns) / speed
+            if topic is STATE:
+                assert again.sequence - back[0].sequence == one.sequence - sent[0].sequence
+
+
+def test_a_replay_and_a_real_loop_never_share_a_session(recording):
+    path, _ = recording
+    config = free_link()
+    with Link(config, "demo-replay", Role.SLAVE):
+        replay = start("teleop.recording.replay", free_link(), str(path), "--loop")
+        # the same session on another wire: nobody there, so it plays
+        assert "playing" in replay.stdout.readline()
+        replay.send_signal(signal.SIGINT)
+        assert replay.wait(PATIENCE_S) == 0
+        replay.communicate()
+        refused = start("teleop.recording.replay", config, str(path))
+        _, said = refused.communicate(timeout=PATIENCE_S)
+    assert refused.returncode == 2
+    assert "has a slave already" in said
+    assert said.count("\n") == 1
+
+    replay = start("teleop.recording.replay", config, str(path), "--loop", "--session", "bench")
+    assert "'bench'" in replay.stdout.readline()
+    for role in (Role.MASTER, Role.SLAVE):
+        with pytest.raises(PeerError), Link(config, "bench", role):
+            pass
+    assert replay.poll() is None
+    replay.send_signal(signal.SIGINT)
+    said, _ = replay.communicate(timeout=PATIENCE_S)
+    assert replay.returncode == 0
+    assert "played" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [(["{path}", "--speed", "0"], "--speed 0"), (["nothing.mcap"], "nothing.mcap: cannot be read")],
+)
+def test_a_wrong_call_gets_one_line(recording, arguments, what):
+    path, _ = recording
+    replay = start(
+        "teleop.recording.replay", free_link(), *(a.format(path=path) for a in arguments)
+    )
+    _, said = replay.communicate(timeout=PATIENCE_S)
+    assert replay.returncode == 2
+    assert what in said
+    assert said.count("\n") == 1
+
+
+def test_the_recorder_hears_a_whole_session_and_says_so(tmp_path):
+    config = free_link()
+    (tmp_path / "session.yaml").write_text("session: bench\n")
+    recorder = start(
+        "teleop.recording.command", config, f"--config={tmp_path / 'session.yaml'}",
+        f"--out={tmp_path / 'out'}", f"--json={tmp_path / 'summary.json'}",
+    )  # fmt: skip
+    assert "'bench'" in recorder.stdout.readline()
+    with Link(config, "bench", Role.SLAVE) as slave, Link(config, "bench", Role.MASTER) as master:
+        wait_for(lambda: slave.present(Role.RECORDER) and master.present(Role.RECORDER))
+        meet(slave, master)
+        stamps = []
+        for _ in range(50):
+            master.publish(COMMAND, COMMAND.message())
+            stamps.append(slave.publish(STATE, STATE.message(joints=3)))
+            time.sleep(0.002)
+        slave.publish(EVENT, Event(role=Role.SLAVE))
+    recorder.send_signal(signal.SIGTERM)
+    said, complaints = recorder.communicate(timeout=PATIENCE_S)
+    assert (recorder.returncode, complaints) == (0, "")
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    (path,) = (tmp_path / "out").iterdir()
+    assert summary["file"] == str(path)
+    assert summary["bytes"] == path.stat().st_size
+    info = open_recording(path)
+    assert info.complete
+    assert info.session == "bench"
+    assert info.config_text == "session: bench\n"
+    assert summary["messages"] == info.messages == {"command": 50, "state": 50, "event": 1}
+    assert summary["gaps"] == info.lost == dict.fromkeys(info.messages, 0)
+    np.testing.assert_array_equal(read_columns(path, "state")["publish_time_ns"], stamps)
+    assert [m.topic for m in read_messages(path)].count("event") == 1
+    assert "50 messages" in said
+
+
+def test_a_recorder_alone_waits_quietly(tmp_path):
+    recorder = start(
+        "teleop.recording.command", free_link(), f"--out={tmp_path / 'new' / 'out'}",
+        "--duration=0.3", f"--json={tmp_path / 'summary.json'}",
+    )  # fmt: skip
+    said, complaints = recorder.communicate(timeout=PATIENCE_S)
+    assert (recorder.returncode, complaints) == (0, "")
+    assert "nobody published" in said
+    assert json.loads((tmp_path / "summary.json").read_text())["messages"] == {}
+
+
+def test_a_recorder_that_cannot_write_says_so_in_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    recorder = start("teleop.recording.command", free_link(), f"--out={tmp_path / 'file'}")
+    _, said = recorder.communicate(timeout=PATIENCE_S)
+    assert recorder.returncode == 2
+    assert "cannot record here" in said
+    assert said.count("\n") == 1
+
+
+class Wire:
+    """In place of a link: notes what is sent, and when."""
+
+    nonce = 1
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, int, int]] = []  # topic, stamp, time
+
+    def publish_raw(self, topic, data) -> None:
+        self.sent.append((topic.name, topic.message.schema.check(data).stamp_ns, now_ns()))
+
+    def check_peers(self) -> None:
+        """Alone."""
+
+
+def test_a_second_pass_follows_the_first_in_time_and_in_stamps(recording):
+    path, messages = recording
+    wire, shown = Wire(), []
+    began_ns = now_ns()
+    player = Player(open_recording(path), 1.0, {Role.SLAVE: wire, Role.MASTER: wire})
+    for number in range(2):
+        assert player.play(number, lambda: False, shown.append)
+    length_ns = messages[-1].received_ns - messages[0].received_ns
+    second = wire.sent[len(messages) :]
+    assert [topic for topic, _, _ in second] == [m.topic.name for m in messages]
+    for message, (_, _, sent_ns) in zip(messages, second, strict=True):
+        due_ns = length_ns + message.received_ns - messages[0].received_ns
+        assert sent_ns - began_ns >= due_ns
+    for topic in TOPICS:
+        stamps = [stamp for name, stamp, _ in wire.sent if name == topic.name]
+        assert stamps == sorted(set(stamps))
+    assert any("pass 2" in text for text in shown)
