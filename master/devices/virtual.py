@@ -1,0 +1,135 @@
+"""A hand that is not there: scripted, but with a body that feels the force.
+
+The hand and the handle in it are a mass that the arm pulls along a reference through a spring and a
+damper, and that the device pushes:
+
+    m x'' = k (x_ref - x) + b (x_ref' - x') + F
+
+Second order is the usual model of an arm that holds a haptic handle (Speich, Shao & Goldfarb 2005).
+The defaults are of the order of a relaxed to moderate grip; they are no one's measurement.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from master.device import Axes, DeviceFault, HandState
+from master.devices.references import Reference, Sine
+from teleop.config import MAY_BE_INFINITE
+
+_SUBSTEP = 0.001  # [s] step of the integration; up to half as long again, to fit the gap
+_SUBSTEPS_MAX = 1000  # a longer gap is crossed in this many steps, however long
+_WATCHDOG = 0.05  # [s] without a write after which the device lets go of the force
+
+
+@dataclass(frozen=True, slots=True)
+class VirtualConfig:
+    """A scripted hand."""
+
+    type: Literal["virtual"] = "virtual"
+    axes: int = 1
+    axis_delay: float = 0.25  # [s] by which each further axis follows the script later
+    mass: float = 0.3  # [kg] hand and handle
+    stiffness: float = 300.0  # [N/m] of the arm about its reference
+    damping: float = 10.0  # [N s/m]
+    reference: Reference = field(default_factory=Sine)
+    engage: tuple[tuple[float, float], ...] = field(  # [s] the switch is held from ... to ...
+        default=((0.5, math.inf),), metadata=MAY_BE_INFINITE
+    )
+    engage_period: float = field(  # [s] after which `engage` starts over
+        default=math.inf, metadata=MAY_BE_INFINITE
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse bodies and scripts that make no sense."""
+        if not 1 <= self.axes <= 8:
+            raise ValueError("axes: must be within 1 ... 8")
+        if not 0.0 <= self.axis_delay < math.inf:
+            raise ValueError("axis_delay: must be at least 0 and finite [s]")
+        if not 0.001 <= self.mass <= 100.0:
+            raise ValueError("mass: must be within 0.001 ... 100 [kg]")
+        if not 0.0 <= self.stiffness <= 1e5:
+            raise ValueError("stiffness: must be within 0 ... 100000 [N/m]")
+        if not 0.0 <= self.damping <= 1e4:
+            raise ValueError("damping: must be within 0 ... 10000 [N s/m]")
+        times = [time for span in self.engage for time in span]
+        if times != sorted(times) or any(math.isnan(t) or t < 0.0 for t in times):
+            raise ValueError("engage: pairs [from, to] in seconds, in order, not overlapping")
+        if not self.engage_period > 0.0:
+            raise ValueError("engage_period: must be above 0 [s]")
+
+    def pressed(self, time_s: float) -> bool:
+        """Return whether the hand holds the engage switch at `time_s` [s]."""
+        within = time_s % self.engage_period
+        return any(start <= within < end for start, end in self.engage)
+
+
+def move(
+    config: VirtualConfig, position: float, velocity: float, time_s: float, force: float, h: float
+) -> tuple[float, float]:
+    """Return position [m] and velocity [m/s] of one axis at `time_s`, `h` [s] after those given.
+
+    Backward Euler: stable for any `h`, and it never adds energy of its own, so an oscillation of
+    the loop is not one of the integration.
+    """
+    k, b = config.stiffness, config.damping
+    target, target_velocity = config.reference.at(time_s)
+    pull = k * (target - position) + b * target_velocity + force
+    velocity = (config.mass * velocity + h * pull) / (config.mass + h * b + h * h * k)
+    return position + h * velocity, velocity
+
+
+class VirtualDevice:
+    """A `master.device.Device` moved by a scripted hand; see the module's text.
+
+    Attributes
+    ----------
+    applied : tuple of float
+        Force [N] on the hand at the last read: the last one written, or zero once the watchdog has
+        let go of it.
+    """
+
+    def __init__(self, config: VirtualConfig) -> None:
+        self.axes = config.axes
+        self.applied: Axes = (0.0,) * config.axes
+        self._config = config
+        self._time = 0.0
+        self._written = -math.inf
+        self._force = self.applied
+        self._delays = tuple(axis * config.axis_delay for axis in range(config.axes))
+        self._hands = [self._rest(delay) for delay in self._delays]
+
+    def _rest(self, delay: float) -> tuple[float, float]:
+        return self._config.reference.at(-delay)
+
+    def read(self, time_s: float) -> HandState:
+        """Move the hand on to `time_s` and return its state."""
+        gap = time_s - self._time
+        if gap > 0.0:
+            steps = min(max(round(gap / _SUBSTEP), 1), _SUBSTEPS_MAX)
+            h = gap / steps
+            for number in range(1, steps + 1):
+                self._advance(self._time + number * h, h)
+            self._time = time_s
+        position, velocity = zip(*self._hands, strict=True)
+        return HandState(position, velocity, self._config.pressed(time_s))
+
+    def _advance(self, time_s: float, h: float) -> None:
+        if time_s - self._written > _WATCHDOG:
+            self._force = (0.0,) * self.axes
+        self.applied = self._force
+        self._hands = [
+            move(self._config, x, v, time_s - delay, force, h)
+            for (x, v), force, delay in zip(self._hands, self._force, self._delays, strict=True)
+        ]
+
+    def write(self, force: Axes) -> None:
+        """Hold `force` from now on, until the next write or the watchdog."""
+        if len(force) != self.axes or not all(map(math.isfinite, force)):
+            raise DeviceFault(f"virtual device: refuses force {force}")
+        self._force = tuple(force)
+        self._written = self._time
+
+    def close(self) -> None:
+        """Let go of the force."""
+        self._force = self.applied = (0.0,) * self.axes

@@ -1,0 +1,185 @@
+"""Run the operator's side: read the haptic device, command the slave, render the force.
+
+  teleop master                                          a scripted hand, on this machine
+  teleop master --config configs/demo.yaml --duration 30 --json master.json
+  teleop master --set master.force.scale=0.1 --set master.device.reference.type=reaches
+
+Without a slave the hand feels nothing. When the slave's states stop coming for longer than
+`master.freshness`, or anything else goes wrong, the force is zero at once and stays so until the
+operator lets go of the engage switch and presses it again.
+"""
+
+import argparse
+import math
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from typing import Any
+
+from master import loop
+from master.config import MasterConfig
+from master.device import Device, DeviceFault
+from master.devices import open_device
+from teleop.clock import Grid, Tick, now_ns, quiet_garbage
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import load
+from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.link import NEVER_NS, Counts, Link
+from teleop.messages import Command, Event, text_bytes
+from teleop.meter import LoopMeter
+from teleop.process import Stop, go_realtime, supervised, write_summary
+from teleop.run_config import RunConfig
+from teleop.session import Reason, Session
+from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE, Role
+
+
+class Master:
+    """The world around `loop.step`: one device, one link, and the counts.
+
+    Attributes
+    ----------
+    error : TeleopError or None
+        What ended the session, if it was not asked to end.
+    """
+
+    def __init__(self, config: MasterConfig, link: Link, device: Device, grid: Grid) -> None:
+        self.error: TeleopError | None = None
+        self.memory = loop.start(device.axes, now_ns())
+        self._config, self._link, self._device = config, link, device
+        self._meter = LoopMeter(Role.MASTER, grid)
+        self._verdicts: Counter[str] = Counter()
+        self._start_ns = now_ns()
+        self._said = self.memory.session
+        link.subscribe_latest(STATE)
+        self._tell(self._said)
+
+    def tick(self, tick: Tick) -> None:
+        """Read, step, write, publish."""
+        fault, hand, round_trip = Reason.NONE, None, 0
+        try:
+            hand = self._device.read((tick.stamp_ns - self._start_ns) * 1e-9)
+        except DeviceFault as error:
+            fault = self._device_failed(error)
+        latest = self._link.latest(STATE)
+        state, now = latest.message, now_ns()
+        age = latest.age_ns(now)
+        output, memory = loop.step(self._config, self.memory, hand, state, age, now, tick.dt, fault)
+        try:
+            self._device.write(output.force)
+        except DeviceFault as error:
+            fault = self._device_failed(error)
+            output, memory = loop.step(
+                self._config, self.memory, None, state, age, now, tick.dt, fault
+            )
+        if output.answer_ns:
+            round_trip = now_ns() - output.answer_ns
+            self._meter.latency.add(round_trip)
+        self.memory = memory
+        self._link.publish(COMMAND, output.command)
+        if hand is not None:
+            told = -1 if age == NEVER_NS else age
+            message = loop.hand_message(memory, hand, output.force, told, round_trip)
+            self._link.publish(HAND, message)
+        if memory.session != self._said:
+            self._tell(memory.session)
+        self._verdicts[str(output.verdict.name)] += 1
+        self._report(tick.stamp_ns, latest.counts)
+        self._meter.work.add(now_ns() - tick.stamp_ns)
+
+    def close(self) -> None:
+        """Take the force off the hand and tell the others; whatever happened before."""
+        with suppress(DeviceFault):
+            self._device.write((0.0,) * self._device.axes)
+        self._link.publish(COMMAND, Command())
+        ended = self.error or "ended"
+        event = Event(role=Role.MASTER, text=text_bytes(f"off: {ended}"))
+        self._link.publish(EVENT, event)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the run in numbers."""
+        return self._meter.summary(self.memory.session, self._link.counts(), self._verdicts)
+
+    def _device_failed(self, error: DeviceFault) -> Reason:
+        self.error = self.error or TeleopError(f"haptic device: {error}")
+        return Reason.DEVICE_FAULT
+
+    def _tell(self, side: Session) -> None:
+        self._said = side
+        text = text_bytes(f"{side.state.name.lower()}: {side.reason.text}")
+        event = Event(role=Role.MASTER, state=side.state, reason=side.reason, text=text)
+        self._link.publish(EVENT, event)
+
+    def _report(self, stamp_ns: int, counts: Counts) -> None:
+        report = self._meter.report(stamp_ns, self.memory.session, counts)
+        if report is None:
+            return
+        self._link.publish(REPORT, report)
+        try:
+            self._link.check_peers()
+        except PeerError as error:
+            self.error = self.error or error
+
+
+def run(master: Master, grid: Grid, stop_for: Callable[[str], None]) -> None:
+    """Tick until told to stop; the hand is left without force however this ends."""
+    try:
+        with quiet_garbage():
+            for tick in grid:
+                master.tick(tick)
+                if master.error:
+                    stop_for(str(master.error))
+    finally:
+        master.close()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop master`."""
+    add_config_arguments(parser)
+    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--json", metavar="FILE", help="write the summary to FILE")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the master; returns the exit code."""
+    shared = load(args.config, RunConfig, None, args.overrides)
+    config = load(args.config, MasterConfig, "master", args.overrides)
+    if args.duration is not None and not 0.0 < args.duration < math.inf:
+        raise UsageError(f"--duration {args.duration:g}: must be above 0 and finite [s]")
+    stop = Stop(args.duration)
+    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+    with ExitStack() as stack:
+        # a master that is refused as the second one must not have touched the device
+        link = stack.enter_context(Link(shared.link, shared.session, Role.MASTER))
+        device = open_device(config.device)
+        stack.callback(device.close)
+        grid = Grid(shared.rate_hz, stop)
+        master = Master(config, link, device, grid)
+        run(master, grid, stop.request)
+        summary = master.summary()
+    summary |= {"stopped": stop.reason, "realtime": granted}
+    write_summary(args.json, summary)
+    if not supervised():
+        print(in_words(summary))
+    if master.error:
+        raise master.error
+    return 0
+
+
+def in_words(summary: dict[str, Any]) -> str:
+    """Return a summary as lines to read."""
+    latency, work = summary["latency_ms"], summary["work_us"]
+    lines = [
+        f"{summary['ticks']} ticks in {summary['seconds']:.1f} s, {summary['rate_hz']:.1f} Hz, "
+        f"{summary['overruns']} overruns, latest {summary['lateness_max_ms']:.2f} ms",
+        f"states: {summary['received']} received, {summary['lost']} lost, "
+        f"{sum(summary['rejected'].values())} rejected",
+    ]
+    if work["p50"] is not None:
+        lines.append(f"work of a tick: p50 {work['p50']:.0f} us, p99 {work['p99']:.0f} us")
+    if latency["n"]:
+        lines.append(
+            f"command to force: p50 {latency['p50']:.2f} ms, p99 {latency['p99']:.2f} ms, "
+            f"p99.9 {latency['p99_9']:.2f} ms, {latency['n']} round trips"
+        )
+    lines.append(f"stopped: {summary['stopped']}; was {summary['final_state']}")
+    return "\n".join(lines)

@@ -1,0 +1,90 @@
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+
+from master import devices
+from master.config import MasterConfig
+from master.device import DeviceFault
+from master.devices import DEVICES, open_device
+from master.devices.references import Reaches
+from master.devices.virtual import VirtualConfig
+from teleop.config import load
+from teleop.errors import UsageError
+
+DOCS = Path(__file__).parents[2] / "docs" / "devices.md"
+
+
+def written(tmp_path, text):
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_without_a_file_everything_has_a_default():
+    assert load(None, MasterConfig, "master") == MasterConfig()
+
+
+def test_the_example_in_the_docs_is_a_config(tmp_path):
+    (_, example) = DOCS.read_text().split("```yaml\n")
+    path = written(tmp_path, example.split("```")[0])
+    device = load(path, MasterConfig, "master").device
+    assert device.reference == Reaches()
+    assert device.engage == ((0.5, 9.5),)
+    assert device.pressed(9.0)
+    assert not device.pressed(9.9)
+    assert device.pressed(10.6)
+
+
+def test_the_new_device_in_the_docs_takes_less_than_50_lines_and_runs():
+    blocks = DOCS.read_text().split("```python\n")[1:]
+    driver, lines = (block.split("```")[0] for block in blocks)
+    assert len([line for line in driver.splitlines() if line.strip()]) + 2 < 50
+    assert f"{VirtualConfig.__name__}: {DEVICES[VirtualConfig].__name__}" in lines
+    scope = {"__name__": "example"}
+    exec(compile(driver, "example", "exec"), scope)  # noqa: S102 - our own page
+    assert scope["ExampleDevice"].axes == 1
+    with pytest.raises(ValueError, match="port"):
+        scope["ExampleConfig"](port="COM3")
+
+
+@pytest.mark.parametrize(
+    ("override", "complaint"),
+    [
+        ("master.force.scale=-1", "scale"),
+        ("master.gate.axis_max=0", "axis_max"),
+        ("master.freshness=0", "freshness"),
+        ("master.freshness=0.2", "delay_max"),
+        ("master.device.type=falcon", "virtual"),
+        ("master.device.mas=1", "mass"),
+        ("master.device.reference.type=jump", "reaches"),
+        ("master.device.engage=[[2, 1]]", "engage"),
+        ("master.operator.position_scale=0", "position_scale"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_it(override, complaint):
+    with pytest.raises(UsageError, match=complaint) as caught:
+        load(None, MasterConfig, "master", [override])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_hand_may_press_for_ever():
+    config = load(None, MasterConfig, "master", ["master.device.engage=[[1, .inf]]"])
+    assert config.device.engage == ((1.0, math.inf),)
+
+
+def test_a_device_that_is_not_there_is_a_usage_error(monkeypatch):
+    def missing(config):
+        raise DeviceFault("no such device")
+
+    monkeypatch.setitem(devices.DEVICES, VirtualConfig, missing)
+    with pytest.raises(UsageError, match=r"^master\.device: no such device$"):
+        open_device(VirtualConfig())
+
+
+def test_defaults_are_written_as_they_are_read(tmp_path):
+    from teleop.config import as_tree
+
+    text = yaml.safe_dump({"master": as_tree(MasterConfig())})
+    assert load(written(tmp_path, text), MasterConfig, "master") == MasterConfig()

@@ -1,0 +1,315 @@
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from master import loop
+from master.config import MasterConfig
+from master.device import HandState
+from master.feedback import FeedbackConfig
+from master.gate import GateConfig, Verdict
+from teleop import session
+from teleop.link import NEVER_NS
+from teleop.messages import MAX_JOINTS, SlaveState, padded
+from teleop.session import Reason, Session, State
+
+MS = 1_000_000
+EPOCH = 1_700_000_000 * 10**9
+CONFIG = MasterConfig(force=FeedbackConfig(scale=0.2), gate=GateConfig(slew_max=1e6))
+
+
+def hand(position=0.0, engage=True, velocity=0.0):
+    return HandState((position,), (velocity,), engage)
+
+
+def answer(now, state=State.ENGAGED, force=5.0, echo=None, sender=7):
+    return SlaveState(
+        sender=sender,
+        stamp_ns=now,
+        state=state,
+        joints=1,
+        echo_stamp_ns=now - MS if echo is None else echo,
+        force=padded((force,), MAX_JOINTS),
+        force_low=padded((force - 1.0,), MAX_JOINTS),
+        force_high=padded((force + 1.0,), MAX_JOINTS),
+    )
+
+
+class Run:
+    """A master driven tick by tick, with a slave that does as it is told."""
+
+    def __init__(self, config=CONFIG):
+        self.config, self.now = config, EPOCH
+        self.memory = loop.start(1, self.now)
+        self.output = None
+
+    def tick(self, the_hand, state=None, age=0, fault=Reason.NONE):
+        self.now += MS
+        self.output, self.memory = loop.step(
+            self.config, self.memory, the_hand, state, age, self.now, 1e-3, fault
+        )
+        return self.output
+
+    def answered(self, the_hand, state=State.ENGAGED, force=5.0, age=0, **more):
+        return self.tick(the_hand, answer(self.now + MS, state, force, **more), age)
+
+    def engaged(self):
+        for _ in range(3):
+            self.answered(hand(engage=False), State.READY)
+        self.answered(hand(), State.READY)
+        self.answered(hand())
+        assert self.memory.session.may_render
+        return self
+
+    @property
+    def state(self):
+        return self.memory.session.state
+
+
+def test_engaged_on_both_sides_the_hand_feels_the_tip():
+    run = Run().engaged()
+    assert run.answered(hand(), force=5.0).force == pytest.approx((-1.0,))
+    assert run.output.verdict == Verdict.PASSED
+    assert run.output.command.state == State.ENGAGED
+    assert run.output.command.echo_stamp_ns == run.now
+
+
+def test_before_the_slave_has_engaged_too_nothing_is_felt():
+    run = Run()
+    for _ in range(3):
+        assert run.answered(hand(engage=False), State.READY).force == (0.0,)
+    output = run.answered(hand(), State.READY)
+    assert run.state == State.ENGAGED
+    assert output.force == (0.0,)
+    assert output.verdict == Verdict.NOT_ENGAGED
+
+
+def test_releasing_lets_go_at_once_and_pressing_again_resumes_without_a_jump():
+    run = Run().engaged()
+    run.answered(hand(0.02))
+    there = run.output.command.position
+    assert there[0] == pytest.approx(0.005)
+    assert run.answered(hand(0.02, engage=False)).force == (0.0,)
+    assert run.state == State.READY
+    run.answered(hand(-0.1, engage=False), State.READY)
+    run.answered(hand(-0.1), State.READY)
+    assert run.state == State.ENGAGED
+    assert run.output.command.position == pytest.approx(there)
+
+
+@pytest.mark.parametrize("how", ["silent", "never", "old answer", "unheard", "gone"])
+def test_a_stale_state_is_never_felt_and_is_a_fault(how):
+    run = Run().engaged()
+    now = run.now + MS
+    state, age = answer(now), 0
+    if how == "silent":
+        age = 30 * MS + 1
+    elif how == "never":
+        age = NEVER_NS
+    elif how == "old answer":
+        state = answer(now, echo=now - 100 * MS - 1)
+    elif how == "unheard":
+        state = answer(now, echo=0)
+    else:
+        state = None
+    output = run.tick(hand(), state, age)
+    assert output.force == (0.0,)
+    assert output.verdict & Verdict.STALE
+    assert run.memory.session == Session(State.FAULT, Reason.PEER_SILENT)
+    for _ in range(5):  # it comes back, but the switch was never let go of
+        assert run.answered(hand()).force == (0.0,)
+        assert run.state == State.FAULT
+    run.answered(hand(engage=False), State.READY)
+    assert run.state == State.READY
+
+
+def test_just_young_enough_is_felt():
+    run = Run().engaged()
+    now = run.now + MS
+    assert run.tick(hand(), answer(now, echo=now - 100 * MS), 30 * MS).force != (0.0,)
+
+
+@pytest.mark.parametrize("fault", [r for r in Reason if r >= Reason.DEVICE_FAULT])
+def test_a_fault_takes_the_force_away_in_the_same_tick_and_tells_the_slave(fault):
+    run = Run().engaged()
+    run.answered(hand())
+    output = run.tick(hand(), answer(run.now + MS), fault=fault)
+    assert output.force == (0.0,)
+    assert (output.command.state, output.command.reason) == (State.FAULT, fault)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        HandState((math.nan,), (0.0,), True),
+        HandState((0.0,), (math.inf,), True),
+        HandState((1e9,), (0.0,), True),
+    ],
+)
+def test_a_hand_that_cannot_be_is_a_fault_and_does_not_reach_the_slave(broken):
+    run = Run().engaged()
+    before = run.answered(hand(0.01)).command.position
+    output = run.answered(broken)
+    assert output.force == (0.0,)
+    assert (output.command.state, output.command.reason) == (State.FAULT, Reason.NOT_FINITE)
+    assert output.command.position == before
+    assert not any(output.command.velocity)
+
+
+def test_a_hand_that_cannot_be_read_is_never_engaged():
+    run = Run()
+    for _ in range(3):
+        run.answered(None, State.READY)
+        assert run.state == State.OFF
+    run = Run().engaged()
+    assert run.answered(None).force == (0.0,)
+    assert run.memory.session == Session(State.FAULT, Reason.NOT_USABLE)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_an_estimate_that_is_no_number_is_a_fault_when_it_would_be_felt(bad):
+    run = Run().engaged()
+    assert run.answered(hand(), force=bad).force == (0.0,)
+    assert run.memory.session == Session(State.FAULT, Reason.NOT_FINITE)
+    idle = Run()
+    for _ in range(3):
+        idle.answered(hand(engage=False), State.READY, force=bad)
+    assert idle.state == State.READY
+
+
+def test_a_state_number_from_the_future_is_a_fault_of_the_slave():
+    run = Run().engaged()
+    assert run.answered(hand(), 99).force == (0.0,)
+    assert run.memory.session == Session(State.FAULT, Reason.PEER_FAULT)
+
+
+def test_each_command_is_counted_as_answered_once_and_only_our_own():
+    run = Run()
+    sent = [EPOCH + k * MS + 1 for k in range(6)]
+    echoes = [EPOCH - 5 * MS, sent[0], sent[0], sent[2], sent[1], sent[3], EPOCH + 10**12]
+    answers = [
+        run.answered(hand(), State.READY, echo=echo).answer_ns for echo in echoes if run.now or echo
+    ]
+    assert answers == [0, sent[0], 0, sent[2], 0, sent[3], 0]
+
+
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+FORCES = st.floats(-50.0, 50.0)
+
+
+@st.composite
+def inputs(draw):
+    """One tick's input: mostly a session in order, now and then anything at all."""
+    chaos = draw(st.integers(0, 9)) == 0
+    position = draw(ANY if chaos else st.floats(-0.2, 0.2))
+    velocity = draw(ANY if chaos else st.floats(-2.0, 2.0))
+    lost_device = chaos and draw(st.booleans())
+    return {
+        "hand": None if lost_device else (position, velocity),
+        "engage": draw(st.integers(0, 5)) > 0,
+        "age": draw(st.sampled_from([0, MS, 29 * MS])) if not chaos else draw(
+            st.sampled_from([0, 31 * MS, 10**10, NEVER_NS])
+        ),
+        "peer": draw(st.sampled_from([None, 0, 1, 2, 3, 9])) if chaos else "obedient",
+        "force": draw(ANY if chaos else FORCES),
+        "delay": draw(st.sampled_from([1, 500])) * MS if chaos else MS,
+        "fault": draw(st.sampled_from([Reason.NONE, Reason.DEVICE_FAULT]))
+        if chaos
+        else Reason.NONE,
+        "sender": draw(st.sampled_from([7, 8])) if chaos else 7,
+    }  # fmt: skip
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(inputs(), min_size=1, max_size=60), st.booleans())
+def test_over_any_session_the_force_is_safe_and_a_fault_lasts_until_release(script, engaged):
+    run = Run(MasterConfig(gate=GateConfig(axis_max=1.5, slew_max=1e6)))
+    if engaged:
+        run.engaged()
+    faulted = False  # and the switch not open since
+    peer = State.ENGAGED if engaged else State.READY
+    tip = None
+    for step in script:
+        now = run.now + MS
+        the_hand = None
+        if step["hand"] is not None:
+            position, velocity = step["hand"]
+            the_hand = HandState((position,), (velocity,), step["engage"])
+        number = peer if step["peer"] == "obedient" else step["peer"]
+        state = None
+        if number is not None:
+            state = answer(now, number, step["force"], now - step["delay"], step["sender"])
+        before = run.state
+        output = run.tick(the_hand, state, step["age"], step["fault"])
+        force, command = output.force, output.command
+
+        fresh = state is not None and step["age"] <= 30 * MS and step["delay"] <= 100 * MS
+        pressed = the_hand is not None and step["engage"]
+        assert all(math.isfinite(f) and abs(f) <= 1.5 for f in force)
+        if not (fresh and pressed and number == State.ENGAGED and step["fault"] == Reason.NONE):
+            assert force == (0.0,)
+        if any(force):
+            assert math.isfinite(step["force"])
+            assert math.copysign(1.0, force[0]) == -math.copysign(1.0, step["force"])
+            assert run.state == before == State.ENGAGED
+
+        if faulted and pressed:
+            assert run.state == State.FAULT
+        if step["fault"] != Reason.NONE:
+            assert run.state == State.FAULT
+        faulted = run.state == State.FAULT and (faulted or before != State.FAULT)
+        if not pressed and the_hand is not None:
+            faulted = False
+            assert run.state != State.ENGAGED
+
+        assert all(math.isfinite(x) for x in (*command.position, *command.velocity))
+        if run.state != State.ENGAGED:
+            assert not any(command.velocity)
+            if tip is not None and step["sender"] == 7:
+                assert command.position == tip
+        tip = command.position if step["sender"] == 7 else None
+        assert command.state == run.state
+        peer = {State.ENGAGED: State.ENGAGED, State.READY: State.READY}.get(run.state, peer)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(5, 120), st.integers(0, 120)), min_size=1, max_size=5),
+    st.integers(0, 8),
+)
+def test_with_a_real_slave_session_and_an_outage_the_force_ends_in_time(outages, delay):
+    """Both state machines over a line that comes and goes, with `delay` ticks each way."""
+    run, slave = Run(), Session()
+    line = [True] * (60 + 10 * delay)
+    for up, down in outages:
+        line += [True] * up + [False] * down
+    to_slave, to_master = [], []
+    command, newest, last_heard, last_commanded = None, None, None, None
+    felt = 0
+    for tick, alive in enumerate(line):
+        now = run.now + MS
+        if alive and len(to_master) > delay and to_master[-1 - delay] is not None:
+            newest, last_heard = to_master[-1 - delay], tick
+        age = NEVER_NS if last_heard is None else (tick - last_heard) * MS
+        output = run.tick(hand(engage=tick > 40 + 4 * delay), newest, age)
+        if any(output.force):
+            felt += 1
+            assert age <= 30 * MS
+        to_slave.append((now, output.command))
+        if alive and len(to_slave) > delay:
+            command, last_commanded = to_slave[-1 - delay], tick
+        fresh = last_commanded is not None and tick - last_commanded <= 30
+        asked = command[1] if command else None
+        slave = session.step(
+            slave,
+            session.Inputs(
+                usable=True,
+                peer_fresh=fresh,
+                peer_state=State(asked.state) if asked else State.OFF,
+                engage=asked is not None and asked.state == State.ENGAGED,
+            ),
+            1e-3,
+        )
+        to_master.append(answer(now, slave.state, 3.0, command[0]) if command else None)
+    assert felt > 0

@@ -1,0 +1,289 @@
+import argparse
+import json
+import signal
+import socket
+
+import pytest
+
+from master import devices, process
+from master.config import MasterConfig
+from master.device import DeviceFault, HandState
+from master.devices.virtual import VirtualConfig
+from master.process import Master, run
+from teleop.clock import Grid, now_ns
+from teleop.config import load
+from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.link import Latest
+from teleop.messages import Command, Event, Hand, LoopReport, SlaveState, padded, text_of
+from teleop.session import Reason, State
+from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE
+
+
+class Line:
+    """Stands in for the link: keeps what is published, and answers as an obedient slave would."""
+
+    nonce = 5
+
+    def __init__(self):
+        self.sent = []
+        self.latest_state = Latest(STATE, lambda _: True)
+        self.sequence = 0
+        self.conflict = None
+        self.answering = True
+
+    def publish(self, topic, message):
+        stamp = now_ns()
+        self.sent.append((topic, message))
+        if topic is COMMAND and self.answering:
+            asked = State(message.state)
+            self.sequence += 1
+            state = SlaveState(
+                state=asked if asked == State.ENGAGED else State.READY,
+                joints=1,
+                echo_stamp_ns=stamp,
+                force=padded((5.0,), 8),
+            )
+            data = state.pack(self.nonce, self.sequence, stamp)
+            self.latest_state.take([data], now_ns(), overflowed=False)
+        return stamp
+
+    def subscribe_latest(self, topic):
+        assert topic is STATE
+        return self.latest_state
+
+    latest = subscribe_latest
+
+    def counts(self):
+        return self.latest_state.counts
+
+    def check_peers(self):
+        if self.conflict:
+            raise PeerError(self.conflict)
+
+    def of(self, topic):
+        return [message for which, message in self.sent if which is topic]
+
+
+class Stylus:
+    """A device that fails where it is told to, and keeps what is done to it."""
+
+    axes = 1
+
+    def __init__(self, read_fails_at=None, write_fails_at=None, error=DeviceFault):
+        self.reads, self.forces, self.closed = 0, [], 0
+        self.read_fails_at, self.write_fails_at, self.error = read_fails_at, write_fails_at, error
+
+    def read(self, time_s):  # noqa: ARG002
+        self.reads += 1
+        if self.reads == self.read_fails_at:
+            raise self.error("unplugged")
+        return HandState((0.0,), (0.0,), engage=self.reads > 5)
+
+    def write(self, force):
+        if self.reads == self.write_fails_at:
+            raise self.error("does not take forces")
+        self.forces.append(force)
+
+    def close(self):
+        self.closed += 1
+
+
+class Until:
+    """Stops after a number of ticks, or when asked to."""
+
+    def __init__(self, ticks):
+        self.left, self.reason = ticks, ""
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0 or bool(self.reason)
+
+    def request(self, reason):
+        self.reason = self.reason or reason
+
+
+def driven(device, line=None, ticks=40, rate_hz=2000.0):
+    line = Line() if line is None else line
+    stop = Until(ticks)
+    grid = Grid(rate_hz, stop)
+    master = Master(MasterConfig(), line, device, grid)
+    run(master, grid, stop.request)
+    return master, line, stop
+
+
+def test_a_session_reaches_the_hand_and_ends_without_force():
+    device = Stylus()
+    master, line, _ = driven(device)
+    assert min(device.forces)[0] < -0.5
+    assert device.forces[-1] == (0.0,)
+    assert master.error is None
+    assert len(line.of(HAND)) == 40
+    assert line.of(HAND)[-1].force[0] == device.forces[-2][0]
+    assert line.of(COMMAND)[-1] == Command()
+    assert line.of(COMMAND)[-2].state == State.ENGAGED
+
+
+def test_events_tell_each_change_once_and_the_end():
+    _, line, _ = driven(Stylus())
+    texts = [text_of(event.text) for event in line.of(EVENT)]
+    assert [t.split(":")[0] for t in texts if "ready" not in t] == ["off", "engaged", "off"]
+    assert texts[-1] == "off: ended"
+
+
+def test_round_trips_are_measured_from_our_own_commands():
+    master, line, _ = driven(Stylus())
+    summary = master.summary()
+    assert summary["latency_ms"]["n"] == 39
+    trips = [hand.round_trip_ns for hand in line.of(HAND)]
+    assert trips[0] == 0
+    assert all(0 < trip < 10**9 for trip in trips[1:])
+
+
+def test_reports_come_twice_a_second():
+    _, line, _ = driven(Stylus(), ticks=120, rate_hz=100.0)
+    (first, *_) = line.of(REPORT)
+    assert isinstance(first, LoopReport)
+    assert 1 <= len(line.of(REPORT)) <= 3
+    assert first.received > 0
+    assert first.latency_p50_ns > 0
+
+
+@pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
+def test_a_device_that_fails_ends_the_session_in_fault_and_without_force(fails):
+    device = Stylus(**{fails: 20})
+    master, line, stop = driven(device)
+    assert isinstance(master.error, TeleopError)
+    assert "haptic device: " in str(master.error)
+    assert stop.reason == str(master.error)
+    assert device.reads == 20
+    if fails == "read_fails_at":
+        assert device.forces[-1] == (0.0,)
+    last = line.of(COMMAND)[-2]
+    assert (last.state, last.reason) == (State.FAULT, Reason.DEVICE_FAULT)
+    texts = [text_of(event.text) for event in line.of(EVENT)]
+    assert texts[-2:] == [f"fault: {Reason.DEVICE_FAULT.text}", f"off: {master.error}"]
+
+
+def test_whatever_else_goes_wrong_the_hand_is_left_without_force():
+    device = Stylus(read_fails_at=20, error=ZeroDivisionError)
+    with pytest.raises(ZeroDivisionError):
+        driven(device)
+    assert device.forces[-2][0] < -0.5
+    assert device.forces[-1] == (0.0,)
+
+
+def test_a_second_master_ends_the_session():
+    line = Line()
+    line.conflict = "it has a master already"
+    device = Stylus()
+    master, _, stop = driven(device, line, ticks=200, rate_hz=100.0)
+    assert isinstance(master.error, PeerError)
+    assert stop.reason == line.conflict
+    assert device.forces[-1] == (0.0,)
+
+
+def test_a_slave_that_stops_answering_is_felt_no_longer():
+    line = Line()
+    stop = Until(200)
+    grid = Grid(1000.0, stop)
+    device = Stylus()
+    master = Master(MasterConfig(), line, device, grid)
+    forces = []
+    for number, tick in enumerate(grid):
+        line.answering = number < 100
+        master.tick(tick)
+        forces.append((line.of(HAND)[-1].state_age_ns, device.forces[-1][0]))
+    assert all(force == 0.0 for age, force in forces if age > 30_000_000)
+    assert any(force < 0.0 for age, force in forces)
+    assert forces[-1][0] > 30_000_000
+    assert master.memory.session.reason == Reason.PEER_SILENT
+
+
+@pytest.fixture
+def quiet_process(monkeypatch):
+    """Let a command run inside the test process without leaving its traces there."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    monkeypatch.setattr(process, "go_realtime", lambda: ["a test"])
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def arguments(*words):
+    ports = []
+    for _ in range(2):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            ports.append(probe.getsockname()[1])
+    parser = argparse.ArgumentParser()
+    process.add_arguments(parser)
+    return parser.parse_args(
+        [
+            f"--set=link.master=tcp/127.0.0.1:{ports[0]}",
+            f"--set=link.slave=tcp/127.0.0.1:{ports[1]}",
+            "--set=session=alone",
+            *words,
+        ]
+    )
+
+
+@pytest.mark.usefixtures("quiet_process")
+def test_the_command_runs_alone_and_leaves_its_summary(tmp_path, capsys):
+    path = tmp_path / "m.json"
+    assert process.main(arguments("--duration", "1.2", "--json", str(path))) == 0
+    summary = json.loads(path.read_text())
+    assert {
+        "role", "seconds", "ticks", "rate_hz", "overruns", "lateness_max_ms", "latency_ms",
+        "received", "lost", "rejected", "gate", "work_us", "final_state", "reason", "realtime",
+    } <= set(summary)  # fmt: skip
+    assert summary["role"] == "master"
+    assert summary["stopped"] == "duration reached"
+    assert summary["gate"] == {"NOT_ENGAGED|STALE": summary["ticks"]}
+    assert summary["latency_ms"]["n"] == 0
+    assert f"{summary['ticks']} ticks" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("quiet_process")
+def test_a_device_that_is_not_there_is_told_in_a_line(monkeypatch):
+    def missing(config):
+        raise DeviceFault("/dev/hidraw7: no such device")
+
+    monkeypatch.setitem(devices.DEVICES, VirtualConfig, missing)
+    with pytest.raises(UsageError, match=r"^master\.device: /dev/hidraw7: no such device$"):
+        process.main(arguments("--duration", "1"))
+
+
+@pytest.mark.usefixtures("quiet_process")
+@pytest.mark.parametrize("error", [DeviceFault, ZeroDivisionError])
+def test_the_command_closes_its_device_and_tells_what_failed(monkeypatch, tmp_path, error):
+    device = Stylus(read_fails_at=20, error=error)
+    monkeypatch.setitem(devices.DEVICES, VirtualConfig, lambda _: device)
+    path = tmp_path / "m.json"
+    told = TeleopError if error is DeviceFault else error
+    with pytest.raises(told, match="unplugged"):
+        process.main(arguments("--json", str(path)))
+    assert device.closed == 1
+    assert device.forces[-1] == (0.0,)
+    if error is DeviceFault:
+        summary = json.loads(path.read_text())
+        assert (summary["final_state"], summary["reason"]) == ("fault", Reason.DEVICE_FAULT.text)
+        assert summary["stopped"] == "haptic device: unplugged"
+
+
+@pytest.mark.parametrize("duration", ["0", "-1", "nan", "inf"])
+def test_a_duration_that_is_none_is_refused(duration):
+    with pytest.raises(UsageError, match="--duration"):
+        process.main(arguments(f"--duration={duration}"))
+
+
+def test_the_help_shows_settings_that_exist():
+    words = process.__doc__.split()
+    settings = [words[i + 1] for i, word in enumerate(words) if word == "--set"]
+    assert settings
+    load(None, MasterConfig, "master", settings)
+
+
+def test_what_goes_out_is_what_the_table_says():
+    _, line, _ = driven(Stylus())
+    kinds = {COMMAND: Command, HAND: Hand, EVENT: Event, REPORT: LoopReport}
+    assert all(type(message) is kinds[topic] is topic.message for topic, message in line.sent)
