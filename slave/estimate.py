@@ -1,0 +1,219 @@
+"""Estimate the distal tension in measured data, offline, with the numbers a live slave would give.
+
+  teleop estimate bench.csv --fit                      fit K to the measured distal tension
+  teleop estimate bench.csv --fit --save sheath.yaml   ... and keep it as a calibration
+  teleop estimate run.csv --calibration sheath.yaml --out estimates.csv
+  teleop estimate run.csv --config configs/demo.yaml   with the model of a config (slave.tendons)
+
+The data: a CSV, CSV.gz or Parquet table with time_s and proximal_tension_N, optionally
+proximal_displacement_m, distal_tension_N and distal_displacement_m; or a recording (.mcap).
+With a distal tension the estimate is judged against it.
+"""
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from estimator import online, signals
+from estimator.identification import (
+    FitResult,
+    IdentificationError,
+    fit_bench,
+    fit_blocked_tip,
+)
+from slave.config import Calibration, SlaveConfig, TendonConfig, tendon_configs
+from slave.score import Score
+from slave.table import MeasuredTable, check_destination, read_table, write_table
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import as_tree, load
+from teleop.errors import UsageError
+from teleop.launch.summary import force_line
+from teleop.messages import PHASE_NAMES
+from teleop.process import write_summary
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop estimate`."""
+    parser.add_argument("data", type=Path, metavar="DATA", help="measured data, or a recording")
+    model = parser.add_argument_group("the model of the sheath, one of")
+    model.add_argument("--fit", action="store_true", help="fit it to the data")
+    model.add_argument("--calibration", type=Path, metavar="FILE", help="a calibration file")
+    add_config_arguments(parser)
+    fit = parser.add_argument_group("with --fit")
+    fit.add_argument("--save", type=Path, metavar="FILE", help="write the fit as a calibration")
+    fit.add_argument(
+        "--blocked-tip",
+        action="store_true",
+        help="the tip could not move: fit K and EA to the displacement, no distal tension needed",
+    )
+    fit.add_argument("--length", type=float, default=1.0, metavar="M", help="of the sheath (1.0)")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")
+    parser.add_argument("--json", metavar="FILE", help="write the summary to FILE")
+    parser.add_argument(
+        "--drop-nonfinite",
+        action="store_true",
+        help="leave out rows with values that are not finite",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Estimate, and say how good it is; returns the exit code."""
+    if args.out is not None:
+        check_destination(args.out)
+    table = read_table(args.data, drop_nonfinite=args.drop_nonfinite)
+    summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
+    if args.fit:
+        tendon, summary["fit"] = fitted(table, args.blocked_tip, args.length)
+    else:
+        tendon = configured(args)
+    estimates = online.run(
+        online.prepare(tendon.model()),
+        table.time,
+        table.proximal_tension,
+        table.proximal_displacement,
+    )
+    summary["model"] = as_tree(tendon)
+    summary["force_error"] = judged(estimates, table)
+    summary["status"] = {
+        str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
+        for flag in online.Status
+        if flag
+    }
+    summary["phase"] = {
+        name: float(np.mean(estimates.phase == k)) for k, name in enumerate(PHASE_NAMES)
+    }
+    if args.save is not None:
+        save(args.save, tendon, table, summary["fit"])
+    if args.out is not None:
+        write_table(args.out, table.columns() | columns(estimates))
+    write_summary(args.json, summary)
+    print("\n".join(in_words(summary)))
+    return 0
+
+
+def configured(args: argparse.Namespace) -> TendonConfig:
+    """Return the model that the calibration file or the config names."""
+    if args.save is not None or args.blocked_tip:
+        raise UsageError("--save and --blocked-tip go with --fit")
+    if args.calibration is not None:
+        config = SlaveConfig(calibration=args.calibration)
+    elif args.config is not None:
+        config = load(args.config, SlaveConfig, "slave", args.overrides)
+    else:
+        raise UsageError(
+            "which sheath is it? Give --fit (needs a distal tension in the data), "
+            "--calibration FILE, or --config FILE"
+        )
+    return tendon_configs(config, 1)[0]
+
+
+def fitted(
+    table: MeasuredTable, blocked_tip: bool, length: float
+) -> tuple[TendonConfig, dict[str, Any]]:
+    """Fit the symmetric law to the data; return the model, and the fit for the summary."""
+    base = TendonConfig(
+        effective_friction=1.0,
+        length=length,
+        tension_noise=signals.noise_sigma(table.proximal_tension),
+    )
+    try:
+        fit, tendon = fit_model(table, base, blocked_tip)
+    except IdentificationError as error:
+        raise UsageError(f"{table.path}: {error}") from error
+    return tendon, {
+        "parameters": {name: p._asdict() for name, p in fit.parameters.items()},
+        "rmse": fit.rmse,
+        "believe": fit.believe,
+        "reason": fit.reason,
+    }
+
+
+def fit_model(
+    table: MeasuredTable, base: TendonConfig, blocked_tip: bool
+) -> tuple[FitResult, TendonConfig]:
+    """Fit what the channels of the data allow."""
+    travel = table.proximal_displacement
+    if blocked_tip:
+        if travel is None:
+            raise UsageError(f"{table.path}: --blocked-tip needs proximal_displacement_m")
+        fit = fit_blocked_tip(table.proximal_tension, travel, base.length)
+        EA = fit.parameters["axial_stiffness"].value
+    elif table.distal_tension is None:
+        raise UsageError(
+            f"{table.path}: --fit needs distal_tension_N; without it, and with the tip blocked "
+            "while measuring, add --blocked-tip"
+        )
+    else:
+        fit, EA = fit_bench(table.proximal_tension, table.distal_tension), base.axial_stiffness
+        if travel is not None and table.distal_displacement is not None:
+            stretch = travel - table.distal_displacement
+            elastic = fit_blocked_tip(table.proximal_tension, stretch, base.length)
+            EA = elastic.parameters["axial_stiffness"].value
+    K = fit.parameters["K"].value
+    noise = 0.0 if travel is None else signals.noise_sigma(travel)
+    return fit, dataclasses.replace(
+        base, effective_friction=K, axial_stiffness=EA, displacement_noise=noise
+    )
+
+
+def judged(estimates: online.Estimates, table: MeasuredTable) -> dict[str, Any] | None:
+    """Return the error against the measured distal tension, None without one."""
+    if table.distal_tension is None:
+        return None
+    score = Score()
+    rows = (estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
+    for row in zip(*(column.tolist() for column in rows), strict=True):
+        score.add(*row)
+    return score.summary()
+
+
+def columns(estimates: online.Estimates) -> dict[str, Any]:
+    """Return the estimates as columns of a table."""
+    return {
+        "distal_tension_estimate_N": estimates.distal_tension,
+        "distal_tension_low_N": estimates.low,
+        "distal_tension_high_N": estimates.high,
+        "elongation_estimate_m": estimates.elongation,
+        "distal_displacement_estimate_m": estimates.distal_displacement,
+        "front_m": estimates.front,
+        "phase": estimates.phase,
+        "status": estimates.status,
+    }
+
+
+def save(path: Path, tendon: TendonConfig, table: MeasuredTable, fit: dict[str, Any]) -> None:
+    """Write a calibration that `--calibration` and `slave.calibration` take."""
+    ends = {n: f"{p['low']:.4g} to {p['high']:.4g}" for n, p in fit["parameters"].items()}
+    calibration = Calibration(
+        tendons=(tendon,),
+        method="fit of the symmetric law by re-simulation; 95 % intervals " + json.dumps(ends),
+        source=f"{table.path.name}, {len(table.time)} samples; {fit['reason']}",
+    )
+    path.write_text(yaml.safe_dump(as_tree(calibration), sort_keys=False))
+
+
+def in_words(summary: dict[str, Any]) -> list[str]:
+    """Return the summary as lines to read."""
+    lines = [f"{summary['data']}: {summary['samples']} samples"]
+    if "fit" in summary:
+        fit = summary["fit"]
+        for name, p in fit["parameters"].items():
+            lines.append(
+                f"fit       {name} = {p['value']:.4g} (95 %: {p['low']:.4g} to {p['high']:.4g})"
+            )
+        lines.append(
+            f"          {'believable' if fit['believe'] else 'NOT to be believed'}: {fit['reason']}"
+        )
+    lines.append(f"force     {force_line(summary['force_error'])}")
+    told = [
+        f"{name.replace('_', ' ')} {share:.0%}"
+        for name, share in summary["status"].items()
+        if share
+    ]
+    lines.append("status    " + (", ".join(told) or "nothing stands against the estimates"))
+    return lines

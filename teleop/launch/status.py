@@ -1,0 +1,61 @@
+"""The live status line of a session."""
+
+import shutil
+import sys
+import threading
+from typing import TextIO
+
+from teleop.messages import PHASE_NAMES, LoopReport, SlaveState, TendonState
+from teleop.session import State
+from teleop.topics import Role
+
+
+class StatusLine:
+    """One line kept at the bottom of a terminal, with ordinary lines printed above it.
+
+    Without a terminal the line is left out, and ordinary lines are printed as they come.
+    """
+
+    def __init__(self, stream: TextIO = sys.stdout) -> None:
+        self._stream, self._line = stream, ""
+        self._live = stream.isatty()
+        self._lock = threading.Lock()
+
+    def say(self, text: str) -> None:
+        """Print an ordinary line."""
+        with self._lock:
+            self._stream.write(("\r\x1b[K" if self._live else "") + text + "\n" + self._line)
+            self._stream.flush()
+
+    def show(self, text: str) -> None:
+        """Replace the status line."""
+        if not self._live:
+            return
+        with self._lock:
+            self._line = text[: shutil.get_terminal_size().columns - 1]
+            self._stream.write("\r\x1b[K" + self._line)
+            self._stream.flush()
+
+    def clear(self) -> None:
+        """Take the status line away."""
+        self.show("")
+
+
+def status_text(
+    reports: dict[Role, LoopReport], state: SlaveState | None, tendons: TendonState | None
+) -> str:
+    """Return the status of a session in one line."""
+    master, slave = reports.get(Role.MASTER), reports.get(Role.SLAVE)
+    parts = [State(master.state).name.lower() if master else "waiting for the master"]
+    parts.append(f"slave {slave.rate_hz:.0f} Hz" if slave else "slave starting")
+    if master:
+        parts.append(f"master {master.rate_hz:.0f} Hz")
+        if master.latency_p50_ns:
+            parts.append(
+                f"latency {master.latency_p50_ns / 1e6:.1f}/{master.latency_p99_ns / 1e6:.1f} ms"
+            )
+    if state and state.joints:
+        parts.append("force " + " ".join(f"{f:6.2f}" for f in state.force[: state.joints]) + " N")
+    if tendons and tendons.tendons:
+        parts.append(PHASE_NAMES[tendons.phase[0]])
+    return " │ ".join(parts)

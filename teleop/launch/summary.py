@@ -1,0 +1,63 @@
+"""The summary of a session: the children's own summaries, put together and put in words."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+def read_child(path: Path) -> dict[str, Any] | None:
+    """Return what a child left, or None if it was killed before it could."""
+    try:
+        content: dict[str, Any] = json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    return content
+
+
+def lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return the summary as text, one fact a line."""
+    out = []
+    for role in ("slave", "master"):
+        loop = summary.get(role)
+        if not loop:
+            out.append(f"{role:9} left no summary (killed?)")
+            continue
+        out.append(
+            f"{role:9} {loop['rate_hz']:.1f} Hz over {loop['seconds']:.1f} s, "
+            f"{loop['overruns']} overruns, latest tick {loop['lateness_max_ms']:.2f} ms, "
+            f"work p50 {loop['work_us']['p50']:.0f} us, p99 {loop['work_us']['p99']:.0f} us"
+        )
+        rejected = sum(loop["rejected"].values())
+        out.append(f"{'':9} received {loop['received']}, lost {loop['lost']}, rejected {rejected}")
+    latency = (summary.get("master") or {}).get("latency_ms") or {}
+    if latency.get("n"):
+        out.append(
+            f"latency   command to force p50 {latency['p50']:.2f} ms, p99 {latency['p99']:.2f} ms, "
+            f"p99.9 {latency['p99_9']:.2f} ms ({latency['n']} round trips)"
+        )
+    ping = summary.get("ping_pong")
+    if ping:
+        out.append(
+            f"          bare Zenoh ping-pong, same sizes: p50 {ping['p50_ms']:.2f} ms, "
+            f"p99 {ping['p99_ms']:.2f} ms, p99.9 {ping['p99_9_ms']:.2f} ms"
+        )
+    out.append(f"force     {force_line((summary.get('slave') or {}).get('force_error'))}")
+    recorder = summary.get("record")
+    if recorder:
+        gaps = sum(recorder["gaps"].values())
+        total = sum(recorder["messages"].values())
+        out.append(f"recording {recorder['file']}: {total} messages, {gaps} gaps")
+    return out
+
+
+def force_line(error: Mapping[str, Any] | None) -> str:
+    """Return one line on the force error, or on its absence."""
+    if error is None:
+        return "no distal tension measured to compare the estimate with"
+    return (
+        f"RMSE {error['rmse_N']:.3f} N ({error['rmse_percent']:.1f} %), "
+        f"mean {error['mean_N']:.3f} N, max {error['max_N']:.3f} N ({error['max_percent']:.1f} %) "
+        f"of {error['full_scale_N']:.1f} N; "
+        f"inside its interval {100 * error['inside_interval']:.1f} % of the time"
+    )

@@ -1,0 +1,30 @@
+"""How far the estimate was from the bench."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slave.score import Score
+
+
+def test_figures_are_those_of_numpy():
+    random = np.random.default_rng(1)
+    measured = random.uniform(1.0, 9.0, 500)
+    estimate = measured + random.normal(0.0, 0.3, 500)
+    score = Score()
+    for e, m in zip(estimate, measured, strict=True):
+        score.add(e, e - 0.5, e + 0.5, m)
+    error = estimate - measured
+    summary = score.summary()
+    assert summary["rmse_N"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert summary["mean_N"] == pytest.approx(np.mean(np.abs(error)))
+    assert summary["max_N"] == pytest.approx(np.max(np.abs(error)))
+    assert summary["full_scale_N"] == measured.max()
+    assert summary["inside_interval"] == pytest.approx(np.mean(np.abs(error) <= 0.5))
+
+
+def test_without_a_bench_sensor_there_is_nothing_to_say():
+    score = Score()
+    score.add(1.0, 0.0, 2.0, math.nan)
+    assert score.summary() is None

@@ -1,0 +1,121 @@
+"""Our processes, started for a test on free loopback ports and ended with it."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from contextlib import ExitStack
+from pathlib import Path
+from typing import BinaryIO
+
+from teleop.launch.supervisor import wait_for
+from teleop.link import Link, LinkConfig
+from teleop.messages import Hand, SlaveState
+from teleop.session import State
+from teleop.topics import HAND, STATE, Role
+
+START_S = 120.0  # the first start of all compiles
+
+
+def free_ports(count: int) -> list[int]:
+    with ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [one.getsockname()[1] for one in sockets]
+
+
+class Processes:
+    """A session of its own: `start` commands in it, look at it through `link`."""
+
+    def __init__(self, folder: Path, config: Path, *overrides: str) -> None:
+        master, slave = free_ports(2)
+        self.folder = folder
+        self.session = f"test-{uuid.uuid4().hex[:8]}"
+        self.link_config = LinkConfig(
+            master=f"tcp/127.0.0.1:{master}", slave=f"tcp/127.0.0.1:{slave}"
+        )
+        self.shared = ["--config", str(config)]
+        for text in (
+            f"session={self.session}",
+            f"link.master={self.link_config.master}",
+            f"link.slave={self.link_config.slave}",
+            *overrides,
+        ):
+            self.shared += ["--set", text]
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self._all: list[subprocess.Popen[bytes]] = []
+        self._logs = ExitStack()
+
+    def __enter__(self) -> "Processes":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._all:
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+        self._logs.close()
+
+    def start(self, command: str, *arguments: str) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "teleop.cli", command, *self.shared, *arguments],
+            stdout=self._log(command),
+            stderr=subprocess.STDOUT,
+        )
+        self.running[command] = process
+        self._all.append(process)
+        return process
+
+    def start_all(self) -> None:
+        """Start recorder, slave and master, and wait until a force is felt."""
+        self.start("record", "--out", str(self.folder))
+        self.start("slave", "--json", str(self.folder / "slave.json"))
+        self.start("master", "--json", str(self.folder / "master.json"))
+        with self.look() as link:
+            assert wait_for(lambda: self.engaged(link), START_S), self.outputs()
+
+    def look(self) -> Link:
+        return Link(self.link_config, self.session, Role.LAUNCHER)
+
+    def engaged(self, link: Link) -> bool:
+        state, hand = link.latest(STATE).message, link.latest(HAND).message
+        return (
+            isinstance(state, SlaveState)
+            and isinstance(hand, Hand)
+            and state.state == State.ENGAGED
+            and hand.state == State.ENGAGED
+            and any(hand.force)
+        )
+
+    def _log(self, command: str) -> BinaryIO:
+        return self._logs.enter_context(
+            (self.folder / f"{len(self._all)}-{command}.log").open("wb")
+        )
+
+    def stop(self, command: str, patience_s: float = 10.0) -> int:
+        process = self.running[command]
+        process.send_signal(signal.SIGINT)
+        return process.wait(patience_s)
+
+    def kill(self, command: str) -> None:
+        self.running[command].kill()
+        self.running[command].wait()
+
+    def outputs(self) -> str:
+        """Return what all processes printed."""
+        return "\n".join(f"--- {p.name}\n{p.read_text()}" for p in self.folder.glob("*.log"))
+
+    def recording(self) -> Path:
+        (path,) = self.folder.glob("*.mcap")
+        return path
+
+    def summary(self, command: str) -> dict:
+        return json.loads((self.folder / f"{command}.json").read_text())
+
+
+def pause(seconds: float) -> None:
+    time.sleep(seconds)

@@ -1,0 +1,71 @@
+"""One side is killed in the middle of a session; a recording tells what the other side did."""
+
+import numpy as np
+import pytest
+
+from teleop.recording.reader import read_columns
+from teleop.session import State
+from teleop.topics import COMMAND, HAND, STATE, TENDONS
+from tests.system.processes import Processes, pause
+
+pytestmark = pytest.mark.system
+
+LIMIT_NS = 50_000_000  # what the other side has to be safe, counted from the last message sent
+
+
+@pytest.fixture
+def session(tmp_path, demo_config):
+    with Processes(tmp_path, demo_config) as processes:
+        processes.start_all()
+        pause(0.5)
+        yield processes
+
+
+def test_the_hand_is_freed_when_the_slave_is_killed(session):
+    session.kill("slave")
+    pause(1.0)
+    session.stop("master")
+    session.stop("record")
+
+    last = read_columns(session.recording(), STATE.name)["stamp_ns"].max()
+    hand = read_columns(session.recording(), HAND.name)
+    force = np.abs(hand["force"]).max(axis=1)
+    before, after = hand["stamp_ns"] <= last, hand["stamp_ns"] > last + LIMIT_NS
+    assert force[before].max() > 0.1  # it was felt until then
+    assert after.sum() > 500  # the master went on for long enough to tell
+    assert force[after].max() == 0.0
+    assert not (hand["state"][after] == State.ENGAGED).any()
+
+
+def test_the_slave_holds_when_the_master_is_killed(session):
+    session.kill("master")
+    pause(1.0)
+    session.stop("slave")
+    session.stop("record")
+
+    last = read_columns(session.recording(), COMMAND.name)["stamp_ns"].max()
+    rows = read_columns(session.recording(), TENDONS.name)
+    asked = rows["commanded_displacement"][:, 0]
+    before, after = rows["stamp_ns"] <= last, rows["stamp_ns"] > last + LIMIT_NS
+    assert np.ptp(asked[before]) > 1e-4  # it moved until then
+    assert after.sum() > 500
+    assert np.ptp(asked[after]) == 0.0
+
+
+def test_nothing_couples_again_until_the_operator_lets_go(tmp_path, demo_config):
+    with Processes(tmp_path, demo_config, "master.device.engage=[[0.5, 1000.0]]") as session:
+        session.start_all()
+        session.kill("slave")
+        pause(0.3)
+        session.start("slave", "--json", str(tmp_path / "slave.json"))
+        pause(3.0)
+        session.stop("master")
+        session.stop("slave")
+        session.stop("record")
+
+        states = read_columns(session.recording(), STATE.name)
+        senders = states["sender"]
+        again = senders != senders[0]
+        assert again.sum() > 100  # the second slave was there
+        assert not (states["state"][again] == State.ENGAGED).any()
+        assert session.summary("master")["final_state"] == "fault"

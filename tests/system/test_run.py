@@ -1,0 +1,164 @@
+"""`teleop run`: the whole session, its summary, its recording, and how it ends."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from teleop.messages import MESSAGES
+from teleop.recording.names import channel_name
+from teleop.recording.reader import read_columns
+from teleop.session import State
+from teleop.topics import HAND, TENDONS, TOPICS
+from tests.system.processes import START_S, Processes, free_ports, pause
+
+pytestmark = pytest.mark.system
+
+
+def run(config, folder, *arguments, wait=True):
+    master, slave = free_ports(2)
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "teleop.cli", "run", "--config", str(config)),
+            *("--set", f"link.master=tcp/127.0.0.1:{master}"),
+            *("--set", f"link.slave=tcp/127.0.0.1:{slave}"),
+            *("--json", str(folder / "run.json"), *arguments),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+    )
+    if not wait:
+        return process
+    out, err = process.communicate(timeout=START_S)
+    return process.returncode, out, err
+
+
+def test_a_recorded_run_tells_everything(demo_config, tmp_path):
+    code, out, err = run(
+        demo_config, tmp_path, "--duration", "5", "--record", str(tmp_path), "--view", "none"
+    )
+    assert code == 0, out + err
+    summary = json.loads((tmp_path / "run.json").read_text())
+
+    assert summary["reason"] == "duration reached"
+    for role in ("master", "slave"):
+        assert summary[role]["ticks"] > 2000
+        assert summary[role]["final_state"] in {"engaged", "ready"}
+    assert summary["master"]["latency_ms"]["n"] > 1000
+    assert 0 < summary["master"]["latency_ms"]["p50"] <= summary["master"]["latency_ms"]["p99"]
+    assert summary["ping_pong"]["p50_ms"] > 0
+    force = summary["slave"]["force_error"]
+    assert force["full_scale_N"] > 3.0  # the tip met something
+    assert force["mean_percent"] < 2.0
+    assert "command to force" in out
+    assert "ping-pong" in out
+
+    (recording,) = tmp_path.glob("*.mcap")
+    tendons = read_columns(recording, TENDONS.name)
+    error = tendons["distal_tension"][:, 0] - tendons["bench_distal_tension"][:, 0]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(force["rmse_N"], rel=0.1)
+    hand = read_columns(recording, HAND.name)
+    assert np.abs(hand["force"][:, 0]).max() > 0.3
+    assert (hand["state"] == State.ENGAGED).sum() > 2000
+
+
+def test_an_independent_reader_decodes_the_recording(demo_config, tmp_path):
+    run(demo_config, tmp_path, "--duration", "2", "--record", str(tmp_path), "--view", "none")
+    (recording,) = tmp_path.glob("*.mcap")
+    ours = read_columns(recording, TENDONS.name)
+    with recording.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        decoded = reader.iter_decoded_messages(
+            topics=[channel_name(TENDONS.name)], log_time_order=False
+        )
+        theirs = [message for _, _, _, message in decoded]
+    assert len(theirs) == len(ours) > 500
+    for row, message in zip(ours[::100], theirs[::100], strict=True):
+        for name in ("sequence", "stamp_ns", "time_s"):
+            assert getattr(message, name) == row[name]
+        for name in ("proximal_tension", "distal_tension", "bench_distal_displacement"):
+            np.testing.assert_array_equal(list(getattr(message, name)), row[name])
+
+
+def test_ctrl_c_ends_everything_cleanly(demo_config, tmp_path):
+    process = run(demo_config, tmp_path, "--view", "none", wait=False)
+    time.sleep(8.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, out + err
+    assert "command to force" in out
+    assert not descendants_of(process.pid)
+
+
+def test_the_death_of_one_side_ends_the_session_with_exit_code_1(demo_config, tmp_path):
+    process = run(demo_config, tmp_path, "--view", "none", wait=False)
+    victim = None
+    deadline = time.monotonic() + START_S
+    while victim is None and time.monotonic() < deadline:
+        time.sleep(0.5)
+        victim = next((p for p in descendants_of(process.pid) if "master" in command_of(p)), None)
+    assert victim is not None
+    pause(2.0)
+    subprocess.run(["kill", "-KILL", str(victim)], check=True)
+    out, _ = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "slave" in out
+    assert not descendants_of(process.pid)
+
+
+def test_a_port_in_use_is_one_line_and_exit_code_2(demo_config, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        code, _, err = run(
+            demo_config, tmp_path, "--view", "none", "--set", f"link.slave=tcp/127.0.0.1:{port}"
+        )
+    assert code == 2
+    assert len(err.splitlines()) == 1
+    assert str(port) in err
+
+
+def test_a_wrong_value_is_found_before_anything_starts(demo_config, tmp_path):
+    code, out, err = run(demo_config, tmp_path, "--set", "master.force.scale=-1")
+    assert code == 2
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert "master.force.scale" in err
+
+
+def test_a_second_master_is_refused(demo_config, tmp_path):
+    with Processes(tmp_path, demo_config) as session:
+        session.start_all()
+        (port,) = free_ports(1)
+        second = session.start("master", "--set", f"link.master=tcp/127.0.0.1:{port}")
+        assert second.wait(30) == 2
+        out = (tmp_path / "3-master.log").read_text()
+        assert len(out.strip().splitlines()) == 1
+        assert "master" in out
+
+
+def test_every_topic_of_the_table_has_a_message_of_its_own():
+    assert {topic.message for topic in TOPICS} == set(MESSAGES)
+
+
+def descendants_of(pid):
+    out = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True, check=True)
+    pairs = [tuple(map(int, line.split())) for line in out.stdout.splitlines()]
+    return [child for child, parent in pairs if parent == pid]
+
+
+def command_of(pid):
+    out = subprocess.run(
+        ["ps", "-o", "args=", "-p", str(pid)], capture_output=True, text=True, check=False
+    )
+    return out.stdout
