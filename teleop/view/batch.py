@@ -1,0 +1,54 @@
+"""Many messages at once: packed bytes to numpy rows, and fewer rows for the eye."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from teleop.messages import LAYOUT, MessageError
+from teleop.topics import Topic
+
+AnyTopic = Topic[Any]
+Rows = NDArray[np.void]  # one row a message, its fields those of the message's dtype
+
+
+def decode(messages: Iterable[tuple[AnyTopic, bytes]]) -> dict[AnyTopic, Rows]:
+    """Return the messages of each topic as one structured array, in their order.
+
+    The bytes are not checked again for damage (the link has done it), only for being of this
+    layout; `MessageError` otherwise.
+    """
+    pieces: dict[AnyTopic, list[bytes]] = {}
+    for topic, data in messages:
+        pieces.setdefault(topic, []).append(data)
+    batches = {}
+    for topic, parts in pieces.items():
+        schema = topic.message.schema
+        foreign = any(len(part) != schema.size for part in parts)
+        rows = (
+            np.empty(0, schema.dtype) if foreign else np.frombuffer(b"".join(parts), schema.dtype)
+        )
+        if foreign or (rows["layout"] != LAYOUT).any():
+            raise MessageError("layout", f"{topic.name}: made by another version of the messages")
+        batches[topic] = rows
+    return batches
+
+
+def thinned(rows: Rows, rate_hz: float) -> Rows:
+    """Return about `rate_hz` rows a second: the last of each period, and always the newest.
+
+    Periods lie on a fixed grid of stamps, so nothing is remembered between two batches; at most
+    one row a batch is shown beyond the rate.
+    """
+    if len(rows) == 0:
+        return rows
+    period = rows["stamp_ns"] // round(1e9 / rate_hz)
+    keep = np.append(period[1:] != period[:-1], True)
+    kept: Rows = rows[keep]
+    return kept
+
+
+def split(rows: Rows, key: str) -> dict[int, Rows]:
+    """Return the rows of each value of the integer field `key`."""
+    return {int(value): rows[rows[key] == value] for value in np.unique(rows[key])}

@@ -1,0 +1,36 @@
+"""The colour of a tension: one fixed, perceptually uniform scale, the same in every picture."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+# viridis (S. van der Walt, N. Smith, 2015; CC0) at nine evenly spaced points, sRGB
+_VIRIDIS = np.array(
+    [
+        (68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 145, 140),
+        (39, 173, 129), (92, 200, 99), (170, 220, 50), (253, 231, 37),
+    ],
+    dtype=np.float64,
+)  # fmt: skip
+UNKNOWN = 0x808080FF  # grey: a tension that is not finite
+
+
+def rgba(tension: NDArray[np.float64], scale_N: float) -> NDArray[np.uint32]:
+    """Return the colour of each tension as 0xRRGGBBAA, the shape kept.
+
+    Dark violet is 0 N, yellow `scale_N`; lightness rises steadily between them, so the scale reads
+    the same in grey and to most colour-blind eyes. Tensions outside take the colour of the end.
+
+    Parameters
+    ----------
+    tension : ndarray
+        [N]
+    scale_N : float
+        [N] tension at the bright end.
+    """
+    place = np.nan_to_num(np.clip(tension / scale_N, 0.0, 1.0)) * (len(_VIRIDIS) - 1)
+    knots = np.arange(len(_VIRIDIS))
+    packed = np.full(np.shape(tension), 0xFF, np.uint32)
+    for channel, shift in enumerate((24, 16, 8)):
+        level = np.rint(np.interp(place, knots, _VIRIDIS[:, channel])).astype(np.uint32)
+        packed |= level << np.uint32(shift)
+    return np.where(np.isfinite(tension), packed, np.uint32(UNKNOWN)).astype(np.uint32)

@@ -1,0 +1,97 @@
+"""See the tension along the sheath, live or from a recording.
+
+Without FILE it listens to a running session, in a window, or in a browser where there is no screen:
+
+    teleop view                                    the session on this machine
+    teleop view --view web                         in a browser, address on the first line
+    teleop view recordings/demo.mcap               a recording
+    teleop view recordings/demo.mcap --view rrd --out demo.rrd
+
+It only listens: neither loop ever waits for it. See docs/viewing.md.
+"""
+
+import argparse
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from teleop import config as configuration
+from teleop.errors import TeleopError, UsageError
+from teleop.link import Link
+from teleop.process import Stop, die_with_parent, write_summary
+from teleop.run_config import RunConfig
+from teleop.topics import TOPICS, Role
+from teleop.view.config import ViewConfig
+from teleop.view.feed import Fed, Show, discard, from_link, from_recording
+from teleop.view.scene import Scene
+from teleop.view.sinks import MODES, Mode, Sink, has_display
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("file", nargs="?", metavar="FILE", help="a recording (.mcap); none = live")
+    configuration.add_arguments(parser)
+    parser.add_argument(
+        "--view",
+        choices=MODES,
+        help="a window, a page for a browser on this machine, a Rerun file, or nothing at all "
+        "(default: native with a screen, web without)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds")
+    parser.add_argument("--json", metavar="FILE", help="write a summary as JSON")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command; returns its exit code."""
+    config = configuration.load(args.config, ViewConfig, "view", args.overrides)
+    run = configuration.load(args.config, RunConfig, None, args.overrides)
+    mode: Mode = args.view or ("native" if has_display() else "web")
+    if args.file is not None and not Path(args.file).is_file():
+        raise UsageError(f"{args.file}: no such recording")
+    stop = Stop(args.duration)
+    name = Path(args.file).stem if args.file else run.session
+    summary: dict[str, Any] = {"session": run.session, "view": mode, "source": args.file or "link"}
+    with ExitStack() as stack:
+        sink = stack.enter_context(Sink(mode, config, name, args.out, live=args.file is None))
+        show = discard if sink.stream is None else Scene(config, sink.stream).send
+        for line in sink.lines:
+            print(line, flush=True)
+        if args.file is not None:
+            fed = _show_recording(args.file, config, show, sink, stop)
+        else:
+            die_with_parent()
+            link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
+            listener = link.listen(TOPICS)
+            fed = from_link(listener, show, sink, stop, config.drain_hz, periods(sink, config))
+            counts = {topic.name: listener.counts(topic) for topic in TOPICS}
+            summary["lost"] = {topic: c.lost + c.overwritten for topic, c in counts.items()}
+            summary["rejected"] = {topic: c.rejected for topic, c in counts.items()}
+    summary |= {"received": fed.received, "shown": fed.shown, "reason": stop.reason}
+    summary["file"] = None if sink.file is None else str(sink.file)
+    write_summary(args.json, summary)
+    if fed.fault:
+        raise TeleopError(fed.fault)
+    print(f"View ended ({stop.reason}): {fed.received} messages, {fed.shown} shown", flush=True)
+    return 0
+
+
+def _show_recording(path: str, config: ViewConfig, show: Show, sink: Sink, stop: Stop) -> Fed:
+    """Show a recording, and stay until it has been looked at."""
+    fed = from_recording(path, show, stop, config.file_period_s)
+    if sink.watched:
+        print("The whole recording is there; Ctrl-C ends the view", flush=True)
+        while not stop() and sink.alive():
+            time.sleep(0.1)
+    stop.request("the recording is shown")
+    return fed
+
+
+def periods(sink: Sink, config: ViewConfig) -> tuple[float, float]:
+    """Return the times [s] between two blocks of pictures and of curves."""
+    if sink.watched:
+        return 0.0, 1.0 / config.curves_hz
+    return config.file_period_s, config.file_period_s

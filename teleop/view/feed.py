@@ -1,0 +1,140 @@
+"""Feeding the scene: from the link as it happens, from a recording as fast as it reads."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from teleop.clock import Grid
+from teleop.link import Listener
+from teleop.messages import MessageError
+from teleop.process import Stop
+from teleop.recording.reader import read_messages
+from teleop.recording.scan import RecordingError
+from teleop.topics import TOPICS
+from teleop.view.batch import AnyTopic, Rows, decode
+from teleop.view.curves import CURVES
+from teleop.view.sinks import Sink
+
+Show = Callable[[Mapping[AnyTopic, Rows]], int]  # takes a batch, returns how many rows it showed
+
+_PROBE_EVERY_NS = 5_000_000_000
+_BY_NAME = {topic.name: topic for topic in TOPICS}
+
+
+@dataclass(slots=True)
+class Fed:
+    """What went through, for the summary."""
+
+    received: int = 0
+    shown: int = 0
+    fault: str = ""  # why it ended, if something broke
+
+
+class Paced:
+    """Messages held until their period is over: every block of them costs, however small it is.
+
+    Parameters
+    ----------
+    period_s : float
+        [s] between two blocks.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_ns = round(period_s * 1e9)
+        self._held: list[tuple[AnyTopic, bytes]] = []
+        self._due_ns: int | None = None
+
+    def add(self, messages: Iterable[tuple[AnyTopic, bytes]]) -> None:
+        """Hold these too."""
+        self._held.extend(messages)
+
+    def take(self, now_ns: int, all_of_it: bool = False) -> list[tuple[AnyTopic, bytes]]:
+        """Return what is held if its period is over (or `all_of_it` is wanted), else nothing."""
+        if self._due_ns is None:
+            self._due_ns = now_ns + self._period_ns
+        if now_ns < self._due_ns and not all_of_it:
+            return []
+        self._due_ns = now_ns + self._period_ns
+        block, self._held = self._held, []
+        return block
+
+
+def from_link(
+    listener: Listener,
+    show: Show,
+    sink: Sink,
+    stop: Stop,
+    drain_hz: float,
+    periods_s: tuple[float, float],
+) -> Fed:
+    """Show what is heard until told to stop.
+
+    Parameters
+    ----------
+    drain_hz : float
+        [Hz] how often the listener is emptied.
+    periods_s : tuple of two floats
+        [s] between two blocks of what is drawn in space, and of the curves over time.
+    """
+    fed = Fed()
+    pictures, curves = Paced(periods_s[0]), Paced(periods_s[1])
+
+    def pass_on(now_ns: int, all_of_it: bool) -> None:
+        for held in (pictures, curves):
+            block = held.take(now_ns, all_of_it)
+            if block:
+                fed.shown += show(decode(block))
+
+    probe_ns = 0
+    for tick in Grid(drain_hz, stop):
+        heard = [(h.topic, h.data) for h in listener.drain()]
+        fed.received += len(heard)
+        curves.add(m for m in heard if m[0] in CURVES)
+        pictures.add(m for m in heard if m[0] not in CURVES)
+        pass_on(tick.stamp_ns, all_of_it=False)
+        if not sink.alive():
+            fed.fault = (
+                "" if sink.window else "the web viewer ended by itself; start the view again"
+            )
+            stop.request("the viewer has ended")
+        elif tick.stamp_ns >= probe_ns:
+            probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
+            if sink.stuck():
+                fed.fault = "the viewer takes no more data; start the view again"
+                stop.request("the viewer is stuck")
+    pass_on(0, all_of_it=True)
+    return fed
+
+
+def from_recording(path: str, show: Show, stop: Stop, period_s: float) -> Fed:
+    """Show a whole recording, a block of `period_s` [s] at a time."""
+    fed = Fed()
+    for block in _blocks(path, round(period_s * 1e9)):
+        if stop():
+            break
+        fed.received += len(block)
+        try:
+            fed.shown += show(decode(block))
+        except MessageError as error:
+            raise RecordingError(
+                f"{path}: {error}; view it with the version that recorded it"
+            ) from error
+    return fed
+
+
+def discard(batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG001 - a `Show`
+    """Show nothing."""
+    return 0
+
+
+def _blocks(path: str, period_ns: int) -> Iterator[list[tuple[AnyTopic, bytes]]]:
+    block: list[tuple[AnyTopic, bytes]] = []
+    end = 0
+    for message in read_messages(path, _BY_NAME.keys()):
+        if block and message.log_time_ns >= end:
+            yield block
+            block = []
+        if not block:
+            end = message.log_time_ns + period_ns
+        block.append((_BY_NAME[message.topic], message.data))
+    if block:
+        yield block

@@ -1,0 +1,151 @@
+"""Where the scene goes: a window, a web page, a file, or nowhere."""
+
+import os
+import sys
+from contextlib import ExitStack
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self, get_args
+
+import rerun as rr
+
+from teleop.errors import UsageError
+from teleop.view.blueprint import default_blueprint
+from teleop.view.config import ViewConfig
+from teleop.view.page import Page
+from teleop.view.viewer_process import ViewerProcess, free_port
+
+Mode = Literal["native", "web", "rrd", "none"]
+MODES: tuple[Mode, ...] = get_args(Mode)
+APPLICATION = "teleop"
+_FLUSH_S = 3.0
+_PROBE_S = 1.0
+
+
+class Sink:
+    """An open destination; `stream` takes the data (None = nowhere), `lines` say where to look.
+
+    Parameters
+    ----------
+    mode : {"native", "web", "rrd", "none"}
+    config : ViewConfig
+    session : str
+        Names the recording in the viewer.
+    out : Path or None
+        Also write this file; with mode `rrd` None makes a name in the configured folder.
+    live : bool
+        Whether the data come as they happen.
+    """
+
+    def __init__(
+        self, mode: Mode, config: ViewConfig, session: str, out: Path | None, live: bool
+    ) -> None:
+        self.lines: list[str] = []
+        self._mode = mode
+        self.file = _new_file(config, session) if mode == "rrd" and out is None else out
+        self._viewer: ViewerProcess | None = None
+        self._sinks: list[rr.GrpcSink | rr.FileSink] = []
+        with ExitStack() as stack:  # the programs first: a child is best started before any thread
+            if mode == "native":
+                self._open_window(stack, config)
+            elif mode == "web":
+                self._open_page(stack, config, live)
+            if self.file is not None:
+                self._open_file(self.file)
+            # no stream without a sink: it would keep everything for whoever might still come
+            self.stream: rr.RecordingStream | None = None
+            if self._sinks:
+                self.stream = rr.RecordingStream(APPLICATION)
+                stack.callback(self.stream.disconnect)
+                self.stream.set_sinks(*self._sinks, default_blueprint=default_blueprint(config))
+                self.stream.send_recording_name(session)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def watched(self) -> bool:
+        """Whether it is a viewer, which somebody may be looking at."""
+        return self._viewer is not None
+
+    @property
+    def window(self) -> bool:
+        """Whether it is a window, which the user may close."""
+        return self._mode == "native"
+
+    def alive(self) -> bool:
+        """Return whether the viewer program, if any, still runs."""
+        return self._viewer is None or self._viewer.running()
+
+    def stuck(self) -> bool:
+        """Return whether the viewer has stopped taking data, which would pile up here."""
+        if self.stream is None or not self.alive():
+            return False
+        try:
+            self.stream.flush(timeout_sec=_PROBE_S)
+        except RuntimeError:
+            return True
+        return False
+
+    def close(self) -> None:
+        """Bring out what is under way, for a few seconds at most, and end the viewer program."""
+        if self.stream is not None and self.alive():
+            try:
+                self.stream.flush(timeout_sec=_FLUSH_S)
+            except RuntimeError as error:
+                print(f"view: the last data did not get there: {error}", file=sys.stderr)
+                if self._viewer is not None:
+                    self._viewer.close()  # to let go of a viewer that takes nothing waits for ever
+        self._stack.close()
+
+    def _open_window(self, stack: ExitStack, config: ViewConfig) -> None:
+        if not has_display():
+            raise UsageError("--view native: there is no display here; use --view web")
+        port = free_port(config.grpc_port)
+        memory = f"{config.server_memory_mb}MB"
+        arguments = ["--hide-welcome-screen", "--memory-limit", memory, "--expect-data-soon"]
+        self._viewer = stack.enter_context(ViewerProcess(arguments, port))
+        self._sinks.append(rr.GrpcSink(self._viewer.url))
+        self.lines.append("Native view: opened")
+
+    def _open_page(self, stack: ExitStack, config: ViewConfig, live: bool) -> None:
+        port, inner = free_port(config.grpc_port), free_port(0)
+        arguments = ["--serve-web", "--web-viewer-port", str(inner)]
+        arguments += ["--server-memory-limit", f"{config.server_memory_mb}MB"]
+        if live:
+            arguments.append("--newest-first")  # a browser that opens late begins with the present
+        self._viewer = stack.enter_context(ViewerProcess(arguments, port))
+        page = stack.enter_context(Page(config.web_port, inner, self._viewer.url))
+        self._sinks.append(rr.GrpcSink(self._viewer.url))
+        self.lines.append(f"Web view: {page.address}")
+
+    def _open_file(self, path: Path) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch()
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
+        self._sinks.append(rr.FileSink(path))
+        self.lines.append(f"View file: {path}")
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened here."""
+    if sys.platform != "linux":
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def _new_file(config: ViewConfig, session: str) -> Path:
+    moment = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
+    return Path(config.directory) / f"{session}-{moment}.rrd"
