@@ -10,7 +10,7 @@ from slave.gate import GateConfig
 from slave.plant.chain import SectionConfig
 from slave.rigs import RigConfig
 from slave.rigs.simulated import SimulatedRigConfig
-from teleop.config import load_whole
+from teleop.config import load
 from teleop.errors import UsageError
 from teleop.messages import MAX_JOINTS, MAX_SECTIONS
 
@@ -111,7 +111,7 @@ def tendon_configs(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     """Return the models for `count` tendons, from the config or from its calibration file."""
     tendons, place = config.tendons, "slave.tendons"
     if config.calibration is not None:
-        tendons = load_whole(config.calibration, Calibration).tendons
+        tendons = load(config.calibration, Calibration, None).tendons
         place = str(config.calibration)
     if not tendons:
         raise UsageError(

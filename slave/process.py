@@ -138,7 +138,7 @@ def run(
     """Run the loop until told to stop, and return its summary."""
     housekeeping = Housekeeping(link, tendons)
     prepared = [tendon.prepared for tendon in tendons]
-    grid = Grid(rate_hz, stop)
+    grid = Grid(rate_hz, stop, phase=0.5)
     meter = LoopMeter(Role.SLAVE, grid)
     score, verdicts = Score(), Counter[str]()
     freshness_ns = round(config.freshness * 1e9)
@@ -172,7 +172,7 @@ def run(
                 score.add_row(row)
             verdicts[output.verdict.name or "PASSED"] += 1
             housekeeping(time_s, memory)
-            report = meter.report(tick.stamp_ns, memory.session, link.counts())
+            report = meter.report(tick.stamp_ns, memory.session, latest.counts)
             if report is not None:
                 link.publish(REPORT, report)
                 link.check_peers()

@@ -44,7 +44,11 @@ class TickStats:
 
 
 class Grid:
-    """An absolute time grid: ticks fall on `start + k * period` whatever their work took.
+    """An absolute time grid: ticks fall on `(k + phase) * period`, counted from the Unix epoch.
+
+    So two loops of one machine keep a known distance: with the slave half a period behind the
+    master, each hears the other's newest word well before its own tick, and a command comes back as
+    a force after exactly one period. Unaligned grids took one or two, by luck, for a whole run.
 
     A tick whose work outlasts its period makes the grid skip whole periods and count them; it never
     catches up with a burst, because a burst of forces is not what a late force was.
@@ -53,6 +57,8 @@ class Grid:
     ----------
     rate_hz : float
         Grid rate [Hz].
+    phase : float
+        Where in the period the ticks fall, 0 to 1.
     stop : callable
         Asked before each tick; the iteration ends when it returns true.
     now, sleep : callable
@@ -63,17 +69,19 @@ class Grid:
         self,
         rate_hz: float,
         stop: Callable[[], bool],
+        phase: float = 0.0,
         now: Callable[[], int] = now_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.period_ns = round(1e9 / rate_hz)
         self.stats = TickStats()
+        self._offset_ns = round(phase * self.period_ns)
         self._stop, self._now, self._sleep = stop, now, sleep
 
     def __iter__(self) -> Iterator[Tick]:
         """Yield ticks until told to stop."""
         stats, period = self.stats, self.period_ns
-        target = self._now()
+        target = self._first(self._now())
         index, skipped = 0, 0
         while not self._stop():
             wait = target - self._now()
@@ -89,6 +97,10 @@ class Grid:
             stats.overruns += skipped
             target += (1 + skipped) * period
             index += 1 + skipped
+
+    def _first(self, now: int) -> int:
+        """Return the next point of the grid [ns]."""
+        return now + (self._offset_ns - now) % self.period_ns
 
 
 class quiet_garbage:  # noqa: N801 - used as a statement: `with quiet_garbage():`

@@ -79,12 +79,6 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
     return cast(T, _Builder(source).dataclass(cls, mine, (), None))
 
 
-def load_whole(path: Path, cls: type[T]) -> T:
-    """Build `cls` from a whole file that is no config of a session; errors as with `load`."""
-    source = _Source(path, [])
-    return cast(T, _Builder(source).dataclass(cls, source.tree(), (), None))
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add `--config FILE` and `--set KEY=VALUE` to a command (`args.config`, `args.overrides`)."""
     parser.add_argument(

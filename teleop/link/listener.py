@@ -32,21 +32,21 @@ class Listener:
     """
 
     def __init__(self, announced: Callable[[Topic[Any], int], bool]) -> None:
-        self._queue: deque[tuple[Topic[Any], zenoh.ZBytes, int]] = deque(maxlen=BACKLOG)
+        self._queue: deque[tuple[Topic[Any], bytes, int]] = deque(maxlen=BACKLOG)
         self._announced = announced
         self._receptions: dict[tuple[str, int], Reception] = {}
 
     def store(self, topic: Topic[Any]) -> Callable[[zenoh.Sample], None]:
         """Return the callback that Zenoh's thread gives the samples of `topic` to."""
         append = self._queue.append
-        return lambda sample: append((topic, sample.payload, now_ns()))
+        # copied at once: a payload kept as it is keeps the whole receive buffer it lies in
+        return lambda sample: append((topic, sample.payload.to_bytes(), now_ns()))
 
     def drain(self) -> list[Heard]:
         """Return what has arrived since the last call, oldest first, checked as `Latest` does."""
         heard = []
         for _ in range(len(self._queue)):
-            topic, payload, received_ns = self._queue.popleft()
-            data = payload.to_bytes()
+            topic, data, received_ns = self._queue.popleft()
             head = self._reception(topic, data).admit(data)
             if head is not None:
                 heard.append(Heard(topic, data, received_ns, *head))

@@ -28,11 +28,11 @@ class World:
 
 
 def run(
-    world: World, work_ns: list[int], rate_hz: float = 1000.0
+    world: World, work_ns: list[int], rate_hz: float = 1000.0, phase: float = 0.0
 ) -> tuple[Grid, list[Tick], list[int]]:
     """Run one tick for each entry of `work_ns`, which is how long it takes."""
     left = list(work_ns)
-    grid = Grid(rate_hz, lambda: not left, world.now, world.sleep)
+    grid = Grid(rate_hz, lambda: not left, phase, world.now, world.sleep)
     ticks, begun = [], []
     for tick in grid:
         ticks.append(tick)
@@ -86,9 +86,20 @@ def test_ticks_stay_on_the_grid_and_dt_adds_up_to_the_time_passed(
     assert grid.stats.ticks == len(work)
 
 
+@given(st.integers(0, 10**18), st.sampled_from([0.0, 0.25, 0.5]))
+def test_grids_of_one_rate_keep_their_distance_whenever_they_start(
+    start: int, phase: float
+) -> None:
+    world = World()
+    world.now_ns = start
+    _, _, begun = run(world, [100_000] * 5, phase=phase)
+    assert {begin % MS for begin in begun} == {round(phase * MS)}
+    assert begun[0] - start < MS
+
+
 def test_no_tick_after_stop() -> None:
     world = World()
-    grid = Grid(1000, lambda: True, world.now, world.sleep)
+    grid = Grid(1000, lambda: True, 0.0, world.now, world.sleep)
     assert list(grid) == []
     assert grid.stats.rate_hz == 0.0
 
