@@ -9,10 +9,12 @@ from estimator.sheath import Section, Sheath
 from slave.gate import GateConfig
 from slave.plant.chain import SectionConfig
 from slave.rigs import RigConfig
-from slave.rigs.simulated import SimulatedRigConfig
+from slave.rigs.simulated import JointConfig, SimulatedRigConfig
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.messages import MAX_JOINTS, MAX_SECTIONS
+
+QUANTISED = math.sqrt(12.0)  # a step over the standard deviation that rounding to it adds
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,11 +110,17 @@ class SlaveConfig:
 
 
 def tendon_configs(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
-    """Return the models for `count` tendons, from the config or from its calibration file."""
+    """Return the models for `count` tendons.
+
+    From the config, or from its calibration file, or, for a simulated rig that neither describes,
+    from the rig's own numbers, as a perfect calibration would find them.
+    """
     tendons, place = config.tendons, "slave.tendons"
     if config.calibration is not None:
         tendons = load(config.calibration, Calibration, None).tendons
         place = str(config.calibration)
+    elif not tendons and isinstance(config.rig, SimulatedRigConfig):
+        return tuple(as_built(joint) for joint in config.rig.joints)
     if not tendons:
         raise UsageError(
             "slave.tendons: the estimator has no model of this sheath; give tendons, or "
@@ -123,3 +131,15 @@ def tendon_configs(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     if len(tendons) != count:
         raise UsageError(f"{place}: {len(tendons)} tendons described, the rig has {count}")
     return tendons
+
+
+def as_built(joint: JointConfig) -> TendonConfig:
+    """Return what a perfect calibration of a simulated joint would find."""
+    return TendonConfig(
+        friction=joint.sheath.friction,
+        sections=joint.sheath.sections,
+        axial_stiffness=joint.sheath.axial_stiffness,
+        pretension=joint.tip.pretension,
+        tension_noise=math.hypot(joint.load_cell.noise, joint.load_cell.resolution / QUANTISED),
+        displacement_noise=joint.encoder.resolution / QUANTISED,
+    )

@@ -104,7 +104,6 @@ def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
-    stop = Stop(args.duration)
     with ExitStack() as stack:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
@@ -112,6 +111,7 @@ def main(args: argparse.Namespace) -> int:
         tendons = [Tendon(model, online.prepare(model)) for model in models]
         warm_up(tendons[0].prepared)
         granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+        stop = Stop(args.duration)
         link = stack.enter_context(Link(shared.link, shared.session, Role.SLAVE))
         summary = run(link, rig, tendons, config, shared.rate_hz, stop)
     summary["realtime"] = granted

@@ -70,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TeleopError as error:
         print(f"teleop: {error}", file=sys.stderr)
         return error.exit_code
+    except KeyboardInterrupt:  # before there was a loop to stop
+        return 130
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output left; nothing more to say
         return 0

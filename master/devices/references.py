@@ -59,9 +59,9 @@ class Reaches:
     """
 
     type: Literal["reaches"] = "reaches"
-    targets: tuple[float, ...] = (0.02, 0.005, 0.015, -0.01, 0.0)  # [m] nested reversals
-    reach: float = 0.6  # [s] each reach takes
-    rest: float = 0.4  # [s] at each target
+    targets: tuple[float, ...] = (0.0, 0.05, 0.02, 0.04, 0.01, 0.055)  # [m] nested reversals
+    reach: float = 0.8  # [s] each reach takes
+    rest: float = 0.3  # [s] at each target
 
     def __post_init__(self) -> None:
         """Refuse a script that cannot be followed."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from master.device import Axes, DeviceFault, HandState
-from master.devices.references import Reference, Sine
+from master.devices.references import Reaches, Reference
 from teleop.config import MAY_BE_INFINITE
 
 _SUBSTEP = 0.001  # [s] step of the integration; up to half as long again, to fit the gap
@@ -32,7 +32,7 @@ class VirtualConfig:
     mass: float = 0.3  # [kg] hand and handle
     stiffness: float = 300.0  # [N/m] of the arm about its reference
     damping: float = 10.0  # [N s/m]
-    reference: Reference = field(default_factory=Sine)
+    reference: Reference = field(default_factory=Reaches)
     engage: tuple[tuple[float, float], ...] = field(  # [s] the switch is held from ... to ...
         default=((0.5, math.inf),), metadata=MAY_BE_INFINITE
     )

@@ -10,6 +10,7 @@ Each of the four also starts alone, on a machine of its own: see `teleop slave -
 import argparse
 import json
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -96,9 +97,10 @@ def main(args: argparse.Namespace) -> int:
         summary = _summary(family, ended, stop.reason)
     summary["ping_pong"] = ping_pong(Command.schema.size, SlaveState.schema.size)
     write_summary(args.json, summary)
-    for line in summaries.lines(summary):
-        print(line)
-    return int(summary["exit_code"])
+    print("\n".join(summaries.lines(summary)))
+    if summary["exit_code"]:
+        raise TeleopError(summary["reason"])
+    return 0
 
 
 def _rig_overrides(args: argparse.Namespace) -> list[str]:
@@ -122,15 +124,13 @@ def _has_screen() -> bool:
 
 
 def _wait_for_slave(link: Link, family: Supervisor, stop: Stop) -> Child | None:
-    """Wait for the slave to answer; the first start compiles. Return it if it ended instead."""
-    slave = family.children["slave"]
+    """Wait for the slave to answer; the first start compiles. Return a child that ended instead."""
     link.subscribe_latest(STATE)
     if not wait_for(
-        lambda: link.latest(STATE).message is not None or slave.exit_code is not None or stop(),
-        _START_S,
+        lambda: link.latest(STATE).message is not None or bool(family.ended()) or stop(), _START_S
     ):
         raise TeleopError(f"the slave did not start within {_START_S:g} s")
-    return slave if slave.exit_code is not None else None
+    return next(iter(family.ended()), None)
 
 
 def _watch(
@@ -152,7 +152,7 @@ def _watch(
                 report = LoopReport.unpack(heard.data)
                 reports[Role(report.role)] = report
         for child in family.ended():
-            if child.name in VITAL:
+            if child.name in VITAL or child.exit_code == UsageError.exit_code:
                 return child
             if child.name not in buried:
                 buried.add(child.name)
@@ -176,14 +176,17 @@ def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, 
     out: dict[str, Any] = {
         name: summaries.read_child(child.summary) for name, child in family.children.items()
     }
-    code = 0
+    out["reason"] = reason
+    out["exit_code"] = 0
     if ended is not None:
-        code = ended.exit_code or 0
-        out["ended_by"] = ended.name
-        if code == UsageError.exit_code:
-            raise UsageError(ended.last_line.removeprefix("teleop: "))
-        if code != 0:
-            code = TeleopError.exit_code
-    out["reason"] = reason or (f"{ended.name} ended" if ended else "")
-    out["exit_code"] = code
+        out["reason"] = ended.complaint or f"{ended.name} ended {how(ended)}"
+        if ended.exit_code == UsageError.exit_code:
+            raise UsageError(out["reason"])
+        out["exit_code"] = TeleopError.exit_code if ended.exit_code else 0
     return out
+
+
+def how(child: Child) -> str:
+    """Return in what way a child ended."""
+    code = child.exit_code or 0
+    return f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"

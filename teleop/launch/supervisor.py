@@ -12,6 +12,7 @@ from pathlib import Path
 
 from teleop.process import SUPERVISED
 
+COMPLAINT = "teleop: "  # what the command line begins the one line of an error with
 _PATIENCE_S = 5.0  # a child that has not ended by then is killed
 
 
@@ -22,7 +23,7 @@ class Child:
     name: str
     process: subprocess.Popen[str]
     summary: Path
-    last_line: str = ""
+    complaint: str = ""  # the one line of an error, which the launcher says at the end
     threads: list[threading.Thread] = field(default_factory=list)
 
     @property
@@ -91,9 +92,11 @@ class Supervisor:
 
     def _relay(self, child: Child) -> None:
         assert child.process.stdout is not None  # noqa: S101 - given as PIPE above
-        for line in child.process.stdout:
-            child.last_line = line.rstrip() or child.last_line
-            self._say(child.name, line.rstrip())
+        for line in map(str.rstrip, child.process.stdout):
+            if line.startswith(COMPLAINT):
+                child.complaint = line.removeprefix(COMPLAINT)
+            else:
+                self._say(child.name, line)
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:

@@ -97,7 +97,7 @@ def test_it_stays_near_its_reference_over_any_gaps(gaps, axes):
         device.write((3.0,) * axes)
         hand = device.read(time)
         assert len(hand.position) == len(hand.velocity) == axes
-        assert all(abs(x) < 0.02 + 3.0 / 300.0 + 0.02 for x in hand.position)
+        assert all(abs(x) < 0.055 + 3.0 / 300.0 + 0.02 for x in hand.position)
 
 
 def test_the_force_holds_until_the_next_write():
