@@ -277,6 +277,7 @@ _CONSTANTS = 7
     _STARTED,  # a sample has been taken
     _JOINED,  # the previous sample had a displacement, so increments mean something
     _MEAN_T,  # [N] averaged tension
+    _VARIANCE,  # [N^2] of the averaged tension
     _MEAN_Q,  # [m] averaged displacement, with the same lag
     _HELD,  # [N] treated tension, which drives the profile
     _HEADING,  # sign of the last change of the treated tension
@@ -300,7 +301,7 @@ _CONSTANTS = 7
     _LOW,  # [N] the interval last reported
     _HIGH,
     _SCALARS,
-) = range(26)
+) = range(27)
 
 _SURE = 8.0  # sigma of a displacement before it decides: a running extreme stands 3 to 4 off
 _BOUND = 4.0  # sigma that bound a single reading
@@ -338,8 +339,10 @@ def _advance(
     if state[_STARTED] == 0.0:
         state[_STARTED] = 1.0
         state[_MEAN_T] = state[_HELD] = T
+        state[_VARIANCE] = sigma * sigma
     mean = signals.average(state[_MEAN_T], T, dt, tau)
-    sigma_mean = signals.averaged_sigma(sigma, dt, tau)
+    state[_VARIANCE] = signals.averaged_variance(state[_VARIANCE], sigma, dt, tau)
+    sigma_mean = math.sqrt(state[_VARIANCE])
     band = constants[_BAND] * sigma_mean
     held = signals.play(state[_HELD], mean, band)
     state[_MEAN_T] = mean

@@ -72,12 +72,10 @@ def average(previous: float, measured: float, dt: float, time_constant: float) -
 
 
 @compiled
-def averaged_sigma(sigma: float, dt: float, time_constant: float) -> float:
-    """Return the standard deviation that white noise of `sigma` keeps after `average`."""
-    if time_constant <= 0.0:
-        return sigma
-    kept = math.exp(-dt / time_constant)
-    return sigma * math.sqrt((1.0 - kept) / (1.0 + kept))
+def averaged_variance(previous: float, sigma: float, dt: float, time_constant: float) -> float:
+    """Return the variance white noise of `sigma` leaves after `average`, from the one before."""
+    kept = math.exp(-dt / time_constant) if time_constant > 0.0 else 0.0
+    return (kept * kept) * previous + ((1.0 - kept) * sigma) ** 2
 
 
 @compiled
@@ -94,9 +92,11 @@ def treat(
     treated = np.empty_like(tension)
     mean = tension[0]
     held = tension[0]
+    variance = sigma * sigma
     for i in range(len(tension)):
         dt = time[i] - time[i - 1] if i > 0 else 0.0
         mean = average(mean, tension[i], dt, time_constant)
-        held = play(held, mean, dead_band * averaged_sigma(sigma, dt, time_constant))
+        variance = averaged_variance(variance, sigma, dt, time_constant)
+        held = play(held, mean, dead_band * math.sqrt(variance))
         treated[i] = held
     return treated

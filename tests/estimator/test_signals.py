@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from estimator.signals import Treatment, averaged_variance, noise_sigma, play, treat
+
+
+@pytest.mark.parametrize("sigma", [0.003, 0.03, 0.3])
+def test_noise_is_found_at_rest_and_on_a_ramp(sigma):
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, sigma, 5000)
+    ramp = np.linspace(0.0, 20.0, 5000)
+    steps = np.repeat(rng.uniform(0.0, 10.0, 10), 500)
+    for signal in (noise, noise + ramp, noise + steps):
+        assert noise_sigma(signal) == pytest.approx(sigma, rel=0.05)
+
+
+@pytest.mark.parametrize("signal", [np.zeros(7), np.full(100, np.nan), np.zeros((10, 10))])
+def test_noise_is_not_guessed_from_nothing(signal):
+    with pytest.raises(ValueError, match="at least 8 finite samples"):
+        noise_sigma(signal)
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.002, 0.01])
+def test_average_keeps_the_noise_it_says_even_when_the_clock_jitters(tau):
+    rng = np.random.default_rng(0)
+    dt = np.where(np.arange(200) % 7 == 0, 1e-5, 0.001)
+    time = np.cumsum(dt)
+    ends = [treat(rng.normal(0.0, 0.03, 200), time, 0.03, tau, 0.0)[-1] for _ in range(4000)]
+    variance = 0.03**2
+    for step in dt[1:]:
+        variance = averaged_variance(variance, 0.03, step, tau)
+    assert np.std(ends) == pytest.approx(np.sqrt(variance), rel=0.05)
+
+
+def test_untreated_is_untouched():
+    time = np.arange(100) / 1000.0
+    signal = np.random.default_rng(0).normal(5.0, 1.0, 100)
+    assert np.array_equal(treat(signal, time, 0.03, 0.0, 0.0), signal)
+
+
+def test_play_stays_within_its_width_and_holds_inside_it():
+    rng = np.random.default_rng(0)
+    output = 0.0
+    for value in np.cumsum(rng.normal(0.0, 0.3, 1000)):
+        after = play(output, value, 0.5)
+        assert abs(after - value) <= 0.5 + 1e-12
+        if abs(output - value) <= 0.5:
+            assert after == output
+        output = after
+
+
+@pytest.mark.parametrize("rate", [82.0, 1000.0])
+def test_default_treatment_halves_the_peak_that_a_hold_collects(rate):
+    time = np.arange(0.0, 5.0, 1.0 / rate)
+    rng = np.random.default_rng(0)
+    own = Treatment()
+    raw, treated = [], []
+    for _ in range(20):
+        T = 10.0 + rng.normal(0.0, 0.03, len(time))
+        raw.append(T.max() - 10.0)
+        treated.append(treat(T, time, 0.03, own.time_constant, own.dead_band).max() - 10.0)
+    assert np.mean(treated) < 0.5 * np.mean(raw)
+
+
+@pytest.mark.parametrize("wrong", [{"time_constant": -1.0}, {"dead_band": 11.0}])
+def test_refuses_senseless_treatment(wrong):
+    with pytest.raises(ValueError, match="allowed are 0 to"):
+        Treatment(**wrong)
