@@ -44,7 +44,7 @@ _S = 4
 _Y = _S + CAPACITY
 _SLOPE = _Y + CAPACITY  # of the piece from this point to the next
 _AREA = _SLOPE + CAPACITY  # ∫ (T + tau) dx over that piece [N m]
-_SIZE = _AREA + CAPACITY
+PROFILE_SIZE = _AREA + CAPACITY
 
 _K = _tables.K
 _DRAG = _tables.DRAG
@@ -56,7 +56,7 @@ def pretensioned_profile(tables: Tables, tension: float) -> Profile:
     """Return the profile of a tendon at one and the same `tension` [N], never yet slid."""
     if not (0.0 <= tension < math.inf):
         raise SheathError(f"pretension: {tension} N, must be finite and not negative")
-    profile = np.zeros(_SIZE)
+    profile = np.zeros(PROFILE_SIZE)
     u = log_tension(tables, tension)
     profile[_COUNT] = 2.0
     profile[_S + 1] = tables[_K]
