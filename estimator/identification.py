@@ -61,6 +61,8 @@ class FitResult:
         Measured less simulated, shape (n,).
     n
         Number of samples.
+    decided
+        Whether the record decides K at all.
     believe
         Whether the law describes the record: see `reason`.
     reason
@@ -71,6 +73,7 @@ class FitResult:
     rmse: float
     residuals: Array
     n: int
+    decided: bool
     believe: bool
     reason: str
 
@@ -97,9 +100,9 @@ def fit_bench(proximal_tension: ArrayLike, distal_tension: ArrayLike) -> FitResu
     at_best = residual(K)
     slope = (residual(K * (1.0 + 1e-3)) - residual(K * (1.0 - 1e-3)))[:, None] / (2e-3 * K)
     covariance = _covariance(slope, at_best)
-    believe, reason = _verdict(T_in, T_out, at_best, K)
+    decided, believe, reason = _verdict(T_in, T_out, at_best, K)
     parameters = {"K": _interval(K, covariance[0, 0])}
-    return FitResult(parameters, _rms(at_best), at_best, len(T_in), believe, reason)
+    return FitResult(parameters, _rms(at_best), at_best, len(T_in), decided, believe, reason)
 
 
 def fit_blocked_tip(
@@ -137,12 +140,12 @@ def fit_blocked_tip(
     EA = length / compliance
     by_K = (shape(K * (1.0 + 1e-3))[0] - shape(K * (1.0 - 1e-3))[0]) * compliance / (2e-3 * K)
     covariance = _covariance(np.column_stack([by_K, centred * compliance]), at_best)
-    believe, reason = _verdict(T_in, q - q.min(), at_best, K)
+    decided, believe, reason = _verdict(T_in, q - q.min(), at_best, K)
     parameters = {
         "K": _interval(K, covariance[0, 0]),
         "axial_stiffness": _interval(EA, covariance[1, 1] * EA**2),
     }
-    return FitResult(parameters, _rms(at_best), at_best, len(T_in), believe, reason)
+    return FitResult(parameters, _rms(at_best), at_best, len(T_in), decided, believe, reason)
 
 
 def _checked(tension: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
@@ -203,15 +206,19 @@ def _rms(residuals: Array) -> float:
     return float(np.sqrt(np.mean(residuals**2)))
 
 
-def _verdict(T_in: Array, signal: Array, residuals: Array, K: float) -> tuple[bool, str]:
+def _verdict(T_in: Array, signal: Array, residuals: Array, K: float) -> tuple[bool, bool, str]:
     if K > 0.99 * _LARGEST_K or K < 2e-3:
-        return False, f"K = {K:.3g} is the end of the search: the record does not decide it"
+        return False, False, f"K = {K:.3g} is the end of the search: the record does not decide it"
     if T_in.max() < math.exp(2.0 * K) * max(float(T_in.min()), 1e-3 * float(T_in.max())):
-        return False, "tension never swings by e^2K: the start of the record decides the fit"
+        return False, False, "tension never swings by e^2K: the start of the record decides the fit"
     share = _rms(residuals) / float(np.abs(signal).max())
     if share > BELIEVABLE:
-        return False, (
-            f"residual is {share:.1%} of the peak, more than {BELIEVABLE:.0%}: "
-            "the symmetric law misses something; run a diagnosis"
+        return (
+            True,
+            False,
+            (
+                f"residual is {share:.1%} of the peak, more than {BELIEVABLE:.0%}: "
+                "the symmetric law misses something"
+            ),
         )
-    return True, f"residual is {share:.1%} of the peak"
+    return True, True, f"residual is {share:.1%} of the peak"

@@ -79,6 +79,8 @@ class Calibration:
     tendons: tuple[TendonConfig, ...]
     method: str = ""
     source: str = ""
+    believed: bool = True  # whether the method itself believes what it found
+    remark: str = ""
 
     def __post_init__(self) -> None:
         """Refuse an empty one."""

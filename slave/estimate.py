@@ -11,22 +11,16 @@ With a distal tension the estimate is judged against it.
 """
 
 import argparse
-import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from estimator import online, signals
-from estimator.identification import (
-    FitResult,
-    IdentificationError,
-    fit_bench,
-    fit_blocked_tip,
-)
+from estimator import online
+from slave import fitting
 from slave.config import Calibration, SlaveConfig, TendonConfig, tendon_configs
+from slave.fitting import Fit
 from slave.score import Score
 from slave.table import MeasuredTable, check_destination, read_table, write_table
 from teleop.config import add_arguments as add_config_arguments
@@ -49,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit.add_argument(
         "--blocked-tip",
         action="store_true",
-        help="the tip could not move: fit K and EA to the displacement, no distal tension needed",
+        help="a pull-release loop with a tip that cannot move: K and EA from the housing alone",
     )
     fit.add_argument("--length", type=float, default=1.0, metavar="M", help="of the sheath (1.0)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")
@@ -63,12 +57,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Estimate, and say how good it is; returns the exit code."""
+    check_words(args)
     if args.out is not None:
         check_destination(args.out)
     table = read_table(args.data, drop_nonfinite=args.drop_nonfinite)
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
     if args.fit:
-        tendon, summary["fit"] = fitted(table, args.blocked_tip, args.length)
+        fit = fitting.fit(table, args.blocked_tip, args.length)
+        if args.save is not None:
+            save(args.save, fit, table)
+        tendon = fit.tendon
+        summary["fit"] = {
+            "method": fit.method,
+            "parameters": {name: p._asdict() for name, p in fit.parameters.items()},
+            "believe": fit.believe,
+            "reason": fit.reason,
+        }
     else:
         tendon = configured(args)
     estimates = online.run(
@@ -87,8 +91,6 @@ def main(args: argparse.Namespace) -> int:
     summary["phase"] = {
         name: float(np.mean(estimates.phase == k)) for k, name in enumerate(PHASE_NAMES)
     }
-    if args.save is not None:
-        save(args.save, tendon, table, summary["fit"])
     if args.out is not None:
         write_table(args.out, table.columns() | columns(estimates))
     write_summary(args.json, summary)
@@ -96,69 +98,29 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
+def check_words(args: argparse.Namespace) -> None:
+    """Refuse options that contradict each other, before anything is read."""
+    configured = args.config is not None or bool(args.overrides)
+    models = [args.fit, args.calibration is not None, configured]
+    if sum(models) != 1:
+        raise UsageError(
+            "which sheath is it? Give one of --fit (needs a distal tension in the data), "
+            "--calibration FILE, and --config FILE"
+        )
+    if not args.fit and (args.save is not None or args.blocked_tip):
+        raise UsageError("--save and --blocked-tip go with --fit")
+    for option, path in (("--save", args.save), ("--json", args.json)):
+        if path is not None and (Path(path).is_dir() or not Path(path).absolute().parent.is_dir()):
+            raise UsageError(f"{option} {path}: is not a file in an existing folder")
+
+
 def configured(args: argparse.Namespace) -> TendonConfig:
     """Return the model that the calibration file or the config names."""
-    if args.save is not None or args.blocked_tip:
-        raise UsageError("--save and --blocked-tip go with --fit")
     if args.calibration is not None:
         config = SlaveConfig(calibration=args.calibration)
-    elif args.config is not None:
+    else:
         config = load(args.config, SlaveConfig, "slave", args.overrides)
-    else:
-        raise UsageError(
-            "which sheath is it? Give --fit (needs a distal tension in the data), "
-            "--calibration FILE, or --config FILE"
-        )
     return tendon_configs(config, 1)[0]
-
-
-def fitted(
-    table: MeasuredTable, blocked_tip: bool, length: float
-) -> tuple[TendonConfig, dict[str, Any]]:
-    """Fit the symmetric law to the data; return the model, and the fit for the summary."""
-    base = TendonConfig(
-        effective_friction=1.0,
-        length=length,
-        tension_noise=signals.noise_sigma(table.proximal_tension),
-    )
-    try:
-        fit, tendon = fit_model(table, base, blocked_tip)
-    except IdentificationError as error:
-        raise UsageError(f"{table.path}: {error}") from error
-    return tendon, {
-        "parameters": {name: p._asdict() for name, p in fit.parameters.items()},
-        "rmse": fit.rmse,
-        "believe": fit.believe,
-        "reason": fit.reason,
-    }
-
-
-def fit_model(
-    table: MeasuredTable, base: TendonConfig, blocked_tip: bool
-) -> tuple[FitResult, TendonConfig]:
-    """Fit what the channels of the data allow."""
-    travel = table.proximal_displacement
-    if blocked_tip:
-        if travel is None:
-            raise UsageError(f"{table.path}: --blocked-tip needs proximal_displacement_m")
-        fit = fit_blocked_tip(table.proximal_tension, travel, base.length)
-        EA = fit.parameters["axial_stiffness"].value
-    elif table.distal_tension is None:
-        raise UsageError(
-            f"{table.path}: --fit needs distal_tension_N; without it, and with the tip blocked "
-            "while measuring, add --blocked-tip"
-        )
-    else:
-        fit, EA = fit_bench(table.proximal_tension, table.distal_tension), base.axial_stiffness
-        if travel is not None and table.distal_displacement is not None:
-            stretch = travel - table.distal_displacement
-            elastic = fit_blocked_tip(table.proximal_tension, stretch, base.length)
-            EA = elastic.parameters["axial_stiffness"].value
-    K = fit.parameters["K"].value
-    noise = 0.0 if travel is None else signals.noise_sigma(travel)
-    return fit, dataclasses.replace(
-        base, effective_friction=K, axial_stiffness=EA, displacement_noise=noise
-    )
 
 
 def judged(estimates: online.Estimates, table: MeasuredTable) -> dict[str, Any] | None:
@@ -186,15 +148,21 @@ def columns(estimates: online.Estimates) -> dict[str, Any]:
     }
 
 
-def save(path: Path, tendon: TendonConfig, table: MeasuredTable, fit: dict[str, Any]) -> None:
+def save(path: Path, fit: Fit, table: MeasuredTable) -> None:
     """Write a calibration that `--calibration` and `slave.calibration` take."""
-    ends = {n: f"{p['low']:.4g} to {p['high']:.4g}" for n, p in fit["parameters"].items()}
+    ends = ", ".join(f"{n} {p.low:.4g} to {p.high:.4g}" for n, p in fit.parameters.items())
     calibration = Calibration(
-        tendons=(tendon,),
-        method="fit of the symmetric law by re-simulation; 95 % intervals " + json.dumps(ends),
-        source=f"{table.path.name}, {len(table.time)} samples; {fit['reason']}",
+        tendons=(fit.tendon,),
+        method=f"{fit.method}; 95 % intervals: {ends}",
+        source=f"{table.path.name}, {len(table.time)} samples",
+        believed=fit.believe,
+        remark=fit.reason,
     )
-    path.write_text(yaml.safe_dump(as_tree(calibration), sort_keys=False))
+    text = yaml.safe_dump(as_tree(calibration), sort_keys=False)
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise UsageError(f"--save {path}: {error.strerror}") from error
 
 
 def in_words(summary: dict[str, Any]) -> list[str]:
@@ -202,9 +170,10 @@ def in_words(summary: dict[str, Any]) -> list[str]:
     lines = [f"{summary['data']}: {summary['samples']} samples"]
     if "fit" in summary:
         fit = summary["fit"]
+        lines.append(f"fit       {fit['method']}")
         for name, p in fit["parameters"].items():
             lines.append(
-                f"fit       {name} = {p['value']:.4g} (95 %: {p['low']:.4g} to {p['high']:.4g})"
+                f"          {name} = {p['value']:.4g} (95 %: {p['low']:.4g} to {p['high']:.4g})"
             )
         lines.append(
             f"          {'believable' if fit['believe'] else 'NOT to be believed'}: {fit['reason']}"

@@ -1,9 +1,10 @@
 """The last gate before the motors: finite, fresh, within limits, or the motors hold.
 
 Every motor position the slave loop writes has come through `step`, on every tick. Whatever asks
-for it, the output is a finite displacement that moves towards the travel limits or stays inside
-them, differs from the last one by no more than the speed limit allows, and does not pull a tendon
-any further whose tension is over its limit or cannot be read.
+for it, the output is a finite displacement that stays within the travel limits, or if it stood
+beyond them goes nowhere but back; it differs from the last one by no more than the speed limit
+allows, and does not pull a tendon any further whose tension is over its limit, too old, or cannot
+be read. What is wanted to stay stays, wherever that is.
 """
 
 import math
@@ -23,6 +24,7 @@ class GateConfig:
     displacement_max: float = 0.060  # [m] furthest pull
     speed_max: float = 0.10  # [m/s] of a motor's tendon
     tension_max: float = 25.0  # [N] at the housing; above it a tendon is only paid out
+    tension_age_max: float = 0.030  # [s] with no tension younger than this it is only paid out
 
     def __post_init__(self) -> None:
         """Refuse limits that limit nothing."""
@@ -33,6 +35,8 @@ class GateConfig:
             raise ValueError("displacement_min: must be at most 0, displacement_max at least 0")
         if self.speed_max <= 0.0 or self.tension_max <= 0.0:
             raise ValueError("speed_max, tension_max: must be above 0")
+        if not 0.0 < self.tension_age_max <= 0.5:
+            raise ValueError("tension_age_max: must be above 0 and at most 0.5 s")
 
 
 class Verdict(IntFlag):
@@ -44,6 +48,7 @@ class Verdict(IntFlag):
     TRAVEL = 4  # clamped to the travel limits
     SPEED = 8  # clamped to the speed limit
     TENSION = 16  # tension limit: pulling refused
+    STALE = 32  # no tension young enough: pulling refused
 
 
 class Gated(NamedTuple):
@@ -58,6 +63,7 @@ def step(
     last: Sequence[float],
     wanted: Sequence[float],
     tension: Sequence[float],
+    tension_age: float,
     may_move: bool,
     dt: float,
 ) -> Gated:
@@ -69,6 +75,8 @@ def step(
         Motor positions [m] written last, and asked for now, one for each tendon.
     tension : sequence of float
         Newest tension at the housing [N], one for each tendon.
+    tension_age : float
+        Time since it came [s].
     may_move : bool
         Whether the session is engaged and the command fresh.
     dt : float
@@ -77,6 +85,7 @@ def step(
     if not may_move:
         return Gated(tuple(last), Verdict.HELD)
     reach = config.speed_max * min(dt, _DT_MAX) if dt > 0.0 else 0.0
+    stale = not tension_age <= config.tension_age_max
     verdict = Verdict.PASSED
     passed = []
     for was, want, force in zip(last, wanted, tension, strict=True):
@@ -84,11 +93,13 @@ def step(
         if not (math.isfinite(want) and math.isfinite(force)):
             verdict |= Verdict.NOT_FINITE
             target = was
-        bounded = min(max(target, config.displacement_min), config.displacement_max)
+        lowest, highest = min(config.displacement_min, was), max(config.displacement_max, was)
+        bounded = min(max(target, lowest), highest)
         if bounded != target:
             verdict |= Verdict.TRAVEL
-        if force > config.tension_max and bounded > was:
-            verdict |= Verdict.TENSION
+        over = force > config.tension_max
+        if bounded > was and (over or stale):
+            verdict |= (Verdict.TENSION if over else 0) | (Verdict.STALE if stale else 0)
             bounded = was
         slewed = min(max(bounded, was - reach), was + reach)
         if slewed != bounded:

@@ -84,6 +84,7 @@ def _turns(*shares: float) -> Callable[[Scale], Motion]:
 
 MOTIONS: dict[str, Callable[[Scale], Motion]] = {
     "pull-release-pull": _turns(1.0, 0.25),
+    "loop": _turns(1.0, 0.01),  # for a calibration: to slack and back
     "nested": _turns(1.0, 0.2, 0.8, 0.3, 0.65, 0.4),
     "sine": lambda scale: Sine(scale.stroke, scale.period),
 }

@@ -44,7 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="config file (YAML)")
     parser.add_argument("--out", type=Path, required=True, help=".csv, .csv.gz or .parquet")
     parser.add_argument("--duration", type=float, default=30.0, help="[s] (default 30)")
-    parser.add_argument("--profile", choices=MOTIONS, default="pull-release-pull")
+    parser.add_argument(
+        "--profile",
+        choices=MOTIONS,
+        default="pull-release-pull",
+        help="pull-release-pull as in the paper's experiment (default), loop as for a calibration, "
+        "nested reversals, or a sine",
+    )
     parser.add_argument("--rate", type=float, default=1000.0, help="[Hz] of samples (default 1000)")
     parser.add_argument("--seed", type=int, help="of the noise, in place of the config's")
     parser.add_argument(

@@ -10,7 +10,8 @@
           silent, at fault, gone or not following
 
 The operator's switch is the master's own; the slave's switch is what the master's newest command
-says. So the master engages first and the slave follows, and the slave leaves when the master does.
+says (`switch_of`). So the master engages first and the slave follows, the slave leaves when the
+master does, and after a fault of its own the slave waits until the operator has let go.
 
 To engage, a side must have found two things in its present READY spell: the switch open, and its
 peer READY. So neither a switch held through a fault, nor a process restarted in the middle of a
@@ -67,7 +68,6 @@ class Reason(IntEnum):
     PEER_FAULT = 21, "the other side is at fault"
     PEER_LEFT = 22, "the other side disengaged by itself"
     PEER_DECLINED = 23, "the other side did not engage in time"
-    PEER_REFUSED = 24, "the other side must not be talked to"
 
     DEVICE_FAULT = 40, "the haptic device failed"
     RIG_FAULT = 41, "the rig failed"
@@ -75,9 +75,6 @@ class Reason(IntEnum):
     SAMPLES_STALE = 43, "the rig's samples stopped coming"
     NOT_FINITE = 44, "a value was not finite"
     OVER_LIMIT = 45, "a measured value was over its limit"
-    ESTIMATE_INVALID = 46, "the estimate cannot be trusted"
-    ENERGY = 47, "more energy came out than the passivity limit allows"
-    OVERRUN = 48, "the loop could not keep its time"
 
     UNKNOWN = 255, "a reason that this version does not know"
 
@@ -115,6 +112,14 @@ class Session:
         return self.state == State.ENGAGED and self.followed
 
 
+def switch_of(master: State) -> bool:
+    """Return whether the switch counts as closed for a slave whose master is in this state.
+
+    A master at FAULT has not seen the operator let go.
+    """
+    return master in (State.ENGAGED, State.FAULT)
+
+
 def step(session: Session, inputs: Inputs, dt: float) -> Session:
     """Return the session after one tick, `dt` [s] after the last."""
     if inputs.fault != Reason.NONE:
@@ -135,8 +140,6 @@ def _fault_is_over(session: Session, inputs: Inputs) -> bool:
     """Return whether nothing but the past keeps a side in FAULT."""
     if inputs.engage or not inputs.usable:
         return False
-    if session.reason == Reason.PEER_FAULT:
-        return inputs.peer_fresh and inputs.peer_state != State.FAULT
     if session.reason in (Reason.PEER_SILENT, Reason.PEER_LEFT, Reason.PEER_DECLINED):
         return inputs.peer_fresh
     return True

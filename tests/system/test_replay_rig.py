@@ -62,7 +62,6 @@ def test_measured_tensions_reach_the_hand(measured_data, demo_config, tmp_path):
     data = measured_data / "sheath-bench" / "session1.csv"
     offline, recording, estimate, live = live_and_offline(data, tmp_path, demo_config)
     assert_same(offline, recording)
-    assert estimate["fit"]["rmse"] <= 0.47
     for error in (estimate["force_error"], live["slave"]["force_error"]):
         assert error["rmse_N"] <= 0.47
     hand = read_columns(recording, HAND.name)

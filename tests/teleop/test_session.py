@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import pytest
 
-from teleop.session import FOLLOW_LIMIT_S, Inputs, Reason, Session, State, step
+from teleop.session import FOLLOW_LIMIT_S, Inputs, Reason, Session, State, step, switch_of
 
 DT = 0.001
 OWN_FAULTS = (Reason.RIG_FAULT, Reason.DEVICE_FAULT)
@@ -202,7 +202,7 @@ def pair(
     slave_heard, master_heard = heard
     new_master = step(master, Inputs(True, linked, slave_heard, engage), DT)
     fault = Reason.NONE if ok else Reason.RIG_FAULT
-    asked = master_heard == State.ENGAGED
+    asked = switch_of(master_heard)
     new_slave = step(slave, Inputs(True, linked, master_heard, asked, fault), DT)
     heard = (new_slave.state, new_master.state) if linked else heard
     return new_master, new_slave, heard
@@ -228,6 +228,20 @@ def test_two_sides_never_wait_for_each_other_for_ever() -> None:
         assert master.may_render
         assert slave.may_move
     assert len(seen) > 100
+
+
+def test_a_fault_of_the_slave_is_kept_until_the_operator_lets_go() -> None:
+    master, slave, heard = Session(), Session(), (State.OFF, State.OFF)
+    for engage in [False] * 4 + [True] * 4:
+        master, slave, heard = pair(master, slave, heard, engage, True, True)
+    assert slave.may_move
+    master, slave, heard = pair(master, slave, heard, True, True, False)
+    for _ in range(100):  # the rig is well again, the switch is still held
+        master, slave, heard = pair(master, slave, heard, True, True, True)
+        assert slave == Session(State.FAULT, Reason.RIG_FAULT)
+    for _ in range(6):
+        master, slave, heard = pair(master, slave, heard, False, True, True)
+    assert (master.state, slave.state) == (State.READY, State.READY)
 
 
 def test_equality_ignores_the_bookkeeping_so_that_an_event_is_a_change_of_state_or_reason() -> None:
