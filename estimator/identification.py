@@ -92,6 +92,10 @@ def fit_bench(proximal_tension: ArrayLike, distal_tension: ArrayLike) -> FitResu
         If the record cannot be fitted.
     """
     T_in, T_out = _checked(proximal_tension, distal_tension)
+    if np.mean(T_out) > np.mean(T_in):
+        raise IdentificationError(
+            "the tip pulls harder than the housing, on the whole: are the two columns swapped?"
+        )
 
     def residual(K: float) -> Array:
         return T_out - _simulate(T_in, K)[0]
@@ -199,7 +203,7 @@ def _covariance(slopes: Array, residuals: Array) -> Array:
 
 def _interval(value: float, variance: float) -> Parameter:
     half = _COVER * math.sqrt(max(variance, 0.0))
-    return Parameter(value, value - half, value + half)
+    return Parameter(value, max(value - half, 0.0), value + half)
 
 
 def _rms(residuals: Array) -> float:

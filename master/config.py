@@ -17,7 +17,7 @@ class MasterConfig:
     operator: OperatorConfig = field(default_factory=OperatorConfig)
     force: FeedbackConfig = field(default_factory=FeedbackConfig)
     gate: GateConfig = field(default_factory=GateConfig)
-    freshness: float = 0.030  # [s] a slave state received longer ago than this is not rendered
+    freshness: float = 0.030  # [s] a force measured longer ago than this is not rendered
     delay_max: float = 0.100  # [s] nor is one that answers a command older than this
 
     def __post_init__(self) -> None:

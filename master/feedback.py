@@ -5,6 +5,7 @@ pulls, so the hand is pushed the other way:
 
     F_hand = clamp(-scale * F_tip)
 
+A joint whose sample the estimator refused is not rendered: what is left of it is an old estimate.
 A value that is not finite goes through as it is, for the gate to refuse.
 """
 
@@ -13,7 +14,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from master.device import Axes
-from teleop.messages import SlaveState
+from teleop.messages import STATUS_NAMES, SlaveState
+
+INVALID = 1 << STATUS_NAMES.index("invalid input")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,13 @@ class FeedbackConfig:
             raise ValueError("scale: must be within 0 ... 10")
         if not 0.0 < self.limit < math.inf:
             raise ValueError("limit: must be above 0 [N] and finite")
+
+
+def bounded(force: float, low: float, high: float) -> float:
+    """Return `force` [N] within the certified interval `low ... high` [N]; NaN if that is none."""
+    if not low <= high:
+        return math.nan
+    return min(max(force, low), high) if math.isfinite(force) else force
 
 
 def certified(low: float, high: float) -> float:
@@ -54,12 +64,17 @@ def clamp(limit: float, force: float) -> float:
 
 
 def step(config: FeedbackConfig, state: SlaveState, axes: int) -> Axes:
-    """Return the force wanted on the hand [N], one for each axis; axes without a joint get zero."""
+    """Return the force wanted on the hand [N], one for each axis.
+
+    Zero for axes without a joint, and for joints whose estimate is of a refused sample.
+    """
     if config.source == "certified":
         tip = tuple(map(certified, state.force_low, state.force_high))
     else:
-        tip = state.force
+        tip = tuple(map(bounded, state.force, state.force_low, state.force_high))
     return tuple(
-        clamp(config.limit, reflect(config.scale, tip[axis])) if axis < state.joints else 0.0
+        clamp(config.limit, reflect(config.scale, tip[axis]))
+        if axis < state.joints and not state.status[axis] & INVALID
+        else 0.0
         for axis in range(axes)
     )

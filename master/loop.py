@@ -112,12 +112,13 @@ def step(
 def is_fresh(config: MasterConfig, state: SlaveState, age_ns: int, now_ns: int) -> bool:
     """Return whether `state` is young enough to act on.
 
-    Its age tells of a slave that fell silent. The age of the command it answers tells of a slave
-    that no longer hears us, and of a delay of both ways together, which no clock of one side shows.
+    Its age tells of a slave that fell silent, and with the age of the sample behind it, of a rig
+    that did. The age of the command it answers tells of a slave that no longer hears us, and of a
+    delay of both ways together, which no clock of one side shows.
     """
-    return (
-        age_ns <= config.freshness * 1e9 and now_ns - state.echo_stamp_ns <= config.delay_max * 1e9
-    )
+    behind_ns = age_ns + max(state.sample_age_ns, 0)
+    answered_ns = now_ns - state.echo_stamp_ns
+    return behind_ns <= config.freshness * 1e9 and answered_ns <= config.delay_max * 1e9
 
 
 def sound(side: Session, hand: HandState | None, wanted: Axes) -> bool:

@@ -10,7 +10,6 @@ operator lets go of the engage switch and presses it again.
 """
 
 import argparse
-import math
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -23,11 +22,11 @@ from master.devices import open_device
 from teleop.clock import Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
-from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.errors import PeerError, TeleopError
 from teleop.link import NEVER_NS, Counts, Link
 from teleop.messages import Command, Event, text_bytes
 from teleop.meter import LoopMeter
-from teleop.process import Stop, go_realtime, supervised, write_summary
+from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
 from teleop.run_config import RunConfig
 from teleop.session import Reason, Session
 from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE, Role
@@ -135,16 +134,16 @@ def run(master: Master, grid: Grid, stop_for: Callable[[str], None]) -> None:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop master`."""
     add_config_arguments(parser)
-    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--json", metavar="FILE", help="write the summary to FILE")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, MasterConfig, "master", args.overrides)
-    if args.duration is not None and not 0.0 < args.duration < math.inf:
-        raise UsageError(f"--duration {args.duration:g}: must be above 0 and finite [s]")
     stop = Stop(args.duration)
     granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
     with ExitStack() as stack:

@@ -35,6 +35,9 @@ class TendonConfig:
     pretension: float = 0.0  # [N] all along the tendon at the start; 0 = slack
     tension_noise: float = 0.0  # [N] standard deviation at the load cell
     displacement_noise: float = 0.0  # [m] standard deviation at the encoder
+    friction_error: float = 0.02  # relative error of K that the interval allows for
+    elongation_error: float = 0.1  # relative error of the predicted elongation it allows for
+    tip_tension_rate: float = 100.0  # [N/s] at which the tip may change unseen
 
     def __post_init__(self) -> None:
         """Refuse a sheath described twice or not at all."""
@@ -69,6 +72,9 @@ class TendonConfig:
             initial=self.pretension or "slack",
             tension_noise=self.tension_noise,
             displacement_noise=self.displacement_noise,
+            friction_error=self.friction_error,
+            elongation_error=self.elongation_error,
+            tip_tension_rate=self.tip_tension_rate,
         )
 
 

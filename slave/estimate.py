@@ -11,6 +11,8 @@ With a distal tension the estimate is judged against it.
 """
 
 import argparse
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from slave import fitting
 from slave.config import Calibration, SlaveConfig, TendonConfig, tendon_configs
 from slave.fitting import Fit
 from slave.score import Score
-from slave.table import MeasuredTable, check_destination, read_table, write_table
+from slave.table import Columns, MeasuredTable, check_destination, read_table, write_table
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import as_tree, load
 from teleop.errors import UsageError
@@ -45,7 +47,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="a pull-release loop with a tip that cannot move: K and EA from the housing alone",
     )
-    fit.add_argument("--length", type=float, default=1.0, metavar="M", help="of the sheath (1.0)")
+    fit.add_argument(
+        "--length",
+        type=float,
+        default=1.0,
+        metavar="M",
+        help="[m] of the sheath; EA scales with it",
+    )
+    parser.add_argument(
+        "--column",
+        action="append",
+        default=[],
+        metavar="NAME=COLUMN",
+        help="what the data call proximal_tension, proximal_displacement, distal_tension, "
+        "distal_displacement or time, e.g. --column proximal_tension=T_in",
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")
     parser.add_argument("--json", metavar="FILE", help="write the summary to FILE")
     parser.add_argument(
@@ -60,7 +76,7 @@ def main(args: argparse.Namespace) -> int:
     check_words(args)
     if args.out is not None:
         check_destination(args.out)
-    table = read_table(args.data, drop_nonfinite=args.drop_nonfinite)
+    table = read_table(args.data, named(args.column), args.drop_nonfinite)
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
     if args.fit:
         fit = fitting.fit(table, args.blocked_tip, args.length)
@@ -83,6 +99,7 @@ def main(args: argparse.Namespace) -> int:
     )
     summary["model"] = as_tree(tendon)
     summary["force_error"] = judged(estimates, table)
+    summary["travel_contradicts"] = travel_contradicts(tendon, table, summary["force_error"])
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
         for flag in online.Status
@@ -112,6 +129,34 @@ def check_words(args: argparse.Namespace) -> None:
     for option, path in (("--save", args.save), ("--json", args.json)):
         if path is not None and (Path(path).is_dir() or not Path(path).absolute().parent.is_dir()):
             raise UsageError(f"{option} {path}: is not a file in an existing folder")
+
+
+def named(words: Sequence[str]) -> Columns:
+    """Return the columns' names with those given as NAME=COLUMN put in."""
+    known = [f.name for f in dataclasses.fields(Columns)]
+    given = {}
+    for word in words:
+        name, equals, column = word.partition("=")
+        if name not in known or not equals or not column:
+            raise UsageError(
+                f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(known)}"
+            )
+        given[name] = column
+    return dataclasses.replace(Columns(), **given)
+
+
+def travel_contradicts(
+    tendon: TendonConfig, table: MeasuredTable, error: dict[str, Any] | None
+) -> bool:
+    """Return whether leaving the travel out would make the estimate a different one altogether."""
+    if error is None or table.proximal_displacement is None:
+        return False
+    alone = online.run(online.prepare(tendon.model()), table.time, table.proximal_tension)
+    without = judged(alone, table)
+    return (
+        without is not None
+        and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
+    )
 
 
 def configured(args: argparse.Namespace) -> TendonConfig:
@@ -179,6 +224,11 @@ def in_words(summary: dict[str, Any]) -> list[str]:
             f"          {'believable' if fit['believe'] else 'NOT to be believed'}: {fit['reason']}"
         )
     lines.append(f"force     {force_line(summary['force_error'])}")
+    if summary["travel_contradicts"]:
+        lines.append(
+            "WARNING   the displacement contradicts the tension: without it the estimate is far "
+            "better. Is its unit the metre, and positive while pulling?"
+        )
     told = [
         f"{name.replace('_', ' ')} {share:.0%}"
         for name, share in summary["status"].items()

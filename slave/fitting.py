@@ -74,7 +74,7 @@ def from_loop(table: MeasuredTable, base: TendonConfig) -> Fit:
     found = calibrate(table.proximal_tension[loop], table.proximal_displacement[loop])
     stiffness = found.stiffness_per_length
     EA = Measured(stiffness.value * base.length, stiffness.uncertainty * base.length)
-    tendon = dataclasses.replace(base, effective_friction=found.K.value, axial_stiffness=EA.value)
+    tendon = with_friction(base, interval(found.K), EA.value)
     values = {"K": found.K, "K by slopes": found.K_loop, "K by branch": found.K_branch, "EA": EA}
     parameters = {name: interval(value) for name, value in values.items()}
     return Fit(tendon, "pull-release loop, tip blocked", parameters, *loop_verdict(found))
@@ -136,7 +136,7 @@ def from_bench(table: MeasuredTable, base: TendonConfig) -> Fit:
         elastic = fit_blocked_tip(table.proximal_tension, stretch, base.length)
         parameters["EA"] = elastic.parameters["axial_stiffness"]
         EA = parameters["EA"].value
-    tendon = dataclasses.replace(base, effective_friction=parameters["K"].value, axial_stiffness=EA)
+    tendon = with_friction(base, parameters["K"], EA)
     return Fit(tendon, "symmetric law, by re-simulation", parameters, result.believe, result.reason)
 
 
@@ -145,6 +145,14 @@ def require_decided(table: MeasuredTable, result: FitResult) -> None:
     K = result.parameters["K"]
     if not result.decided or not math.isfinite(K.high - K.low):
         raise UsageError(f"{table.path}: {result.reason}")
+
+
+def with_friction(base: TendonConfig, K: Parameter, EA: float) -> TendonConfig:
+    """Return `base` with a fitted K, its uncertainty left to the interval, and EA."""
+    error = max(base.friction_error, 0.5 * (K.high - K.low) / K.value)
+    return dataclasses.replace(
+        base, effective_friction=K.value, friction_error=error, axial_stiffness=EA
+    )
 
 
 def interval(value: Measured) -> Parameter:

@@ -97,9 +97,12 @@ def step(
         bounded = min(max(target, lowest), highest)
         if bounded != target:
             verdict |= Verdict.TRAVEL
-        over = force > config.tension_max
-        if bounded > was and (over or stale):
-            verdict |= (Verdict.TENSION if over else 0) | (Verdict.STALE if stale else 0)
+        pulled = bounded > was
+        if pulled and force > config.tension_max:
+            verdict |= Verdict.TENSION
+            bounded = was
+        if pulled and stale:
+            verdict |= Verdict.STALE
             bounded = was
         slewed = min(max(bounded, was - reach), was + reach)
         if slewed != bounded:

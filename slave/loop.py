@@ -113,7 +113,8 @@ def step(
     )
     motor = memory.motor or standing.known(after.standing, config.silence_max)
     hindrance = NO_SAMPLE if newest is None else "" if motor else NO_POSITION
-    asks = fresh and command is not None and command.state == session.State.ENGAGED
+    master = session.State(command.state) if command is not None else session.State.OFF
+    asks = fresh and master is session.State.ENGAGED
     asked = command.position[: len(prepared)] if command is not None and asks else ()
 
     side = session.step(
@@ -121,8 +122,8 @@ def step(
         session.Inputs(
             usable=not hindrance,
             peer_fresh=fresh,
-            peer_state=session.State(command.state) if command else session.State.OFF,
-            engage=command is not None and command.state == session.State.ENGAGED,
+            peer_state=master,
+            engage=session.switch_of(master),
             fault=fault if fault is not Reason.NONE else own_fault(config, after, asked),
         ),
         dt,
@@ -165,9 +166,7 @@ def usable(row: Row) -> bool:
 def tension(row: Row) -> list[float]:
     """Return the tensions [N] at the housing; NaN where the sample was refused."""
     measured = row.sample.proximal_tension.tolist()
-    return [
-        math.nan if refused(e) else t for e, t in zip(row.estimates, measured, strict=True)
-    ]
+    return [math.nan if refused(e) else t for e, t in zip(row.estimates, measured, strict=True)]
 
 
 def estimate(

@@ -13,14 +13,20 @@ from teleop.session import Session
 _MISSING = (math.nan,) * MAX_TENDONS
 
 
-def slave_state(side: Session, echo_stamp_ns: int, newest: Row | None) -> messages.SlaveState:
-    """Return the state of a tick; with one tendon a joint, its force is that tendon's T_out."""
+def slave_state(
+    side: Session, echo_stamp_ns: int, newest: Row | None, sample_age: float
+) -> messages.SlaveState:
+    """Return the state of a tick; with one tendon a joint, its force is that tendon's T_out.
+
+    `sample_age` [s] is the time since the newest sample that could be used.
+    """
     estimates = newest.estimates if newest else ()
     return messages.SlaveState(
         state=side.state,
         reason=side.reason,
         joints=len(estimates),
         echo_stamp_ns=echo_stamp_ns,
+        sample_age_ns=round(sample_age * 1e9) if newest else 0,
         position=padded([e.distal_displacement for e in estimates], MAX_JOINTS),
         force=padded([e.distal_tension for e in estimates], MAX_JOINTS),
         force_low=padded([e.low for e in estimates], MAX_JOINTS),
@@ -30,14 +36,14 @@ def slave_state(side: Session, echo_stamp_ns: int, newest: Row | None) -> messag
 
 
 def tendon_state(row: Row, motor: Sequence[float]) -> messages.TendonState:
-    """Return one sample with its estimates, and the motor positions [m] in force then."""
+    """Return one sample with its estimates, and the motor positions [m] asked for, if any were."""
     sample, estimates = row
     return messages.TendonState(
         tendons=len(estimates),
         time_s=sample.time_s,
         proximal_tension=_array(sample.proximal_tension),
         proximal_displacement=_array(sample.proximal_displacement),
-        commanded_displacement=padded(motor, MAX_TENDONS),
+        commanded_displacement=padded(motor, MAX_TENDONS) if motor else _MISSING,
         distal_tension=padded([e.distal_tension for e in estimates], MAX_TENDONS),
         distal_tension_low=padded([e.low for e in estimates], MAX_TENDONS),
         distal_tension_high=padded([e.high for e in estimates], MAX_TENDONS),

@@ -9,29 +9,30 @@ anything else goes wrong, the motors hold too, until the operator lets go and en
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from estimator import online
+from estimator.sheath import Sheath
 from slave import loop, outbox
 from slave.config import SlaveConfig, tendon_configs
 from slave.loop import Memory
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import open_rig
 from slave.score import Score
-from teleop.clock import Grid, now_ns, quiet_garbage
+from teleop.clock import Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
-from teleop.errors import TeleopError
-from teleop.link import Link
-from teleop.messages import PROFILE_POINTS, Event, text_bytes
+from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.link import Counts, Link
+from teleop.messages import MAX_JOINTS, PROFILE_POINTS, Event, text_bytes
 from teleop.meter import LoopMeter
-from teleop.process import Stop, go_realtime, write_summary
+from teleop.process import Stop, destination, go_realtime, seconds, write_summary
 from teleop.run_config import RunConfig
-from teleop.session import Reason, Session
+from teleop.session import Reason, Session, State
 from teleop.topics import (
     COMMAND,
     EVENT,
@@ -60,15 +61,16 @@ class Housekeeping:
     def __init__(self, link: Link, tendons: Sequence[Tendon]) -> None:
         self._link, self._tendons = link, tendons
         self._points = [np.linspace(0.0, t.model.sheath.length, PROFILE_POINTS) for t in tendons]
-        self._said = Session()
+        self._said: tuple[Session, str] | None = None
         self._next_profile_s = self._next_sheath_s = 0.0
         self._tendon = 0
 
     def __call__(self, time_s: float, memory: Memory) -> None:
         """Publish what is due at session time `time_s` [s]."""
-        if memory.session != self._said:
-            self._said = memory.session
-            self._link.publish(EVENT, event(memory.session))
+        now = memory.session, memory.hindrance
+        if now != self._said:
+            self._said = now
+            self._link.publish(EVENT, event(*now))
         if time_s >= self._next_profile_s and memory.newest is not None:
             self._next_profile_s = time_s + PROFILE_PERIOD_S
             self._publish_profile(memory)
@@ -87,95 +89,165 @@ class Housekeeping:
         self._link.publish(PROFILE, outbox.tension_profile(k, x[-1], front, tension.tolist()))
 
 
-def event(side: Session) -> Event:
-    """Return the event that tells of a new session state."""
+def event(side: Session, hindrance: str) -> Event:
+    """Return the event that tells of a new session state, and why the rig is not usable."""
     text = f"{side.state.name.lower()}: {side.reason.text}"
+    if side.reason is Reason.NOT_USABLE:
+        text = f"{text}: {hindrance}"
     return Event(role=Role.SLAVE, state=side.state, reason=side.reason, text=text_bytes(text))
+
+
+class Slave:
+    """The world around `loop.step`: one rig, one link, and the counts.
+
+    Attributes
+    ----------
+    error : TeleopError or None
+        What ended the session, if it was not asked to end.
+    ended : str
+        Why it is over, from this side; empty while it is not.
+    """
+
+    def __init__(
+        self, config: SlaveConfig, link: Link, rig: Rig, tendons: Sequence[Tendon], grid: Grid
+    ) -> None:
+        self.error: TeleopError | None = None
+        self.ended = ""
+        self._config, self._link, self._rig = config, link, rig
+        self._prepared = [tendon.prepared for tendon in tendons]
+        self.memory = loop.start(self._prepared, rig.starts_at_zero)
+        self._meter = LoopMeter(Role.SLAVE, grid)
+        self._housekeeping = Housekeeping(link, tendons)
+        self._score, self._verdicts = Score(), Counter[str]()
+        self._freshness_ns = round(config.freshness * 1e9)
+        self._start_ns = now_ns()
+        link.subscribe_latest(COMMAND)
+
+    def tick(self, tick: Tick) -> None:
+        """Read, step, write, publish."""
+        time_s = (tick.stamp_ns - self._start_ns) * 1e-9
+        samples, fault = self._read(time_s)
+        latest = self._link.latest(COMMAND)
+        command = latest.message
+        fresh = latest.is_fresh(now_ns(), self._freshness_ns)
+
+        def step(fault: Reason) -> tuple[loop.Output, Memory]:
+            return loop.step(
+                self._prepared, self._config, self.memory, samples, command, fresh, fault, tick.dt
+            )
+
+        output, memory = step(fault)
+        if output.motor and fault is Reason.NONE:
+            try:
+                self._rig.write(np.array(output.motor))
+            except RigFault as error:
+                output, memory = step(self._failed(error))
+        self.memory = memory
+        self._publish(output, command.stamp_ns if command else 0)
+        self._verdicts[str(output.verdict.name)] += 1
+        self._housekeeping(time_s, memory)
+        self._report(tick.stamp_ns, latest.counts)
+        self._meter.work.add(now_ns() - tick.stamp_ns)
+
+    def close(self) -> None:
+        """Tell the others that the slave moves nothing any more; whatever happened before."""
+        side = self.memory.session
+        last = side if side.state in (State.OFF, State.FAULT) else Session()
+        self._link.publish(STATE, outbox.slave_state(last, 0, None, 0.0))
+        text = text_bytes(f"off: {self.ended or 'ended'}")
+        self._link.publish(EVENT, Event(role=Role.SLAVE, text=text))
+
+    def summary(self) -> dict[str, Any]:
+        """Return the run in numbers."""
+        numbers = self._meter.summary(self.memory.session, self._link.counts(), self._verdicts)
+        return numbers | {"force_error": self._score.summary(), "rig": self._rig.summary()}
+
+    def _read(self, time_s: float) -> tuple[Sequence[RigSample], Reason]:
+        try:
+            return self._rig.read(time_s), Reason.NONE
+        except RigFinished:
+            self.ended = Reason.RIG_FINISHED.text
+            return (), Reason.RIG_FINISHED
+        except RigFault as error:
+            return (), self._failed(error)
+
+    def _failed(self, error: RigFault) -> Reason:
+        self._end(TeleopError(f"rig: {error}"))
+        return Reason.RIG_FAULT
+
+    def _end(self, error: TeleopError) -> None:
+        self.error = self.error or error
+        self.ended = str(self.error)
+
+    def _publish(self, output: loop.Output, echo_stamp_ns: int) -> None:
+        memory = self.memory
+        state = outbox.slave_state(memory.session, echo_stamp_ns, memory.newest, memory.silence)
+        self._link.publish(STATE, state)
+        for row in output.rows:
+            self._link.publish(TENDONS, outbox.tendon_state(row, output.motor))
+            self._score.add_row(row)
+
+    def _report(self, stamp_ns: int, counts: Counts) -> None:
+        report = self._meter.report(stamp_ns, self.memory.session, counts)
+        if report is None:
+            return
+        self._link.publish(REPORT, report)
+        try:
+            self._link.check_peers()
+        except PeerError as error:
+            self._end(error)
+
+
+def run(slave: Slave, grid: Grid, stop_for: Callable[[str], None]) -> None:
+    """Tick until told to stop; the others are told, however this ends."""
+    try:
+        with quiet_garbage():
+            for tick in grid:
+                slave.tick(tick)
+                if slave.ended:
+                    stop_for(slave.ended)
+    finally:
+        slave.close()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop slave`."""
     add_config_arguments(parser)
-    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--json", metavar="FILE", help="write the summary to FILE")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
+    warm_up()
+    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
     with ExitStack() as stack:
+        # a slave that is refused as the second one must not have touched the rig
+        link = stack.enter_context(Link(shared.link, shared.session, Role.SLAVE))
         rig = open_rig(config.rig)
         stack.callback(rig.close)
+        if not 1 <= rig.tendons <= MAX_JOINTS:
+            raise UsageError(f"slave.rig: {rig.tendons} tendons, must be 1 to {MAX_JOINTS}")
         models = [tendon.model() for tendon in tendon_configs(config, rig.tendons)]
         tendons = [Tendon(model, online.prepare(model)) for model in models]
-        warm_up(tendons[0].prepared)
-        granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
         stop = Stop(args.duration)
-        link = stack.enter_context(Link(shared.link, shared.session, Role.SLAVE))
-        summary = run(link, rig, tendons, config, shared.rate_hz, stop)
-    summary["realtime"] = granted
+        grid = Grid(shared.rate_hz, stop, phase=0.5)
+        slave = Slave(config, link, rig, tendons, grid)
+        run(slave, grid, stop.request)
+        summary = slave.summary()
+    summary |= {"stopped": stop.reason, "realtime": granted}
     write_summary(args.json, summary)
-    if summary["fault"]:
-        raise TeleopError(f"slave: {summary['fault']}")
+    if slave.error:
+        raise slave.error
     return 0
 
 
-def warm_up(prepared: online.Prepared) -> None:
+def warm_up() -> None:
     """Compile what the loop calls, before it has to be on time."""
+    prepared = online.prepare(online.TendonModel(Sheath.uniform(1.0, 1.0, 1e4)))
     _, state = online.step(prepared, online.initial(prepared), 1.0, 0.0, 0.0)
     online.profile_at(prepared, state, np.zeros(PROFILE_POINTS))
-
-
-def run(
-    link: Link,
-    rig: Rig,
-    tendons: Sequence[Tendon],
-    config: SlaveConfig,
-    rate_hz: float,
-    stop: Stop,
-) -> dict[str, Any]:
-    """Run the loop until told to stop, and return its summary."""
-    housekeeping = Housekeeping(link, tendons)
-    prepared = [tendon.prepared for tendon in tendons]
-    grid = Grid(rate_hz, stop, phase=0.5)
-    meter = LoopMeter(Role.SLAVE, grid)
-    score, verdicts = Score(), Counter[str]()
-    freshness_ns = round(config.freshness * 1e9)
-    link.subscribe_latest(COMMAND)
-    memory = loop.start(prepared)
-    fault, cause = Reason.NONE, ""
-    begin_ns = now_ns()
-    with quiet_garbage():
-        for tick in grid:
-            time_s = (tick.stamp_ns - begin_ns) * 1e-9
-            samples: Sequence[RigSample] = ()
-            try:
-                samples = rig.read(time_s)
-            except RigFinished:
-                fault, cause = Reason.RIG_FINISHED, ""
-                stop.request(fault.text)
-            except RigFault as error:
-                fault, cause = Reason.RIG_FAULT, str(error)
-                stop.request(fault.text)
-            latest = link.latest(COMMAND)
-            fresh = latest.is_fresh(now_ns(), freshness_ns)
-            output, memory = loop.step(
-                prepared, config, memory, samples, latest.message, fresh, fault, tick.dt
-            )
-            if fault is Reason.NONE and output.motor:
-                rig.write(np.array(output.motor))
-            echo = latest.message.stamp_ns if latest.message else 0
-            link.publish(STATE, outbox.slave_state(memory.session, echo, memory.newest))
-            for row in output.rows:
-                link.publish(TENDONS, outbox.tendon_state(row, output.motor))
-                score.add_row(row)
-            verdicts[output.verdict.name or "PASSED"] += 1
-            housekeeping(time_s, memory)
-            report = meter.report(tick.stamp_ns, memory.session, latest.counts)
-            if report is not None:
-                link.publish(REPORT, report)
-                link.check_peers()
-            meter.work.add(now_ns() - tick.stamp_ns)
-    summary = meter.summary(memory.session, link.counts(), verdicts)
-    return summary | {"force_error": score.summary(), "stopped": stop.reason, "fault": cause}

@@ -32,11 +32,21 @@ class Rig(Protocol):
     """A tendon rig as the slave loop sees it.
 
     Opened by its constructor, used from one thread, closed exactly once. `read` and `write` must
-    return well within a millisecond and never wait for hardware; a failure raises `RigFault`, and
-    the loop then goes to fault and calls nothing but `close`.
+    return well within a millisecond and never wait for hardware. A failure, of the constructor
+    too, raises `RigFault`; the loop then goes to fault and calls nothing but `summary` and `close`.
+
+    Attributes
+    ----------
+    tendons : int
+        How many it has, 1 to `teleop.messages.MAX_JOINTS`.
+    starts_at_zero : bool
+        Whether its motors stand at 0 by their own count when it is opened and stay there until the
+        first write, so that no encoder is needed to know. Otherwise nothing is ever written before
+        encoders have told, for all tendons, where the motors stand.
     """
 
     tendons: int
+    starts_at_zero: bool
 
     def read(self, time_s: float) -> tuple[RigSample, ...]:
         """Return the samples that are new at session time `time_s` [s], oldest first.
@@ -48,10 +58,16 @@ class Rig(Protocol):
         """
 
     def write(self, proximal_displacement: Array) -> None:
-        """Set the motor positions [m], shape (tendons,). Only the gate calls this."""
+        """Set the motor positions [m], shape (tendons,), counted as the encoders count.
+
+        Called with what the gate let through, at every tick from the first engagement on.
+        """
+
+    def summary(self) -> dict[str, int | float | str]:
+        """Return what the summary of a run shall tell of the rig, often nothing; never raises."""
 
     def close(self) -> None:
-        """Stop the motors where they are and let go of the hardware."""
+        """Stop the motors where they are and let go of the hardware; never raises."""
 
 
 class RigFinished(Exception):

@@ -165,7 +165,7 @@ def _find(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dic
             continue
         optional = item not in ("time", "proximal_tension") and columns.is_standard(item)
         close = difflib.get_close_matches(name, spare, 1, 0.88 if optional else 0.6)
-        meant = f"; is it {close[0]!r}? Then rename that" if close else ""
+        meant = f"; is it {close[0]!r}? Then rename it, its unit converted" if close else ""
         if close or not optional:
             has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
                 len(raw.columns) > NAMES_SHOWN
@@ -233,7 +233,8 @@ def _check(
     if (late := np.flatnonzero(periods <= 0.0)).size:
         row = int(late[0]) + 1
         what = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
-        raise wrong("time", row, f"{what}; time must increase from row to row")
+        hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
+        raise wrong("time", row, f"{what}{hint}; time must increase from row to row")
     for item in ("proximal_tension", "distal_tension"):
         if item not in names:
             continue
@@ -241,7 +242,9 @@ def _check(
         row, low = int(np.abs(tension).argmax()), int(tension.argmin())
         peak = float(tension[row])
         if abs(peak) > TENSION_PEAK:
-            raise wrong(item, row, f"{peak:.6g} is no tendon's tension in newtons; is it N?")
+            raise wrong(
+                item, row, f"{peak:.6g} is no tendon's tension in newtons; is it in mN or g?"
+            )
         floor = NOISE_FLOOR + NOISE_SHARE * float(tension.max(initial=0.0))
         if tension[low] < -floor:
             what = f"{float(tension[low]):.6g} N: a tendon cannot push"

@@ -2,14 +2,15 @@
 
 import argparse
 import importlib
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import NoReturn
 
 from teleop import compile_cache
 from teleop.errors import TeleopError, UsageError
-from teleop.process import die_with_parent, supervised
+from teleop.process import INTERRUPTED, die_with_launcher
 
 # name -> (module with add_arguments and main, what it does); only the one that runs is imported
 COMMANDS = {
@@ -26,6 +27,9 @@ COMMANDS = {
     "simulate": ("slave.simulate", "write data as a simulated rig would measure it"),
     "doctor": ("teleop.doctor", "check this machine and name what is missing"),
 }
+
+
+COMPILED = {"run", "slave", "estimate", "simulate"}  # commands that import the estimator
 
 
 class Parser(argparse.ArgumentParser):
@@ -57,24 +61,40 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
     return parser
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the program; returns its exit code (0 fine, 1 a fault, 2 wrong usage or input)."""
+def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda: None) -> int:
+    """Run the program; returns its exit code (0 fine, 1 a fault, 2 wrong usage or input).
+
+    `begin` is called when all is imported and understood, and the command is about to run.
+    """
+    open_missing_streams()
     words = list(sys.argv[1:] if argv is None else argv)
     command = words[0] if words and words[0] in COMMANDS else None
-    if supervised():
-        die_with_parent()
-    compile_cache.choose()
     try:
+        die_with_launcher()
+        if command in COMPILED:
+            compile_cache.choose()
         args = build_parser(command).parse_args(words)
+        begin()
         return int(args.main(args))
     except TeleopError as error:
         print(f"teleop: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:  # before there was a loop to stop
-        return 130
+        return INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output left; nothing more to say
         return 0
+
+
+def open_missing_streams() -> None:
+    """Replace standard streams that were closed at the start, which Python gives as None.
+
+    In the order of their numbers: a file takes the lowest number that is free, and a socket or a
+    recording must not become standard output.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - open until the end
 
 
 if __name__ == "__main__":

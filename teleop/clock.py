@@ -22,7 +22,7 @@ class Tick:
     """One point of the grid: its index, its time and the time since the last one that ran."""
 
     index: int
-    stamp_ns: int  # when the tick really began
+    stamp_ns: int  # when the tick really began, as `now_ns` gives it
     dt: float  # [s] since the previous tick; a whole number of periods
 
 
@@ -44,11 +44,13 @@ class TickStats:
 
 
 class Grid:
-    """An absolute time grid: ticks fall on `(k + phase) * period`, counted from the Unix epoch.
+    """An absolute time grid: ticks fall on `(k + phase) * period` of the machine's monotonic clock.
 
-    So two loops of one machine keep a known distance: with the slave half a period behind the
-    master, each hears the other's newest word well before its own tick, and a command comes back as
-    a force after exactly one period. Unaligned grids took one or two, by luck, for a whole run.
+    All processes of a machine have that clock in common, whatever was done to the system clock
+    between their starts. So two loops of one machine keep a known distance: with the slave half a
+    period behind the master, each hears the other's newest word well before its own tick, and a
+    command comes back as a force after exactly one period. Unaligned grids took one or two, by
+    luck, for a whole run.
 
     A tick whose work outlasts its period makes the grid skip whole periods and count them; it never
     catches up with a burst, because a burst of forces is not what a late force was.
@@ -62,7 +64,7 @@ class Grid:
     stop : callable
         Asked before each tick; the iteration ends when it returns true.
     now, sleep : callable
-        Injected by tests; the process's clock otherwise.
+        Injected by tests; the machine's monotonic clock [ns] otherwise.
     """
 
     def __init__(
@@ -70,7 +72,7 @@ class Grid:
         rate_hz: float,
         stop: Callable[[], bool],
         phase: float = 0.0,
-        now: Callable[[], int] = now_ns,
+        now: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.period_ns = round(1e9 / rate_hz)
@@ -92,7 +94,7 @@ class Grid:
             stats.first_ns = stats.first_ns or begin
             stats.last_ns = begin
             stats.lateness_max_ns = max(stats.lateness_max_ns, begin - target)
-            yield Tick(index, begin, (1 + skipped) * period * 1e-9)
+            yield Tick(index, _ANCHOR_NS + begin, (1 + skipped) * period * 1e-9)
             skipped = max(0, (self._now() - target) // period)
             stats.overruns += skipped
             target += (1 + skipped) * period

@@ -5,36 +5,67 @@ change in one module it would go on running old code that another module had com
 named after all our sources has no old code in it.
 """
 
+import contextlib
 import hashlib
 import os
 import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 KEPT = 3  # folders of former states, for going back and forth between two
 _COMPILED = ("estimator", "slave/plant")
+_NAME = "tendon-teleop"
 
 
 def choose() -> Path | None:
     """Name the folder in the environment, before numba is imported, and forget the oldest ones.
 
-    Where no folder can be made, numba is left to its own ways and None is returned.
+    A folder that the user has named in `NUMBA_CACHE_DIR` is left alone. Where no folder can be
+    made, numba is left to its own ways and None is returned.
     """
+    if named := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(named)
+    state = _state()
+    for caches in _places():
+        folder = caches / state
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            os.utime(folder)
+            for old in sorted(caches.iterdir(), key=_last_used)[: -1 - KEPT]:
+                shutil.rmtree(old, ignore_errors=True)
+        except OSError:
+            continue
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        return folder
+    return None
+
+
+def _state() -> str:
+    """Return a word that changes with the sources of what is compiled."""
     root = Path(__file__).parents[1]
     sources = sorted(path for name in _COMPILED for path in (root / name).rglob("*.py"))
-    state = hashlib.sha256(
-        "".join(f"{p} {p.stat().st_mtime_ns} {p.stat().st_size}\n" for p in sources).encode()
-    ).hexdigest()[:16]
-    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tendon-teleop"
-    folder = caches / state
+    text = "".join(f"{p} {p.stat().st_mtime_ns} {p.stat().st_size}\n" for p in sources)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _places() -> Iterator[Path]:
+    """Yield the folders to try: of the user's caches, then one for temporary files."""
+    named = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if named.is_absolute():
+        yield named / _NAME
+    with contextlib.suppress(RuntimeError):  # a user id without a home
+        yield Path.home() / ".cache" / _NAME
+    private = Path(tempfile.gettempdir()) / f"{_NAME}-{os.getuid()}"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
+        private.mkdir(mode=0o700, exist_ok=True)
+        found = private.lstat()
     except OSError:
-        return None
-    for old in sorted(caches.iterdir(), key=_last_used)[: -1 - KEPT]:
-        shutil.rmtree(old, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    return folder
+        return
+    # code is loaded from there: nobody else may have made it or write to it
+    if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
+        yield private
 
 
 def _last_used(folder: Path) -> int:

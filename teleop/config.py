@@ -42,6 +42,7 @@ MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 T = TypeVar("T")
 
 _FIELD_FIRST = re.compile(r"^(?P<field>[A-Za-z_]\w*)(?P<rest>[\w.\[\]]*): (?P<what>.*)$", re.DOTALL)
+_INDEX = re.compile(r"0|[1-9][0-9]{0,8}")
 _MISSING = object()
 
 
@@ -143,7 +144,7 @@ class _Source:
             last = depth == len(override.keys) - 1
             slot: Any = key
             if isinstance(node, list):
-                if not key.isdigit() or int(key) >= len(node):
+                if not _INDEX.fullmatch(key) or int(key) >= len(node):
                     raise self.error(
                         override.keys, f"the list has {len(node)} items, counted from 0"
                     )
@@ -287,7 +288,7 @@ class _Builder:
         bases: tuple[Any, ...] = ()
         if isinstance(data, dict) and data and isinstance(preset, tuple):  # --set key.0.name=...
             bases, changed = preset, data
-            if not all(str(k).isdigit() and int(k) < len(bases) for k in changed):
+            if not all(_INDEX.fullmatch(str(k)) and int(k) < len(bases) for k in changed):
                 count = f"the list has {len(bases)} items, counted from 0"
                 raise self.source.error((*keys, str(next(iter(changed)))), count)
             data = [changed.get(str(i), base) for i, base in enumerate(bases)]

@@ -6,27 +6,19 @@ Essential checks that fail make the exit code 1; the others are advice.
 import argparse
 import os
 import platform
+import re
 import shutil
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 from teleop.clock import Grid
+from teleop.process import has_display
 
-PACKAGES = (
-    "eclipse-zenoh",
-    "numpy",
-    "scipy",
-    "numba",
-    "hidapi",
-    "rerun-sdk",
-    "pyyaml",
-    "mcap",
-    "pyarrow",
-)
+DISTRIBUTION = "tendon-teleop"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +43,19 @@ def python_version() -> Finding:
     )
 
 
+def dependencies() -> list[str]:
+    """Return the names of the packages that this one cannot do without."""
+    try:
+        lines = requires(DISTRIBUTION) or []
+    except PackageNotFoundError:
+        return []
+    return [re.split(r"[^\w.-]", line)[0] for line in lines if "extra ==" not in line]
+
+
 def packages() -> Finding:
     """Check that each dependency is installed."""
     missing = []
-    for name in PACKAGES:
+    for name in (DISTRIBUTION, *dependencies()):
         try:
             version(name)
         except PackageNotFoundError:
@@ -107,10 +108,7 @@ def timing(seconds: float = 1.0) -> Finding:
 
 def screen() -> Finding:
     """Check for a display; without one the view goes to a web page."""
-    there = (
-        bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-        or sys.platform != "linux"
-    )
+    there = has_display()
     return Finding("screen", there, "found" if there else "none", "use --view web or --view rrd")
 
 

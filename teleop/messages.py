@@ -35,6 +35,8 @@ TEXT_BYTES = 256
 
 # What TendonState.phase counts, in the paper's words
 PHASE_NAMES = ("slack", "virgin", "pull", "pull to release", "release", "release to pull")
+# The bits of SlaveState.status and TendonState.status, lowest first: estimator.online.Status
+STATUS_NAMES = ("tension only", "uninitialised", "tip moved", "slack", "invalid input")
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
 _CHECKED_FROM = len(ENCAPSULATION) + 4  # the checksum covers all that follows it
@@ -201,6 +203,8 @@ class Schema:
 
 def padded(values: Sequence[float], size: int) -> tuple[float, ...]:
     """Return `values` filled up with zeros to the `size` of an array field."""
+    if len(values) > size:
+        raise ValueError(f"{len(values)} values do not fit into a field of {size}")
     return (*values, *(0.0,) * (size - len(values)))
 
 
@@ -211,8 +215,12 @@ def text_bytes(text: str) -> tuple[int, ...]:
 
 
 def text_of(raw: tuple[int, ...]) -> str:
-    """Return the text in a `TextBytes` field."""
-    return bytes(raw).rstrip(b"\0").decode(errors="replace")
+    """Return the text in a `TextBytes` field, on one line.
+
+    What could steer a terminal (control characters, changes of writing direction) becomes a space.
+    """
+    text = bytes(raw).rstrip(b"\0").decode(errors="replace")
+    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,7 +246,8 @@ class SlaveState(Message):
     force: Joints = NO_JOINTS  # [N] estimated distal force, positive = against pulling
     force_low: Joints = NO_JOINTS  # [N] the certified interval's ends
     force_high: Joints = NO_JOINTS  # [N]
-    status: JointFlags = NO_JOINT_FLAGS  # estimator status flags, all tendons of the joint
+    status: JointFlags = NO_JOINT_FLAGS  # bits named by STATUS_NAMES, all tendons of the joint
+    sample_age_ns: I64 = 0  # since the newest sample that could be used; 0 while there is none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,7 +258,9 @@ class TendonState(Message):
     time_s: F64 = 0.0  # rig time of the sample; one message a sample, however many ticks it lasts
     proximal_tension: Tendons = NO_TENDONS  # [N] measured at the housing
     proximal_displacement: Tendons = NO_TENDONS  # [m] NaN where there is no encoder
-    commanded_displacement: Tendons = NO_TENDONS  # [m] what the gate let through to the motors
+    commanded_displacement: Tendons = (
+        NO_TENDONS  # [m] let through by the gate; NaN until engaged once
+    )
     distal_tension: Tendons = NO_TENDONS  # [N] estimated
     distal_tension_low: Tendons = NO_TENDONS  # [N]
     distal_tension_high: Tendons = NO_TENDONS  # [N]

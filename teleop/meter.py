@@ -28,7 +28,8 @@ class LoopMeter:
         """Return the report that is due at `stamp_ns`, or None."""
         if stamp_ns < self._due_ns:
             return None
-        self._due_ns += REPORT_PERIOD_NS
+        periods = 1 + (stamp_ns - self._due_ns) // REPORT_PERIOD_NS  # several after a stall
+        self._due_ns += periods * REPORT_PERIOD_NS
         stats = self._grid.stats
         rate_hz = (stats.ticks - self._ticks) * 1e9 / (stamp_ns - self._since_ns)
         self._ticks, self._since_ns = stats.ticks, stamp_ns

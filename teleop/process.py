@@ -1,7 +1,10 @@
-"""What each of our processes does around its loop: when to stop, real time, what it leaves."""
+"""What each of our processes does around its work: when to stop, real time, what it leaves."""
 
+import argparse
+import contextlib
 import ctypes
 import json
+import math
 import os
 import signal
 import sys
@@ -10,11 +13,14 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from teleop.errors import TeleopError, UsageError
+
 _PR_SET_PDEATHSIG = 1
 _MCL_CURRENT_AND_FUTURE = 3
 
 
-SUPERVISED = "TELEOP_SUPERVISED"  # set by the launcher in the environment of its children
+INTERRUPTED = 128 + signal.SIGINT  # exit code of a command that was told to end before it began
+SUPERVISED = "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
 
 
 def supervised() -> bool:
@@ -48,10 +54,24 @@ class Stop:
         self.request(signal.Signals(number).name)
 
 
-def die_with_parent() -> None:
-    """Ask Linux to end this process when its parent dies; elsewhere nothing can be asked."""
+def die_with_parent(parent: int) -> None:
+    """Ask Linux to end this process when its parent dies; elsewhere nothing can be asked.
+
+    Raises
+    ------
+    TeleopError
+        The process `parent` had died before this was asked.
+    """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        raise TeleopError(f"the process that started this one ({parent}) has ended")
+
+
+def die_with_launcher() -> None:
+    """End this process when the launcher that started it dies, if one did."""
+    if supervised():
+        die_with_parent(int(os.environ[SUPERVISED]))
 
 
 def go_realtime(priority: int = 20) -> list[str]:
@@ -68,11 +88,76 @@ def go_realtime(priority: int = 20) -> list[str]:
     return granted
 
 
-def write_summary(path: str | None, summary: dict[str, Any]) -> None:
-    """Write `summary` as JSON to `path`, whole or not at all."""
+def has_display() -> bool:
+    """Return whether a window can be opened here."""
+    if sys.platform != "linux":
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def seconds(text: str) -> float:
+    """Read a duration [s] from the command line: the `type` of an argument."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value <= 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
+    return value
+
+
+def folder(text: str) -> str:
+    """Read the name of a folder to write into: the `type` of an argument."""
+    if not text:
+        raise argparse.ArgumentTypeError("the name of the folder is empty")
+    return text
+
+
+def destination(text: str) -> Path:
+    """Read the name of a file to be written: the `type` of an argument.
+
+    It is found out now, not after an hour of running, that no file can be written there.
+    """
+    path = Path(text)
+    try:
+        if path.is_dir():
+            raise argparse.ArgumentTypeError(f"{text!r} is a folder, not a file")
+        if not _is_special(path):
+            partial = _partial(path.resolve())
+            partial.touch()
+            partial.unlink()
+    except OSError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} cannot be written: {error.strerror}") from error
+    return path
+
+
+def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
+    """Write `summary` as JSON to `path`, whole or not at all; `UsageError` if that cannot be."""
     if path is None:
         return
-    target = Path(path)
-    partial = target.with_name(target.name + ".partial")
-    partial.write_text(json.dumps(summary, indent=2) + "\n")
-    partial.replace(target)
+    text = json.dumps(summary, indent=2) + "\n"
+    try:
+        target = Path(path)
+        if _is_special(target):
+            target.write_text(text)
+            return
+        target = target.resolve()  # a link stays one
+        partial = _partial(target)
+        try:
+            partial.write_text(text)
+            partial.replace(target)
+        except OSError:
+            with contextlib.suppress(OSError):
+                partial.unlink()
+            raise
+    except OSError as error:
+        raise UsageError(f"{path}: the summary cannot be written: {error.strerror}") from error
+
+
+def _is_special(path: Path) -> bool:
+    """Return whether this is a pipe or a device, which is written to and never replaced."""
+    return path.exists() and not path.is_file()
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(f".{path.name[:200]}.{os.getpid()}.partial")

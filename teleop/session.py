@@ -63,6 +63,7 @@ class Reason(IntEnum):
     PEER_NOT_READY = 3, "the other side is not ready"
     RELEASE_FIRST = 4, "the engage switch must be let go of first"
     RELEASED = 5, "the engage switch was let go of"
+    PEER_ENDED = 6, "the other side has ended"
 
     PEER_SILENT = 20, "the other side fell silent"
     PEER_FAULT = 21, "the other side is at fault"
@@ -122,6 +123,8 @@ def switch_of(master: State) -> bool:
 
 def step(session: Session, inputs: Inputs, dt: float) -> Session:
     """Return the session after one tick, `dt` [s] after the last."""
+    if inputs.fault == Reason.RIG_FINISHED:
+        return Session(State.OFF, inputs.fault)
     if inputs.fault != Reason.NONE:
         first = session.reason if session.state == State.FAULT else inputs.fault
         return Session(State.FAULT, first)
@@ -177,6 +180,8 @@ def _engaged(session: Session, inputs: Inputs, dt: float) -> Session:
         return replace(session, followed=True)
     if inputs.peer_state == State.FAULT:
         return Session(State.FAULT, Reason.PEER_FAULT)
+    if inputs.peer_state == State.OFF:
+        return Session(State.READY, Reason.PEER_ENDED)
     if session.followed:
         return Session(State.FAULT, Reason.PEER_LEFT)
     waited_s = session.waited_s + dt

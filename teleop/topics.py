@@ -31,6 +31,14 @@ class Role(IntEnum):
     VIEWER = 4
 
 
+def role_name(number: int) -> str:
+    """Return the name of a role; its number if it is a newer one than ours."""
+    try:
+        return Role(number).name.lower()
+    except ValueError:
+        return f"role_{number}"
+
+
 M = TypeVar("M", bound=Message)
 
 

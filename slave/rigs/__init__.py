@@ -3,18 +3,22 @@
 from collections.abc import Callable
 from typing import Any
 
-from slave.rig import Rig
+from slave.rig import Rig, RigFault
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
+from teleop.errors import UsageError
 
 RigConfig = SimulatedRigConfig | ReplayedRigConfig
 
-_RIGS: dict[type[Any], Callable[[Any], Rig]] = {
+RIGS: dict[type[Any], Callable[[Any], Rig]] = {
     SimulatedRigConfig: SimulatedRig,
     ReplayedRigConfig: ReplayedRig,
 }
 
 
 def open_rig(config: RigConfig) -> Rig:
-    """Open the rig that `config` describes."""
-    return _RIGS[type(config)](config)
+    """Open the rig that `config` describes; `UsageError` if it is not there."""
+    try:
+        return RIGS[type(config)](config)
+    except RigFault as fault:
+        raise UsageError(f"slave.rig: {fault}") from fault

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from slave.rig import RigFinished, RigSample
 from slave.table import Columns, read_tables
-from teleop.messages import MAX_TENDONS
+from teleop.messages import MAX_JOINTS
 
 Array = NDArray[np.float64]
 
@@ -26,8 +26,8 @@ class ReplayedRigConfig:
 
     def __post_init__(self) -> None:
         """Refuse a rig that messages cannot carry."""
-        if not 1 <= len(self.tendons) <= MAX_TENDONS:
-            raise ValueError(f"tendons: must be 1 to {MAX_TENDONS}")
+        if not 1 <= len(self.tendons) <= MAX_JOINTS:
+            raise ValueError(f"tendons: must be 1 to {MAX_JOINTS}, one a joint")
         if len({columns.time for columns in self.tendons}) > 1:
             raise ValueError("tendons: all must have the same time column")
 
@@ -41,6 +41,8 @@ class ReplayedRig:
     is written to them has no effect.
     """
 
+    starts_at_zero = True  # the motors are not there, so nowhere is a wrong place to start
+
     def __init__(self, config: ReplayedRigConfig) -> None:
         tables = read_tables(config.file, config.tendons, config.drop_nonfinite)
         self.tendons = len(tables)
@@ -50,7 +52,7 @@ class ReplayedRig:
         self._displacement = _beside([table.proximal_displacement for table in tables])
         self._bench_tension = _beside([table.distal_tension for table in tables])
         self._bench_displacement = _beside([table.distal_displacement for table in tables])
-        self._next = 0
+        self._next = self._played = 0
         self._lap = 0.0  # [s] added to the rows' times, in a loop
         gaps = np.diff(self._time)
         self._seam = float(np.median(gaps)) if gaps.size else 1.0  # [s] from last row to first
@@ -69,12 +71,17 @@ class ReplayedRig:
                 break
             rows.append(self._sample(self._next))
             self._next += 1
+        self._played += len(rows)
         if not rows and self._next == len(self._time):
             raise RigFinished("the last row has been played")
         return tuple(rows)
 
     def write(self, proximal_displacement: Array) -> None:
         """Do nothing: the motors of measured data have moved already."""
+
+    def summary(self) -> dict[str, int | float | str]:
+        """Return how much was played."""
+        return {"rows": len(self._time), "played": self._played}
 
     def close(self) -> None:
         """Do nothing: the file was read when the rig was opened."""

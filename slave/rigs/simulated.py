@@ -70,6 +70,8 @@ class SimulatedRig:
         Reads that came so late that the plant went in longer steps than its period.
     """
 
+    starts_at_zero = True
+
     def __init__(self, config: SimulatedRigConfig) -> None:
         self.tendons = len(config.joints)
         self.coarse_reads = 0
@@ -99,6 +101,10 @@ class SimulatedRig:
         if len(targets) != self.tendons or not all(map(math.isfinite, targets)):
             raise RigFault(f"motors cannot follow {targets}: {self.tendons} finite values needed")
         self._targets = targets
+
+    def summary(self) -> dict[str, int | float | str]:
+        """Return how often the plant was not simulated in full."""
+        return {"coarse_reads": self.coarse_reads}
 
     def close(self) -> None:
         """Leave the motors where they are; there is nothing to let go of."""

@@ -16,9 +16,9 @@ class StatusLine:
     Without a terminal the line is left out, and ordinary lines are printed as they come.
     """
 
-    def __init__(self, stream: TextIO = sys.stdout) -> None:
-        self._stream, self._line = stream, ""
-        self._live = stream.isatty()
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream, self._line = stream or sys.stdout, ""
+        self._live = self._stream.isatty()
         self._lock = threading.Lock()
 
     def say(self, text: str) -> None:
@@ -56,6 +56,6 @@ def status_text(
             )
     if state and state.joints:
         parts.append("force " + " ".join(f"{f:6.2f}" for f in state.force[: state.joints]) + " N")
-    if tendons and tendons.tendons:
+    if tendons and tendons.tendons and tendons.phase[0] < len(PHASE_NAMES):
         parts.append(PHASE_NAMES[tendons.phase[0]])
     return " │ ".join(parts)

@@ -15,13 +15,19 @@ def read_child(path: Path) -> dict[str, Any] | None:
     return content
 
 
+def ran(loop: Mapping[str, Any] | None) -> bool:
+    """Return whether a loop's summary tells of a loop that ran."""
+    return bool(loop and loop["ticks"])
+
+
 def lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return the summary as text, one fact a line."""
+    """Return the summary as text, one fact a line; of a loop that never ran there is none."""
     out = []
     for role in ("slave", "master"):
         loop = summary.get(role)
-        if not loop:
+        if role in summary and loop is None:
             out.append(f"{role:9} left no summary (killed?)")
+        if loop is None or not ran(loop):
             continue
         out.append(
             f"{role:9} {loop['rate_hz']:.1f} Hz over {loop['seconds']:.1f} s, "
@@ -42,7 +48,9 @@ def lines(summary: Mapping[str, Any]) -> list[str]:
             f"          bare Zenoh ping-pong, same sizes: p50 {ping['p50_ms']:.2f} ms, "
             f"p99 {ping['p99_ms']:.2f} ms, p99.9 {ping['p99_9_ms']:.2f} ms"
         )
-    out.append(f"force     {force_line((summary.get('slave') or {}).get('force_error'))}")
+    slave = summary.get("slave")
+    if slave is not None and ran(slave):
+        out.append(f"force     {force_line(slave.get('force_error'))}")
     recorder = summary.get("record")
     if recorder:
         gaps = sum(recorder["gaps"].values())

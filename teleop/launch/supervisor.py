@@ -10,10 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from teleop.errors import UsageError
 from teleop.process import SUPERVISED
 
+VITAL = ("master", "slave")  # a session does without the others
 COMPLAINT = "teleop: "  # what the command line begins the one line of an error with
 _PATIENCE_S = 5.0  # a child that has not ended by then is killed
+_READ_S = 1.0  # what a child that has ended still had to say is there by then
 
 
 @dataclass
@@ -31,12 +34,28 @@ class Child:
         """Exit code, negative for a signal, None while it runs."""
         return self.process.poll()
 
+    @property
+    def fatal(self) -> bool:
+        """Whether its end is that of the session: it was vital, or wrongly called (by us)."""
+        code = self.exit_code
+        return code is not None and (self.name in VITAL or code == UsageError.exit_code)
+
+    def hear_out(self) -> None:
+        """Wait for the last of what a child that has ended had printed."""
+        for thread in self.threads:
+            thread.join(_READ_S)
+
+    def how(self) -> str:
+        """Return in what way it ended."""
+        code = self.exit_code or 0
+        return f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+
 
 class Supervisor:
     """Starts children with `teleop COMMAND ...`, relays what they print, and ends them.
 
     Children live in sessions of their own, so that Ctrl-C reaches the launcher alone and it decides
-    the order of ending. Each child ends by itself when the launcher is gone (`die_with_parent`).
+    the order of ending. Each child ends by itself when the launcher is gone (`die_with_launcher`).
 
     Parameters
     ----------
@@ -49,17 +68,18 @@ class Supervisor:
     def __init__(self, scratch: Path, say: Callable[[str, str], None]) -> None:
         self.children: dict[str, Child] = {}
         self._scratch, self._say = scratch, say
+        self._missed: set[str] = set()
 
     def start(self, name: str, arguments: Sequence[str]) -> Child:
         """Start `teleop NAME ARGUMENTS --json ...`."""
         summary = self._scratch / f"{name}.json"
         process = subprocess.Popen(
-            [sys.executable, "-m", "teleop.cli", name, *arguments, "--json", str(summary)],
+            [sys.executable, "-m", "teleop", name, *arguments, "--json", str(summary)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            env=os.environ | {SUPERVISED: "1"},
+            env=os.environ | {SUPERVISED: str(os.getpid())},
             start_new_session=True,
         )
         child = Child(name, process, summary)
@@ -69,9 +89,18 @@ class Supervisor:
         self.children[name] = child
         return child
 
-    def ended(self) -> list[Child]:
-        """Return the children that have ended."""
-        return [child for child in self.children.values() if child.exit_code is not None]
+    def casualty(self) -> Child | None:
+        """Return a child whose end is that of the session; say of any other that it is gone."""
+        for child in self.children.values():
+            if child.exit_code is None or child.name in self._missed:
+                continue
+            child.hear_out()
+            if child.fatal:
+                return child
+            self._missed.add(child.name)
+            why = child.complaint or f"ended {child.how()}"
+            self._say(child.name, f"{why}; the session goes on")
+        return None
 
     def stop(self, order: Sequence[str]) -> None:
         """End the children in `order`, each given time to finish its work."""
@@ -80,23 +109,23 @@ class Supervisor:
             if child is None:
                 continue
             if child.exit_code is None:
-                child.process.send_signal(signal.SIGINT)
+                child.process.terminate()
             try:
                 child.process.wait(_PATIENCE_S)
             except subprocess.TimeoutExpired:
                 self._say(name, f"did not end within {_PATIENCE_S:g} s and was killed")
                 child.process.kill()
                 child.process.wait()
-            for thread in child.threads:
-                thread.join(1.0)
+            child.hear_out()
 
     def _relay(self, child: Child) -> None:
         assert child.process.stdout is not None  # noqa: S101 - given as PIPE above
-        for line in map(str.rstrip, child.process.stdout):
-            if line.startswith(COMPLAINT):
-                child.complaint = line.removeprefix(COMPLAINT)
-            else:
-                self._say(child.name, line)
+        with child.process.stdout as lines:
+            for line in map(str.rstrip, lines):
+                if line.startswith(COMPLAINT):
+                    child.complaint = line.removeprefix(COMPLAINT)
+                else:
+                    self._say(child.name, line)
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:

@@ -106,7 +106,7 @@ class Link:
         """Begin to receive `topic`; call it before a loop so that the first tick does not."""
         if topic.publisher is None:
             raise ValueError(f"{topic.name} has several publishers, so no one latest value")
-        latest = Latest(topic, lambda nonce: self._announced(topic, nonce))
+        latest = Latest(topic, lambda nonce: self._visit(topic, nonce))
         ring = self._zenoh.declare_subscriber(self._key(topic), zenoh.handlers.RingChannel(RING))
         self._subscribers.append(ring)
         self._latest[topic.name] = latest, ring.try_recv
@@ -127,7 +127,7 @@ class Link:
 
     def listen(self, topics: Iterable[Topic[Any]]) -> Listener:
         """Return a queue of everything published on `topics` from now on."""
-        listener = Listener(self._announced)
+        listener = Listener(self._visit)
         for topic in topics:
             subscriber = self._zenoh.declare_subscriber(self._key(topic), listener.store(topic))
             self._subscribers.append(subscriber)
@@ -150,8 +150,8 @@ class Link:
     def _key(self, topic: Topic[Any]) -> str:
         return f"teleop/{self.session}/{topic.name}"
 
-    def _announced(self, topic: Topic[Any], nonce: int) -> bool:
-        return topic.publisher is not None and self._roster.present(topic.publisher, nonce)
+    def _visit(self, topic: Topic[Any], nonce: int) -> int:
+        return 0 if topic.publisher is None else self._roster.visit(topic.publisher, nonce)
 
     def _declare(self, topic: Topic[Any], patient: bool = False) -> "_Publisher":
         """Declare the publisher of a topic, which must be this role's."""

@@ -31,9 +31,9 @@ class Listener:
     more than `BACKLOG` messages loses the oldest, which shows as a gap and is counted as lost.
     """
 
-    def __init__(self, announced: Callable[[Topic[Any], int], bool]) -> None:
+    def __init__(self, visit: Callable[[Topic[Any], int], int]) -> None:
         self._queue: deque[tuple[Topic[Any], bytes, int]] = deque(maxlen=BACKLOG)
-        self._announced = announced
+        self._visit = visit
         self._receptions: dict[tuple[str, int], Reception] = {}
 
     def store(self, topic: Topic[Any]) -> Callable[[zenoh.Sample], None]:
@@ -67,6 +67,6 @@ class Listener:
         if key not in self._receptions:
             self._receptions[key] = Reception(
                 topic,
-                (lambda nonce: self._announced(topic, nonce)) if sender == 0 else (lambda _: True),
+                (lambda nonce: self._visit(topic, nonce)) if sender == 0 else (lambda _: 1),
             )
         return self._receptions[key]

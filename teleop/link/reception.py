@@ -43,16 +43,17 @@ class Reception:
     ----------
     topic : Topic
         What it should be.
-    announced : callable
-        Whether the sender of a given nonce is now present in the role that publishes this topic.
+    visit : callable
+        Which visit of the sender of a given nonce this is, in the role that publishes this topic:
+        0 while it is not announced, 1 when it first is, one more each time it has come back.
     """
 
-    def __init__(self, topic: Topic[M], announced: Callable[[int], bool]) -> None:
+    def __init__(self, topic: Topic[M], visit: Callable[[int], int]) -> None:
         self.counts = Counts()
         self.sender: int | None = None
         self.sequence = 0
         self._schema = topic.message.schema
-        self._announced = announced
+        self._visit = visit
 
     def admit(self, data: bytes, overflowed: bool = False) -> Head | None:
         """Return the head of `data` if it is let in, else None.
@@ -81,10 +82,10 @@ class Reception:
                 counts.overwritten += gap - 1
             else:
                 counts.lost += gap - 1
-        elif self.sender is not None and self._announced(self.sender):
+        elif self.sender is not None and self._visit(self.sender):
             counts.foreign += 1
             return None
-        elif not self._announced(head.sender):
+        elif not self._visit(head.sender):
             return None
         else:
             counts.restarts += self.sender is not None
@@ -106,13 +107,19 @@ class Latest(Generic[M]):
         age   = (now - seen) + (delay - least)
 
     The constant part of the travelling time cannot be seen this way and is not in it.
+
+    A machine that slept comes back with its clock behind, by far more than drift. It comes back
+    over a connection of its own, on which nothing old can be under way: its token has vanished and
+    returned, and `least` is learnt anew, as of a new sender.
     """
 
-    def __init__(self, topic: Topic[M], announced: Callable[[int], bool]) -> None:
+    def __init__(self, topic: Topic[M], visit: Callable[[int], int]) -> None:
         self.message: M | None = None
         self.new = False  # whether the last look brought a new message
         self.received_ns = 0  # when the message was first seen
-        self._reception = Reception(topic, announced)
+        self._reception = Reception(topic, visit)
+        self._visit = visit
+        self._seen_visit = (0, 0)  # sender, and which visit of it the clocks were compared in
         self._message = topic.message
         self._least_ns = 0
         self._late_ns = 0
@@ -134,7 +141,7 @@ class Latest(Generic[M]):
 
     def take(self, arrived: list[bytes], now_ns: int, overflowed: bool) -> None:
         """Take in what arrived since the last look, oldest first."""
-        before, newest, newest_head = self._reception.sender, None, None
+        newest, newest_head = None, None
         for data in arrived:
             head = self._reception.admit(data, overflowed)
             overflowed = False
@@ -144,10 +151,13 @@ class Latest(Generic[M]):
         if newest is None or newest_head is None:
             return
         delay = now_ns - newest_head.stamp_ns
-        if self._reception.sender == before:
+        sender, visit = newest_head.sender, self._visit(newest_head.sender)
+        known, seen = self._seen_visit
+        if sender == known and visit in (0, seen):  # 0: between two visits
             risen = self._least_ns + max(0, now_ns - self.received_ns) // DRIFT
             self._least_ns = min(risen, delay)
         else:
+            self._seen_visit = sender, visit
             self._least_ns = delay
         self._late_ns = delay - self._least_ns
         self.received_ns = now_ns

@@ -29,6 +29,7 @@ class Roster:
     def __init__(self, zenoh_session: zenoh.Session, session: str, nonce: int, relay: bool) -> None:
         self.others: frozenset[Token] = frozenset()  # replaced as a whole, so that reading is safe
         self._session, self._nonce, self._relay = session, nonce, relay
+        self._visits: dict[int, int] = {}  # nonce -> how many times it has come
         self._relayed: dict[Token, Any] = {}
         self._liveliness = zenoh_session.liveliness()
         self._watch: Any = self._liveliness.declare_subscriber(
@@ -42,6 +43,10 @@ class Roster:
             for t in self.others
         )
 
+    def visit(self, role: Role, nonce: int) -> int:
+        """Return which visit of `nonce` in `role` this is, from 1; 0 if it is not there now."""
+        return self._visits.get(nonce, 1) if self.present(role, nonce) else 0
+
     def close(self) -> None:
         """Stop watching; before the session is closed."""
         self._watch.undeclare()
@@ -51,6 +56,8 @@ class Roster:
         if token is None or token.nonce == self._nonce:
             return
         came = sample.kind == zenoh.SampleKind.PUT
+        if came and token not in self.others and token.stage == Stage.HELD and not token.relayed:
+            self._visits[token.nonce] = self._visits.get(token.nonce, 0) + 1
         self.others = self.others | {token} if came else self.others - {token}
         if self._relay and token.role == Role.MASTER and not token.relayed:
             if came and token not in self._relayed:

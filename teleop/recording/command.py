@@ -18,9 +18,8 @@ from typing import Any
 from teleop.clock import now_ns
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
-from teleop.errors import UsageError
 from teleop.link import Link
-from teleop.process import Stop, supervised, write_summary
+from teleop.process import Stop, destination, folder, seconds, supervised, write_summary
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.run_config import RunConfig
@@ -32,15 +31,15 @@ _NICENESS = 5  # where loops and recorder share a processor, the loops go first
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop record`."""
     add_config_arguments(parser)
-    parser.add_argument("--out", metavar="DIR", help="record into DIR (recordings)")
-    parser.add_argument("--duration", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--json", metavar="FILE", help="write the summary to FILE")
+    parser.add_argument("--out", type=folder, metavar="DIR", help="record into DIR (recordings)")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
     """Record until told to stop; returns the exit code."""
-    if args.duration is not None and not args.duration > 0:
-        raise UsageError(f"--duration {args.duration:g}: must be more than 0 s")
     run = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, RecordConfig, "record", args.overrides)
     if args.out:

@@ -17,15 +17,24 @@ from pathlib import Path
 from typing import Any
 
 from teleop import config as configuration
-from teleop.errors import TeleopError, UsageError
+from teleop.errors import TeleopError
 from teleop.link import Link
-from teleop.process import Stop, die_with_parent, write_summary
+from teleop.process import (
+    Stop,
+    destination,
+    has_display,
+    seconds,
+    supervised,
+    write_summary,
+)
+from teleop.recording.reader import open_recording
+from teleop.recording.replay import require_playable
 from teleop.run_config import RunConfig
 from teleop.topics import TOPICS, Role
 from teleop.view.config import ViewConfig
 from teleop.view.feed import Fed, Show, discard, from_link, from_recording
 from teleop.view.scene import Scene
-from teleop.view.sinks import MODES, Mode, Sink, has_display
+from teleop.view.sinks import MODES, Mode, Sink
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,8 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="stop after S seconds")
-    parser.add_argument("--json", metavar="FILE", help="write a summary as JSON")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="stop after S seconds")
+    parser.add_argument(
+        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -50,8 +61,8 @@ def main(args: argparse.Namespace) -> int:
     config = configuration.load(args.config, ViewConfig, "view", args.overrides)
     run = configuration.load(args.config, RunConfig, None, args.overrides)
     mode: Mode = args.view or ("native" if has_display() else "web")
-    if args.file is not None and not Path(args.file).is_file():
-        raise UsageError(f"{args.file}: no such recording")
+    if args.file is not None:
+        require_playable(open_recording(args.file))
     stop = Stop(args.duration)
     name = Path(args.file).stem if args.file else run.session
     summary: dict[str, Any] = {"session": run.session, "view": mode, "source": args.file or "link"}
@@ -63,7 +74,6 @@ def main(args: argparse.Namespace) -> int:
         if args.file is not None:
             fed = _show_recording(args.file, config, show, sink, stop)
         else:
-            die_with_parent()
             link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
             listener = link.listen(TOPICS)
             fed = from_link(listener, show, sink, stop, config.drain_hz, periods(sink, config))
@@ -75,7 +85,8 @@ def main(args: argparse.Namespace) -> int:
     write_summary(args.json, summary)
     if fed.fault:
         raise TeleopError(fed.fault)
-    print(f"View ended ({stop.reason}): {fed.received} messages, {fed.shown} shown", flush=True)
+    if not supervised():
+        print(f"View ended ({stop.reason}): {fed.received} messages, {fed.shown} shown", flush=True)
     return 0
 
 

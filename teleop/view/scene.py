@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from teleop.messages import PROFILE_POINTS, text_of
 from teleop.session import State
-from teleop.topics import EVENT, HAND, PROFILE, SHEATH, STATE, TENDONS, Role
+from teleop.topics import EVENT, HAND, PROFILE, SHEATH, STATE, TENDONS, role_name
 from teleop.view.batch import AnyTopic, Rows, split, thinned
 from teleop.view.colours import rgba
 from teleop.view.config import ViewConfig
@@ -200,11 +200,3 @@ class Scene:
         texts = [f"{role_name(int(row['role']))}: {text_of(tuple(row['text']))}" for row in rows]
         levels = ["ERROR" if row["state"] == State.FAULT else "INFO" for row in rows]
         self._columns("events", rows, rr.TextLog.columns(text=texts, level=levels))
-
-
-def role_name(number: int) -> str:
-    """Return the name of a role; its number if it is a newer one than ours."""
-    try:
-        return Role(number).name.lower()
-    except ValueError:
-        return f"role_{number}"

@@ -1,6 +1,5 @@
 """Where the scene goes: a window, a web page, a file, or nowhere."""
 
-import os
 import sys
 from contextlib import ExitStack
 from datetime import datetime
@@ -11,6 +10,7 @@ from typing import Literal, Self, get_args
 import rerun as rr
 
 from teleop.errors import UsageError
+from teleop.process import has_display
 from teleop.view.blueprint import default_blueprint
 from teleop.view.config import ViewConfig
 from teleop.view.page import Page
@@ -132,18 +132,12 @@ class Sink:
     def _open_file(self, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.touch()
+            with path.open("ab"):
+                pass
         except OSError as error:
             raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
         self._sinks.append(rr.FileSink(path))
         self.lines.append(f"View file: {path}")
-
-
-def has_display() -> bool:
-    """Return whether a window can be opened here."""
-    if sys.platform != "linux":
-        return True
-    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 def _new_file(config: ViewConfig, session: str) -> Path:

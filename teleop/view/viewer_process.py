@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -50,8 +51,9 @@ class ViewerProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=os.environ | {"XDG_CONFIG_HOME": str(folder), "RUST_LOG": "warn"},
-                preexec_fn=die_with_parent,  # noqa: PLW1509 - no other thread of ours runs yet
+                env=os.environ
+                | {"XDG_CONFIG_HOME": str(folder), "RUST_LOG": "warn", "NO_COLOR": "1"},
+                preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - no other thread of ours runs yet
                 start_new_session=True,  # Ctrl-C reaches us alone; we end it after the last data
             )
         self._wait_for(grpc_port)

@@ -134,7 +134,7 @@ HIDDEN = {
     "hidden load, then the motor pulls on": (2, 3, 4),
     "hidden load, then the motor releases": (2, 3, 4),
 }
-"""Legs at whose end the tip has changed and the housing has not told, or only in how stiff it is."""
+"""Legs at whose end the tip has changed and the housing tells nothing, or only by its stiffness."""
 
 
 def random_legs(rng, tip_moves=True):

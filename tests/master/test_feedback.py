@@ -12,8 +12,9 @@ FORCES = st.floats(-100.0, 100.0)
 BAD = st.sampled_from([math.nan, math.inf, -math.inf])
 
 
-def slave_state(*force, width=0.0, joints=None):
+def slave_state(*force, width=0.0, joints=None, status=0):
     return SlaveState(
+        status=(status, *(0,) * (MAX_JOINTS - 1)),
         joints=len(force) if joints is None else joints,
         force=padded(force, MAX_JOINTS),
         force_low=padded([f - width for f in force], MAX_JOINTS),
@@ -37,6 +38,29 @@ def test_a_force_that_is_no_number_is_not_turned_into_one(bad, source):
     assert not math.isfinite(wanted)
 
 
+@given(FORCES, FORCES, FORCES)
+def test_no_force_beyond_the_certified_interval_is_felt(force, one, other):
+    low, high = min(one, other), max(one, other)
+    felt = feedback.bounded(force, low, high)
+    assert low <= felt <= high
+    assert felt == force or not low <= force <= high
+    ends = {"force_low": padded((low,), MAX_JOINTS), "force_high": padded((high,), MAX_JOINTS)}
+    state = SlaveState(joints=1, force=padded((force,), MAX_JOINTS), **ends)
+    (wanted,) = feedback.step(FeedbackConfig(scale=0.1, limit=100.0), state, 1)
+    assert wanted == pytest.approx(-0.1 * felt)
+
+
+@pytest.mark.parametrize("source", ["estimate", "certified"])
+@pytest.mark.parametrize("force", [5.0, math.nan])
+def test_a_joint_whose_sample_was_refused_is_not_felt_and_the_others_are(source, force):
+    config = FeedbackConfig(scale=0.1, source=source)
+    for other_flags in (0, 0b1111):
+        state = slave_state(force, 5.0, status=feedback.INVALID | other_flags)
+        assert feedback.step(config, state, 2) == (0.0, -0.5)
+    merely_doubtful = slave_state(5.0, 5.0, status=0b1111)
+    assert feedback.step(config, merely_doubtful, 2) == (-0.5, -0.5)
+
+
 @given(FORCES, st.floats(0.0, 100.0))
 def test_the_certified_force_is_in_the_interval_and_nothing_there_is_smaller(middle, width):
     low, high = middle - width, middle + width
@@ -48,6 +72,7 @@ def test_the_certified_force_is_in_the_interval_and_nothing_there_is_smaller(mid
 @pytest.mark.parametrize("ends", [(1.0, -1.0), (math.nan, 1.0), (1.0, math.nan), (-1.0, math.nan)])
 def test_an_interval_that_is_none_certifies_nothing(ends):
     assert math.isnan(feedback.certified(*ends))
+    assert math.isnan(feedback.bounded(0.0, *ends))
 
 
 def test_uncertainty_softens_the_certified_force_only():

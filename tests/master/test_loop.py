@@ -23,12 +23,13 @@ def hand(position=0.0, engage=True, velocity=0.0):
     return HandState((position,), (velocity,), engage)
 
 
-def answer(now, state=State.ENGAGED, force=5.0, echo=None, sender=7):
+def answer(now, state=State.ENGAGED, force=5.0, echo=None, sender=7, sample_age=0):
     return SlaveState(
         sender=sender,
         stamp_ns=now,
         state=state,
         joints=1,
+        sample_age_ns=sample_age,
         echo_stamp_ns=now - MS if echo is None else echo,
         force=padded((force,), MAX_JOINTS),
         force_low=padded((force - 1.0,), MAX_JOINTS),
@@ -98,7 +99,7 @@ def test_releasing_lets_go_at_once_and_pressing_again_resumes_without_a_jump():
     assert run.output.command.position == pytest.approx(there)
 
 
-@pytest.mark.parametrize("how", ["silent", "never", "old answer", "unheard", "gone"])
+@pytest.mark.parametrize("how", ["silent", "never", "old answer", "unheard", "gone", "rig"])
 def test_a_stale_state_is_never_felt_and_is_a_fault(how):
     run = Run().engaged()
     now = run.now + MS
@@ -111,6 +112,8 @@ def test_a_stale_state_is_never_felt_and_is_a_fault(how):
         state = answer(now, echo=now - 100 * MS - 1)
     elif how == "unheard":
         state = answer(now, echo=0)
+    elif how == "rig":
+        state, age = answer(now, sample_age=20 * MS + 1), 10 * MS
     else:
         state = None
     output = run.tick(hand(), state, age)
@@ -128,9 +131,14 @@ def test_just_young_enough_is_felt():
     run = Run().engaged()
     now = run.now + MS
     assert run.tick(hand(), answer(now, echo=now - 100 * MS), 30 * MS).force != (0.0,)
+    now = run.now + MS
+    at_82_hz = answer(now, sample_age=13 * MS)
+    assert run.tick(hand(), at_82_hz, 17 * MS).force != (0.0,)
 
 
-@pytest.mark.parametrize("fault", [r for r in Reason if r >= Reason.DEVICE_FAULT])
+@pytest.mark.parametrize(
+    "fault", [r for r in Reason if r >= Reason.DEVICE_FAULT and r != Reason.RIG_FINISHED]
+)
 def test_a_fault_takes_the_force_away_in_the_same_tick_and_tells_the_slave(fault):
     run = Run().engaged()
     run.answered(hand())

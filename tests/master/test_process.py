@@ -42,6 +42,8 @@ class Line:
                 joints=1,
                 echo_stamp_ns=stamp,
                 force=padded((5.0,), 8),
+                force_low=padded((4.0,), 8),
+                force_high=padded((6.0,), 8),
             )
             data = state.pack(self.nonce, self.sequence, stamp)
             self.latest_state.take([data], now_ns(), overflowed=False)
@@ -272,8 +274,9 @@ def test_the_command_closes_its_device_and_tells_what_failed(monkeypatch, tmp_pa
 
 @pytest.mark.parametrize("duration", ["0", "-1", "nan", "inf"])
 def test_a_duration_that_is_none_is_refused(duration):
-    with pytest.raises(UsageError, match="--duration"):
-        process.main(arguments(f"--duration={duration}"))
+    with pytest.raises(SystemExit) as refused:
+        arguments(f"--duration={duration}")
+    assert refused.value.code == 2
 
 
 def test_the_help_shows_settings_that_exist():

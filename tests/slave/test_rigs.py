@@ -20,6 +20,7 @@ from slave.rigs.simulated import (
 from slave.table import Columns, read_table, write_table
 from teleop.config import load
 from teleop.errors import UsageError
+from teleop.messages import MAX_JOINTS
 
 QUIET = JointConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))
 
@@ -260,3 +261,20 @@ def test_a_file_that_cannot_be_right_does_not_become_a_rig(tmp_path):
     path.write_text("time_s,proximal_tension_N\n0,1\n0,2\n")
     with pytest.raises(UsageError, match="line 3"):
         open_rig(ReplayedRigConfig(file=path))
+
+
+def test_a_file_of_more_tendons_than_joints_can_be_is_refused(measured):
+    columns = tuple(Columns.of_tendon(k + 1) for k in range(MAX_JOINTS + 1))
+    ReplayedRigConfig(file=measured, tendons=columns[:-1])
+    with pytest.raises(ValueError, match=f"^tendons: must be 1 to {MAX_JOINTS}"):
+        ReplayedRigConfig(file=measured, tendons=columns)
+
+
+def test_measured_data_without_travel_can_be_played_and_tells_how_far(tmp_path):
+    path = tmp_path / "tension_only.csv"
+    write_table(path, {"time_s": np.arange(5) * 0.01, "proximal_tension_N": np.full(5, 2.0)})
+    rig = open_rig(ReplayedRigConfig(file=path))
+    (first, second) = rig.read(0.015)
+    assert first.proximal_displacement is second.proximal_displacement is None
+    assert rig.starts_at_zero
+    assert rig.summary() == {"rows": 5, "played": 2}

@@ -1,6 +1,7 @@
 """Our processes, started for a test on free loopback ports and ended with it."""
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -14,10 +15,12 @@ from typing import BinaryIO
 from teleop.launch.supervisor import wait_for
 from teleop.link import Link, LinkConfig
 from teleop.messages import Hand, SlaveState
+from teleop.process import SUPERVISED
 from teleop.session import State
 from teleop.topics import HAND, STATE, Role
 
 START_S = 120.0  # the first start of all compiles
+OURS = os.environ | {SUPERVISED: str(os.getpid())}  # environment of processes that end with us
 
 
 def free_ports(count: int) -> list[int]:
@@ -62,9 +65,10 @@ class Processes:
 
     def start(self, command: str, *arguments: str) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
-            [sys.executable, "-m", "teleop.cli", command, *self.shared, *arguments],
+            [sys.executable, "-m", "teleop", command, *self.shared, *arguments],
             stdout=self._log(command),
             stderr=subprocess.STDOUT,
+            env=OURS,
         )
         self.running[command] = process
         self._all.append(process)

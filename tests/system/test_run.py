@@ -12,21 +12,22 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from teleop.launch.supervisor import wait_for
 from teleop.messages import MESSAGES
 from teleop.recording.names import channel_name
 from teleop.recording.reader import read_columns
 from teleop.session import State
-from teleop.topics import HAND, TENDONS, TOPICS
-from tests.system.processes import START_S, Processes, free_ports, pause
+from teleop.topics import HAND, TENDONS, TOPICS, Role
+from tests.system.processes import OURS, START_S, Processes, free_ports, pause
 
 pytestmark = pytest.mark.system
 
 
-def run(config, folder, *arguments, wait=True):
+def run(config, folder, *arguments, wait=True, environment=OURS):
     master, slave = free_ports(2)
     process = subprocess.Popen(
         [
-            *(sys.executable, "-m", "teleop.cli", "run", "--config", str(config)),
+            *(sys.executable, "-m", "teleop", "run", "--config", str(config)),
             *("--set", f"link.master=tcp/127.0.0.1:{master}"),
             *("--set", f"link.slave=tcp/127.0.0.1:{slave}"),
             *("--json", str(folder / "run.json"), *arguments),
@@ -35,6 +36,7 @@ def run(config, folder, *arguments, wait=True):
         stderr=subprocess.PIPE,
         text=True,
         cwd=folder,
+        env=environment,
     )
     if not wait:
         return process
@@ -134,6 +136,45 @@ def test_a_wrong_value_is_found_before_anything_starts(demo_config, tmp_path):
     assert out == ""
     assert len(err.splitlines()) == 1
     assert "master.force.scale" in err
+
+
+def test_a_second_session_of_the_name_is_refused_before_it_leaves_a_trace(demo_config, tmp_path):
+    with Processes(tmp_path, demo_config) as first:
+        first.start("slave")
+        with first.look() as link:
+            assert wait_for(lambda: link.present(Role.SLAVE), START_S)
+        second = first.start("run", "--view", "none", "--record", str(tmp_path / "second"))
+        assert second.wait(30) == 2
+        assert not (tmp_path / "second").exists()
+        (line,) = (tmp_path / "1-run.log").read_text().splitlines()
+        assert "has a slave already" in line
+        assert first.running["slave"].poll() is None
+
+
+@pytest.mark.parametrize("delay_s", [0.2, 0.5, 1.0])
+def test_an_early_ctrl_c_is_quiet(demo_config, tmp_path, delay_s):
+    process = run(demo_config, tmp_path, "--view", "none", wait=False)
+    pause(delay_s)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in out + err
+    assert "killed" not in out
+    assert "ping-pong" not in out
+    assert not descendants_of(process.pid)
+
+
+def test_a_viewer_that_fails_is_done_without(demo_config, tmp_path):
+    broken = tmp_path / "rerun_cli"
+    broken.mkdir()
+    (broken / "__init__.py").touch()  # without the viewer program in it
+    environment = OURS | {"PYTHONPATH": str(tmp_path)}
+    code, out, err = run(
+        demo_config, tmp_path, "--duration", "1", "--view", "web", environment=environment
+    )
+    assert code == 0, out + err
+    assert "the session goes on" in out
+    assert "command to force" in out
 
 
 def test_a_second_master_is_refused(demo_config, tmp_path):

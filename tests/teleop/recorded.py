@@ -1,5 +1,6 @@
 """Messages as a listener hears them, links and commands, for tests of recordings."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -53,7 +54,9 @@ RUN = textwrap.dedent(
     """
     import argparse, importlib, sys
     from teleop.errors import TeleopError
+    from teleop.process import die_with_parent
 
+    die_with_parent(int(sys.argv.pop(1)))
     command = importlib.import_module(sys.argv[1])
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
@@ -70,7 +73,7 @@ def start(module: str, link: LinkConfig, *arguments: str) -> "subprocess.Popen[s
     """Start a command module as a process of its own."""
     ends = [f"--set=link.master={link.master}", f"--set=link.slave={link.slave}"]
     return subprocess.Popen(
-        [sys.executable, "-c", RUN, module, *arguments, *ends],
+        [sys.executable, "-c", RUN, str(os.getpid()), module, *arguments, *ends],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

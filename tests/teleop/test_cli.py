@@ -38,6 +38,66 @@ def test_wrong_words_get_one_line_and_exit_code_2(words, capsys):
     assert captured.out == ""
 
 
+@pytest.mark.parametrize("command", ["run", "master", "slave", "record", "view"])
+@pytest.mark.parametrize("option", ["--duration=-1", "--duration=inf", "--json=/no/where.json"])
+def test_every_command_refuses_a_wrong_duration_and_an_impossible_summary(command, option, capsys):
+    assert cli.main([command, option]) == 2
+    captured = capsys.readouterr()
+    assert option.split("=")[0] in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert captured.out == ""
+
+
+def test_only_commands_that_compile_look_for_a_place_to_keep_it(monkeypatch):
+    chosen = []
+    monkeypatch.setattr(cli.compile_cache, "choose", lambda: chosen.append(1))
+    for words in (["--help"], ["view", "--help"], ["master", "--help"], ["slave", "--help"]):
+        with pytest.raises(SystemExit):
+            cli.main(words)
+    assert chosen == [1]
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_are_no_defect(closed, tmp_path):
+    run = f"{sys.executable} -m teleop run --config no-such.yaml {closed}"
+    ended = subprocess.run(run, shell=True, capture_output=True, text=True, check=False)  # noqa: S602
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("teleop: no-such.yaml") or "2>&-" in closed
+    ended = subprocess.run(  # noqa: S602
+        f"{sys.executable} -m teleop doctor {closed}", shell=True, capture_output=True, check=False
+    )
+    assert ended.returncode in (0, 1)
+    assert ended.stderr == b""
+
+
+INTERRUPTED = """
+import os, signal, sys
+from teleop import __main__, cli
+
+def interrupt(*_):
+    os.kill(os.getpid(), signal.SIGINT)
+
+if sys.argv.pop(1) == "importing":
+    cli.build_parser = interrupt
+else:
+    cli.COMMANDS = {"doctor": ("teleop.doctor", "")}
+    import teleop.doctor
+    teleop.doctor.main = interrupt
+sys.exit(__main__.main())
+"""
+
+
+@pytest.mark.parametrize("moment", ["importing", "running"])
+def test_an_interrupted_command_ends_without_a_word(moment):
+    ended = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, moment, "doctor"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
 def test_help_needs_no_device_transport_or_viewer_library():
     program = (
         "import sys; from teleop import cli\n"

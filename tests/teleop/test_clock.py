@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from teleop import clock
 from teleop.clock import Grid, Tick, now_ns, quiet_garbage
 
 MS = 1_000_000
@@ -78,7 +79,7 @@ def test_ticks_stay_on_the_grid_and_dt_adds_up_to_the_time_passed(
     start = world.now_ns
     grid, ticks, begun = run(world, work)
     for tick, begin in zip(ticks, begun, strict=True):
-        assert tick.stamp_ns == begin
+        assert tick.stamp_ns == begin + clock._ANCHOR_NS
         assert begin >= start + tick.index * MS
     assert len(ticks) + grid.stats.overruns >= ticks[-1].index + 1
     passed = sum(t.dt for t in ticks[1:])
@@ -95,6 +96,25 @@ def test_grids_of_one_rate_keep_their_distance_whenever_they_start(
     _, _, begun = run(world, [100_000] * 5, phase=phase)
     assert {begin % MS for begin in begun} == {round(phase * MS)}
     assert begun[0] - start < MS
+
+
+def test_grids_agree_although_the_system_clock_was_stepped_between_their_starts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    phases = []
+    for anchor_ns in (0, 300 * MS, 10**18 + 700 * MS):
+        monkeypatch.setattr(clock, "_ANCHOR_NS", anchor_ns)
+        targets: list[int] = []
+        grid = Grid(
+            1.0,
+            stop=lambda targets=targets: bool(targets),
+            sleep=lambda s, targets=targets: targets.append(time.monotonic_ns() + round(s * 1e9)),
+        )
+        before = now_ns()
+        (tick,) = grid
+        assert before <= tick.stamp_ns <= now_ns()  # and the stamp names the date
+        phases.append(targets[0] % (1000 * MS) * 1e-9)
+    assert all(min(phase, 1.0 - phase) < 0.1 for phase in phases)  # 0.3 and 0.7 by the date
 
 
 def test_no_tick_after_stop() -> None:

@@ -348,7 +348,8 @@ def test_shared_keys() -> None:
         ("session: a/b", "session: 'a/b': allowed"),
         ("session: '*'", "session: '*': allowed"),
         ("session: ''", "allowed"),
-        ("rate_hz: 0", "rate_hz: 0.0: allowed are 1 to 8000 Hz"),
+        ("rate_hz: 0", "rate_hz: 0.0: allowed are 200 to 8000 Hz"),
+        ("rate_hz: 199", "rate_hz: 199.0: allowed are 200 to 8000 Hz; the gates"),
         ("link: {master: udp/127.0.0.1:1}", "link.master: 'udp/127.0.0.1:1': is not an endpoint"),
     ],
 )
@@ -375,7 +376,7 @@ def test_the_mistakes_in_the_docs_are_what_the_loader_says(tmp_path: Path) -> No
         ("link: {slav: x}", ()),
         ("rate_hz: fast", ()),
         ("session: a\n\n\n\n\nslave: {}\nslave: {}", ()),
-        ("", ("rate_hz=0",)),
+        ("", ("rate_hz=50",)),
     ):
         path.write_text(content)
         with pytest.raises(UsageError) as caught:

@@ -1,6 +1,7 @@
 """The link: config rules, bookkeeping of arrivals, presence, and real sessions on loopback."""
 
 import itertools
+import os
 import random
 import signal
 import socket
@@ -178,7 +179,7 @@ def total(counts: Counts) -> int:
 def test_every_arrival_is_counted_once_and_what_is_let_in_only_ever_gets_newer(
     sequences: list[int], chance: random.Random
 ) -> None:
-    reception = Reception(COMMAND, announced=lambda nonce: nonce == 7)
+    reception = Reception(COMMAND, visit=lambda nonce: nonce == 7)
     admitted, damaged = [], 0
     for sequence in sequences:
         data = packed(sequence)
@@ -199,7 +200,7 @@ def test_every_arrival_is_counted_once_and_what_is_let_in_only_ever_gets_newer(
 
 
 def test_a_gap_behind_a_full_channel_is_overwritten_not_lost() -> None:
-    reception = Reception(COMMAND, announced=lambda _: True)
+    reception = Reception(COMMAND, visit=lambda _: True)
     reception.admit(packed(1))
     reception.admit(packed(5), overflowed=True)
     reception.admit(packed(8))
@@ -208,7 +209,7 @@ def test_a_gap_behind_a_full_channel_is_overwritten_not_lost() -> None:
 
 def test_another_sender_is_let_in_only_when_ours_is_gone_and_it_is_announced() -> None:
     there = {7}
-    reception = Reception(COMMAND, announced=lambda nonce: nonce in there)
+    reception = Reception(COMMAND, visit=lambda nonce: nonce in there)
     assert reception.admit(packed(1, sender=9)) is None  # unknown so far: passed over, uncounted
     assert reception.counts == Counts()
     assert reception.admit(packed(5, sender=7))
@@ -222,14 +223,14 @@ def test_another_sender_is_let_in_only_when_ours_is_gone_and_it_is_announced() -
 
 
 def test_a_message_of_another_topic_or_layout_is_counted_as_layout() -> None:
-    reception = Reception(COMMAND, announced=lambda _: True)
+    reception = Reception(COMMAND, visit=lambda _: True)
     assert reception.admit(SlaveState().pack(7, 1, 0)) is None
     assert reception.admit(b"") is None
     assert reception.counts.layout == 2
 
 
 def test_no_message_is_older_than_any_limit() -> None:
-    latest = Latest(COMMAND, announced=lambda _: True)
+    latest = Latest(COMMAND, visit=lambda _: True)
     assert latest.age_ns(0) == NEVER_NS
     assert not latest.is_fresh(0, 10**18)
     latest.take([], 5, overflowed=False)
@@ -242,7 +243,7 @@ def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
 ) -> None:
     """Against a simulated wire on which the true age of every message is known."""
     chance = random.Random(1)  # noqa: S311 - a wire, not a secret
-    latest = Latest(COMMAND, announced=lambda _: True)
+    latest = Latest(COMMAND, visit=lambda _: True)
     quickest = 200_000
     in_flight: list[tuple[int, int]] = []  # (arrives, sent), on our clock
     newest_sent = None
@@ -265,7 +266,7 @@ def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
 
 
 def test_a_message_that_was_held_up_is_old_when_it_arrives() -> None:
-    latest = Latest(COMMAND, announced=lambda _: True)
+    latest = Latest(COMMAND, visit=lambda _: True)
     for k in range(100):
         latest.take([packed(k + 1, stamp_ns=k * MS)], k * MS, overflowed=False)
     assert latest.is_fresh(99 * MS, 2 * MS)
@@ -278,11 +279,39 @@ def test_a_message_that_was_held_up_is_old_when_it_arrives() -> None:
 
 def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
     there = {7}
-    latest = Latest(COMMAND, announced=lambda nonce: nonce in there)
+    latest = Latest(COMMAND, visit=lambda nonce: nonce in there)
     latest.take([packed(1, sender=7, stamp_ns=10**15)], 0, overflowed=False)
     there.symmetric_difference_update({7, 9})
     latest.take([packed(1, sender=9, stamp_ns=0)], 10 * MS, overflowed=False)
     assert latest.age_ns(10 * MS) == 0
+
+
+@pytest.mark.parametrize("gain", [0.0005, -0.0005])
+def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain: float) -> None:
+    """The most that NTP slews, for ten minutes: 0.3 s between the clocks in the end."""
+    latest = Latest(COMMAND, visit=lambda _: 1)
+    for k in range(60_000):
+        now = k * 10 * MS
+        data = packed(k + 1, stamp_ns=round(now * (1.0 - gain)))
+        latest.take([data], now, overflowed=False)
+        assert latest.is_fresh(now, 1 * MS)
+
+
+def test_a_peer_that_slept_is_fresh_again_once_its_token_has_come_back() -> None:
+    visit = {7: 1}
+    latest = Latest(COMMAND, visit=lambda nonce: visit[nonce])
+    slept = 10_000 * MS
+    latest.take([packed(1, stamp_ns=0)], 0, overflowed=False)
+    visit[7] = 0
+    latest.take([packed(2, stamp_ns=MS)], slept, overflowed=False)
+    assert not latest.is_fresh(slept, 9_000 * MS)  # until then it is taken for held up
+    visit[7] = 2
+    for k in range(3, 10):
+        now = slept + k * MS
+        latest.take([packed(k, stamp_ns=k * MS)], now, overflowed=False)
+        assert latest.is_fresh(now, MS)
+    latest.take([packed(10, stamp_ns=10 * MS)], slept + 510 * MS, overflowed=False)
+    assert not latest.is_fresh(slept + 510 * MS, 400 * MS)  # what is held up is old as before
 
 
 # --- sessions on loopback -------------------------------------------------------------------------
@@ -442,6 +471,29 @@ def test_a_restarted_master_is_taken_up_again_and_counted(config: LinkConfig) ->
         assert latest.counts.restarts == 1
         assert latest.counts.foreign == 0
         assert latest.counts.lost == 0
+
+
+def test_a_machine_that_slept_is_not_silent_after_it_has_come_back(config: LinkConfig) -> None:
+    """The same process as far as anyone can tell, its clock ten seconds behind."""
+    nonce, sequence = new_nonce(), itertools.count(1)
+    with Link(config, "test", Role.SLAVE) as slave:
+        latest = slave.subscribe_latest(COMMAND)
+        for behind_ns in (0, 10_000 * MS):
+            master = Link(config, "test", Role.MASTER)
+            master.nonce = nonce
+            master._token = Token(Role.MASTER, LAYOUT, nonce, Stage.CLAIM)
+            with master:
+
+                def fresh(master: Link = master, behind_ns: int = behind_ns) -> bool:
+                    stamp = now_ns() - behind_ns
+                    master.publish_raw(COMMAND, Command().pack(nonce, next(sequence), stamp))
+                    time.sleep(0.002)
+                    slave.latest(COMMAND)
+                    return latest.new and latest.is_fresh(now_ns(), 20 * MS)
+
+                wait_until(fresh, seconds=5.0)
+            wait_until(lambda: not slave.present(Role.MASTER))
+        assert latest.counts.restarts == 0
 
 
 def test_what_an_intruder_puts_on_the_key_is_counted_and_kept_out(config: LinkConfig) -> None:
@@ -634,6 +686,8 @@ def test_a_listener_that_never_drains_keeps_a_bounded_backlog(
 
 PEER = """
 import sys, time
+from teleop.process import die_with_parent
+die_with_parent(int(sys.argv[3]))
 from teleop.link import Link, LinkConfig
 from teleop.messages import Command
 from teleop.topics import COMMAND, EVENT, STATE, Role
@@ -650,7 +704,7 @@ with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "test", Role.MASTER
 def other_process(config: LinkConfig) -> Iterator[subprocess.Popen[bytes]]:
     """A master in a process of its own."""
     process = subprocess.Popen(
-        [sys.executable, "-c", PEER, config.master, config.slave],
+        [sys.executable, "-c", PEER, config.master, config.slave, str(os.getpid())],
         cwd=Path(__file__).parents[2],
     )
     try:

@@ -187,8 +187,10 @@ def test_text_is_cut_between_characters() -> None:
 
 def test_padding_fills_up_and_too_many_values_do_not_pass() -> None:
     assert padded([1.0, 2.0], 4) == (1.0, 2.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="9 values do not fit into a field of 8"):
+        padded([0.0] * 9, 8)
     with pytest.raises(struct.error):
-        Command(position=padded([0.0] * 9, 8)).pack(1, 2, 3)
+        Command(position=(0.0,) * 9).pack(1, 2, 3)
 
 
 def test_the_page_in_the_docs_is_current() -> None:

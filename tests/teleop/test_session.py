@@ -66,9 +66,7 @@ def test_engaged_only_with_usable_fresh_willing_and_asked_for() -> None:
             assert inputs.peer_fresh
             assert inputs.engage
             assert inputs.fault == Reason.NONE
-            assert inputs.peer_state in (State.READY, State.ENGAGED, State.OFF)
-            if inputs.peer_state == State.OFF:  # only while waiting for the peer to follow
-                assert not after.followed
+            assert inputs.peer_state in (State.READY, State.ENGAGED)
 
 
 def test_engaged_is_entered_from_ready_only() -> None:
@@ -95,17 +93,24 @@ def test_fault_is_left_only_with_the_switch_open_and_the_fault_gone() -> None:
                 assert inputs.peer_fresh
 
 
+def test_a_rig_that_has_played_its_data_ends_without_fault() -> None:
+    for before, _, _ in TRANSITIONS:
+        ended = step(before, Inputs(True, True, State.ENGAGED, True, Reason.RIG_FINISHED), 1e-3)
+        assert ended == Session(State.OFF, Reason.RIG_FINISHED)
+
+
 def test_a_fault_keeps_its_first_reason() -> None:
     for before, _, after in TRANSITIONS:
         if before.state == after.state == State.FAULT:
             assert after.reason == before.reason
 
 
-def test_leaving_engaged_by_anything_but_the_switch_is_a_fault() -> None:
+def test_leaving_engaged_by_anything_but_the_switch_or_an_end_is_a_fault() -> None:
     for before, inputs, after in TRANSITIONS:
         if before.state == State.ENGAGED and after.state != State.ENGAGED:
-            let_go = not inputs.engage and inputs.usable and inputs.peer_fresh
-            assert (after.state == State.READY) == (let_go and inputs.fault == Reason.NONE)
+            ended = not inputs.engage or inputs.peer_state == State.OFF
+            calm = inputs.usable and inputs.peer_fresh and inputs.fault == Reason.NONE
+            assert (after.state == State.READY) == (ended and calm)
 
 
 def test_may_move_and_may_render_are_granted_only_while_engaged() -> None:

@@ -1,0 +1,110 @@
+"""Looking after a session: what its processes report, and when it is to end."""
+
+import time
+from collections.abc import Iterable
+
+from teleop.errors import PeerError, TeleopError
+from teleop.launch.status import StatusLine, status_text
+from teleop.launch.supervisor import Child, Supervisor, wait_for
+from teleop.link import Heard, Link, Listener
+from teleop.messages import Event, LoopReport, text_of
+from teleop.process import Stop
+from teleop.session import State
+from teleop.topics import REPORT, STATE, TENDONS, Role, role_name
+
+START_S = 120.0  # the first start compiles the estimator and the plant
+_LOOK_S = 0.1
+
+
+class Hearing:
+    """What has been heard of a session: the newest report of each loop, and events in words."""
+
+    def __init__(self) -> None:
+        self.reports: dict[Role, LoopReport] = {}
+        self._heard_of: set[int] = set()
+
+    @property
+    def running(self) -> bool:
+        """Whether both loops have reported."""
+        return Role.MASTER in self.reports and Role.SLAVE in self.reports
+
+    def take(self, heard: Iterable[Heard]) -> list[str]:
+        """Take in events and reports; return what is worth a line."""
+        lines = []
+        for item in heard:
+            if item.topic is REPORT:
+                report = LoopReport.unpack(item.data)
+                if report.role in (Role.MASTER, Role.SLAVE):
+                    self.reports[Role(report.role)] = report
+            else:
+                event = Event.unpack(item.data)
+                first = event.role not in self._heard_of
+                self._heard_of.add(event.role)
+                if not first or event.state != State.OFF:  # all begin with it
+                    lines.append(f"[{role_name(event.role)}] {text_of(event.text)}")
+        return lines
+
+
+def require_free(link: Link) -> None:
+    """Raise `PeerError` if the session has a slave or a master before we start ours."""
+    for role in (Role.SLAVE, Role.MASTER):
+        if link.present(role):
+            raise PeerError(
+                f"session {link.session!r} has a {role.name.lower()} already; stop that one first, "
+                "or choose another session name and other endpoints"
+            )
+
+
+def wait_for_slave(link: Link, family: Supervisor, stop: Stop) -> Child | None:
+    """Wait for the slave to answer; return a child whose end came first, if one's did."""
+    link.subscribe_latest(STATE)
+    ended: list[Child] = []
+
+    def settled() -> bool:
+        child = family.casualty()
+        if child is not None:
+            ended.append(child)
+        return bool(ended) or stop() or link.latest(STATE).message is not None
+
+    if not wait_for(settled, START_S):
+        raise TeleopError(f"the slave did not start within {START_S:g} s")
+    return ended[0] if ended else None
+
+
+def watch(
+    link: Link,
+    listener: Listener,
+    family: Supervisor,
+    status: StatusLine,
+    stop: Stop,
+    duration_s: float | None,
+) -> Child | None:
+    """Look after a session until it is to end; return the child that ended it, if one did.
+
+    Parameters
+    ----------
+    listener : Listener
+        Of events and reports, since before the first child was started.
+    duration_s : float or None
+        [s] of running, counted from when both loops have reported; None for ever.
+    """
+    link.subscribe_latest(TENDONS)
+    hearing = Hearing()
+    patience = time.monotonic() + START_S
+    end = float("inf")
+    while not stop():
+        for line in hearing.take(listener.drain()):
+            status.say(line)
+        child = family.casualty()
+        if child is not None:
+            return child
+        if hearing.running and end == float("inf") and duration_s is not None:
+            end = time.monotonic() + duration_s
+        if time.monotonic() >= end:
+            stop.request("duration reached")
+        if not hearing.running and time.monotonic() > patience:
+            raise TeleopError(f"the loops did not start within {START_S:g} s")
+        state, tendons = link.latest(STATE).message, link.latest(TENDONS).message
+        status.show(status_text(hearing.reports, state, tendons))
+        time.sleep(_LOOK_S)
+    return None

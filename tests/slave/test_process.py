@@ -1,0 +1,317 @@
+import argparse
+import itertools
+import json
+import math
+import signal
+import socket
+
+import numpy as np
+import pytest
+
+from estimator import online
+from slave import process, rigs
+from slave.config import SlaveConfig, TendonConfig
+from slave.process import Slave, Tendon, run
+from slave.rig import RigFault, RigFinished, RigSample
+from slave.rigs.simulated import SimulatedRigConfig
+from teleop.clock import Grid, now_ns
+from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.link import Latest
+from teleop.messages import MAX_JOINTS, Command, padded, text_of
+from teleop.session import Reason, State
+from teleop.topics import COMMAND, EVENT, PROFILE, REPORT, SHEATH, STATE, TENDONS, Role
+
+TENDON = TendonConfig(effective_friction=0.8)
+CONFIG = SlaveConfig(tendons=(TENDON,))
+START = 0.013  # [m] where the fake rig's encoder says its motor stands
+PULL = 2e-5  # [m] of every command further than the last
+
+
+class Line:
+    """Stands in for the link: keeps what is published, and commands as a master would."""
+
+    nonce = 5
+
+    def __init__(self, pressed_after=5):
+        self.sent = []
+        self.latest_command = Latest(COMMAND, lambda _: True)
+        self.pressed_after, self.sequence, self.conflict = pressed_after, 0, None
+
+    def publish(self, topic, message):
+        stamp = now_ns()
+        self.sent.append((topic, message))
+        return stamp
+
+    def subscribe_latest(self, topic):
+        assert topic is COMMAND
+        return self.latest_command
+
+    def latest(self, topic):
+        assert topic is COMMAND
+        self.sequence += 1
+        pressed = self.sequence > self.pressed_after
+        command = Command(
+            state=State.ENGAGED if pressed else State.READY,
+            position=padded((self.sequence * PULL,), MAX_JOINTS),
+        )
+        stamp = now_ns()
+        data = command.pack(self.nonce, self.sequence, stamp)
+        self.latest_command.take([data], stamp, overflowed=False)
+        return self.latest_command
+
+    def counts(self):
+        return self.latest_command.counts
+
+    def check_peers(self):
+        if self.conflict:
+            raise PeerError(self.conflict)
+
+    def of(self, topic):
+        return [message for which, message in self.sent if which is topic]
+
+    def said(self):
+        return [text_of(event.text) for event in self.of(EVENT)]
+
+
+class Bench:
+    """A rig that fails where it is told to, and keeps what is done to it."""
+
+    tendons = 1
+    starts_at_zero = False
+
+    def __init__(self, encoder=START, read_fails_at=None, write_fails_at=None, error=RigFault):
+        self.reads, self.writes, self.closed, self.after_fault = 0, [], 0, 0
+        self.encoder, self.error, self.failed = encoder, error, False
+        self.read_fails_at, self.write_fails_at = read_fails_at, write_fails_at
+
+    def fail(self):
+        self.failed = True
+        raise self.error("the amplifier has tripped")
+
+    def read(self, time_s):
+        self.after_fault += self.failed
+        self.reads += 1
+        if self.reads == self.read_fails_at:
+            self.fail()
+        encoder = None if self.encoder is None else np.array([self.encoder])
+        return (RigSample(time_s, np.array([5.0]), encoder),)
+
+    def write(self, proximal_displacement):
+        self.after_fault += self.failed
+        if self.write_fails_at is not None and len(self.writes) == self.write_fails_at:
+            self.fail()
+        self.writes.append(proximal_displacement.tolist())
+
+    def summary(self):
+        return {"reads": self.reads}
+
+    def close(self):
+        self.closed += 1
+
+
+class Until:
+    """Stops after a number of ticks, or when asked to."""
+
+    def __init__(self, ticks):
+        self.left, self.reason = ticks, ""
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0 or bool(self.reason)
+
+    def request(self, reason):
+        self.reason = self.reason or reason
+
+
+def driven(rig, line=None, ticks=40, rate_hz=1000.0):
+    line = Line() if line is None else line
+    model = TENDON.model()
+    stop = Until(ticks)
+    grid = Grid(rate_hz, stop)
+    slave = Slave(CONFIG, line, rig, [Tendon(model, online.prepare(model))], grid)
+    run(slave, grid, stop.request)
+    return slave, line, stop
+
+
+def test_nothing_is_written_before_the_operator_has_engaged():
+    rig = Bench()
+    _, line, _ = driven(rig, Line(pressed_after=1000))
+    assert rig.writes == []
+    assert {state.state for state in line.of(STATE)} == {State.OFF, State.READY}
+    assert all(math.isnan(m.commanded_displacement[0]) for m in line.of(TENDONS))
+
+
+def test_engaged_the_motor_is_led_from_where_it_stands():
+    rig = Bench()
+    slave, line, _ = driven(rig)
+    assert rig.writes[0] == pytest.approx([START], abs=1e-12)
+    assert np.diff(rig.writes, axis=0)[:, 0] == pytest.approx(PULL, abs=1e-12)
+    assert len(rig.writes) == 35
+    assert [m.commanded_displacement[0] for m in line.of(TENDONS)[5:]] == [w for (w,) in rig.writes]
+    assert slave.error is None
+
+
+def test_the_end_is_told_and_is_not_engaged():
+    _, line, _ = driven(Bench())
+    *_, before, last = line.of(STATE)
+    assert before.state == State.ENGAGED
+    assert (last.state, last.reason, last.joints) == (State.OFF, Reason.NOT_USABLE, 0)
+    assert [t.split(":")[0] for t in line.said()] == ["ready", "engaged", "off"]
+    assert line.said()[-1] == "off: ended"
+
+
+def test_a_rig_that_cannot_tell_where_it_stands_is_never_written_to_and_says_why():
+    rig = Bench(encoder=None)
+    _, line, _ = driven(rig)
+    assert rig.writes == []
+    assert {state.state for state in line.of(STATE)} == {State.OFF}
+    assert "no encoder reading" in line.said()[0]
+    assert len(line.said()) == 2
+
+
+@pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
+def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
+    rig = Bench(**{fails: 20})
+    slave, line, stop = driven(rig)
+    assert isinstance(slave.error, TeleopError)
+    assert str(slave.error) == stop.reason == "rig: the amplifier has tripped"
+    assert rig.after_fault == 0
+    for state in line.of(STATE)[-2:]:  # also the one that may be the only one seen
+        assert (state.state, state.reason) == (State.FAULT, Reason.RIG_FAULT)
+    assert line.said()[-2:] == [f"fault: {Reason.RIG_FAULT.text}", f"off: {slave.error}"]
+    assert slave.summary()["reason"] == Reason.RIG_FAULT.text
+
+
+def test_what_a_failed_write_asked_for_is_not_told_as_done():
+    rig = Bench(write_fails_at=20)
+    _, line, _ = driven(rig)
+    assert line.of(TENDONS)[-1].commanded_displacement[0] == rig.writes[-1][0]
+
+
+def test_the_last_sample_ends_the_session_without_error():
+    rig = Bench(read_fails_at=20, error=RigFinished)
+    slave, line, stop = driven(rig)
+    assert slave.error is None
+    assert stop.reason == Reason.RIG_FINISHED.text
+    assert rig.after_fault == 0
+    for state in line.of(STATE)[-2:]:
+        assert (state.state, state.reason) == (State.OFF, Reason.RIG_FINISHED)
+    assert line.said()[-1] == f"off: {Reason.RIG_FINISHED.text}"
+
+
+@pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
+def test_whatever_else_goes_wrong_the_others_are_told(fails):
+    line = Line()
+    with pytest.raises(ZeroDivisionError):
+        driven(Bench(**{fails: 20}, error=ZeroDivisionError), line)
+    assert line.of(STATE)[-2].state == State.ENGAGED
+    assert line.of(STATE)[-1].state == State.OFF
+    assert line.said()[-1].startswith("off: ")
+
+
+def test_a_second_slave_ends_the_session():
+    line = Line()
+    line.conflict = "it has a slave already"
+    slave, _, stop = driven(Bench(), line, ticks=200, rate_hz=100.0)
+    assert isinstance(slave.error, PeerError)
+    assert stop.reason == line.conflict
+
+
+def test_the_state_tells_how_old_its_sample_is():
+    class Slow(Bench):
+        def read(self, time_s):
+            samples = super().read(time_s)
+            return samples if self.reads % 10 == 1 else ()
+
+    _, line, _ = driven(Slow())
+    ages = [round(state.sample_age_ns * 1e-6) for state in line.of(STATE)[:20]]
+    assert ages[0] == ages[10] == 0
+    assert all(a < b for a, b in itertools.pairwise(ages[:10]))
+    assert ages[9] >= 9
+
+
+def test_what_goes_out_is_what_the_table_says():
+    _, line, _ = driven(Bench(), ticks=120, rate_hz=200.0)
+    assert {topic for topic, _ in line.sent} == {STATE, TENDONS, PROFILE, SHEATH, EVENT, REPORT}
+    for topic, message in line.sent:
+        assert type(message) is topic.message
+        assert topic.publisher in (None, Role.SLAVE)
+
+
+@pytest.fixture
+def quiet_process(monkeypatch):
+    """Let a command run inside the test process without leaving its traces there."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    monkeypatch.setattr(process, "go_realtime", lambda: ["a test"])
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def arguments(*words):
+    ports = []
+    for _ in range(2):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            ports.append(probe.getsockname()[1])
+    parser = argparse.ArgumentParser()
+    process.add_arguments(parser)
+    return parser.parse_args(
+        [
+            f"--set=link.master=tcp/127.0.0.1:{ports[0]}",
+            f"--set=link.slave=tcp/127.0.0.1:{ports[1]}",
+            "--set=session=alone",
+            *words,
+        ]
+    )
+
+
+@pytest.mark.usefixtures("quiet_process")
+def test_the_command_runs_alone_and_leaves_its_summary(tmp_path):
+    path = tmp_path / "s.json"
+    assert process.main(arguments("--duration", "0.5", "--json", str(path))) == 0
+    summary = json.loads(path.read_text())
+    assert summary["role"] == "slave"
+    assert summary["stopped"] == "duration reached"
+    assert summary["gate"] == {"HELD": summary["ticks"]}
+    assert summary["final_state"] == "ready"
+    assert summary["rig"]["coarse_reads"] >= 0
+    assert summary["force_error"]["samples"] > 0
+
+
+@pytest.mark.usefixtures("quiet_process")
+def test_a_rig_that_is_not_there_is_told_in_a_line(monkeypatch):
+    def missing(config):
+        raise RigFault("/dev/ttyUSB7: no such device")
+
+    monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, missing)
+    with pytest.raises(UsageError, match=r"^slave\.rig: /dev/ttyUSB7: no such device$"):
+        process.main(arguments("--duration", "1"))
+
+
+@pytest.mark.usefixtures("quiet_process")
+def test_a_rig_that_messages_cannot_carry_is_told_in_a_line_and_closed(monkeypatch):
+    rig = Bench()
+    rig.tendons = MAX_JOINTS + 1
+    monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: rig)
+    with pytest.raises(UsageError, match=rf"^slave\.rig: {MAX_JOINTS + 1} tendons, .*{MAX_JOINTS}"):
+        process.main(arguments("--duration", "1"))
+    assert rig.closed == 1
+    assert rig.reads == 0
+
+
+@pytest.mark.usefixtures("quiet_process")
+@pytest.mark.parametrize("error", [RigFault, ZeroDivisionError])
+def test_the_command_closes_its_rig_and_tells_what_failed(monkeypatch, tmp_path, error):
+    rig = Bench(read_fails_at=20, error=error)
+    monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: rig)
+    path = tmp_path / "s.json"
+    told = TeleopError if error is RigFault else error
+    with pytest.raises(told, match="the amplifier has tripped"):
+        process.main(arguments("--json", str(path)))
+    assert rig.closed == 1
+    assert rig.after_fault == 0
+    if error is RigFault:
+        summary = json.loads(path.read_text())
+        assert (summary["final_state"], summary["reason"]) == ("fault", Reason.RIG_FAULT.text)
+        assert summary["stopped"] == "rig: the amplifier has tripped"

@@ -1,0 +1,262 @@
+"""The launcher: its words, whom it can do without, and in which order things happen."""
+
+import io
+import json
+import sys
+
+import pytest
+
+from teleop import cli, process
+from teleop.errors import PeerError
+from teleop.launch import command, watch
+from teleop.launch import summary as summaries
+from teleop.launch.status import StatusLine, status_text
+from teleop.launch.supervisor import Supervisor, wait_for
+from teleop.link import Heard
+from teleop.messages import Event, LoopReport, SlaveState, TendonState, padded, text_bytes
+from teleop.session import State
+from teleop.topics import EVENT, REPORT, Role
+
+
+def loop(ticks=1000, latencies=0):
+    """A loop's summary, as `teleop.meter` makes it."""
+    none = {"n": 0, "p50": None, "p99": None, "p99_9": None}
+    some = {"n": max(ticks, 1), "p50": 2.0, "p99": 3.0, "p99_9": 4.0}
+    return {
+        "ticks": ticks, "rate_hz": 1000.0, "seconds": 1.0, "overruns": 3, "lateness_max_ms": 0.5,
+        "work_us": some if ticks else none, "latency_ms": some if latencies else none,
+        "received": 999, "lost": 7, "rejected": {"corrupted": 1, "foreign": 2},
+    }  # fmt: skip
+
+
+# words
+
+
+def test_the_summary_of_a_session_in_words():
+    recorder = {"file": "a.mcap", "messages": {"state": 5, "hand": 6}, "gaps": {"state": 1}}
+    ping = {"p50_ms": 0.1, "p99_ms": 0.2, "p99_9_ms": 0.3}
+    slave = loop() | {"force_error": None}
+    whole = {"slave": slave, "master": loop(latencies=9), "record": recorder, "ping_pong": ping}
+    text = "\n".join(summaries.lines(whole))
+    for words in (
+        "received 999, lost 7, rejected 3",
+        "command to force p50 2.00 ms",
+        "ping-pong, same sizes: p50 0.10 ms",
+        "no distal tension measured",
+        "a.mcap: 11 messages, 1 gaps",
+    ):
+        assert words in text
+
+
+def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
+    assert summaries.lines({"slave": loop(), "master": None})[-2:] == [
+        "master    left no summary (killed?)",
+        "force     no distal tension measured to compare the estimate with",
+    ]
+    assert summaries.lines({}) == []
+    assert summaries.lines({"slave": loop(ticks=0), "master": loop(ticks=0)}) == []
+
+
+def test_the_status_of_a_session_grows_with_what_is_known():
+    assert status_text({}, None, None) == "waiting for the master │ slave starting"
+    reports = {
+        Role.MASTER: LoopReport(state=State.ENGAGED, rate_hz=999.6, latency_p50_ns=2_000_000),
+        Role.SLAVE: LoopReport(rate_hz=1000),
+    }
+    state = SlaveState(joints=2, force=padded((1.0, -2.5), 8))
+    text = status_text(reports, state, TendonState(tendons=1))
+    assert text.startswith("engaged │ slave 1000 Hz │ master 1000 Hz │ latency 2.0/0.0 ms")
+    assert "1.00  -2.50 N │ slack" in text
+    assert "slack" not in status_text({}, None, TendonState(tendons=1, phase=(99,) * 16))
+
+
+def test_without_a_terminal_there_is_no_status_line():
+    stream = io.StringIO()
+    line = StatusLine(stream)
+    line.show("status")
+    line.say("a word")
+    line.clear()
+    assert stream.getvalue() == "a word\n"
+
+
+def test_words_are_printed_above_the_status_line():
+    stream = io.StringIO()
+    stream.isatty = lambda: True
+    line = StatusLine(stream)
+    line.show("status")
+    line.say("a word")
+    assert stream.getvalue().endswith("\r\x1b[Ka word\nstatus")
+
+
+# what is heard
+
+
+def heard(topic, message):
+    return Heard(topic, message.pack(1, 1, 0), 0, 1, 1, 0)
+
+
+def event(role, state, text):
+    return heard(EVENT, Event(role=role, state=state, text=text_bytes(text)))
+
+
+def test_events_become_lines_but_for_the_state_all_begin_in():
+    hearing = watch.Hearing()
+    events = [
+        event(Role.MASTER, State.OFF, "off: at the start"),
+        event(Role.MASTER, State.READY, "ready"),
+        event(Role.SLAVE, State.FAULT, "fault: at the start"),
+        event(Role.MASTER, State.OFF, "off: its device is gone"),
+    ]
+    assert hearing.take(events) == [
+        "[master] ready", "[slave] fault: at the start", "[master] off: its device is gone",
+    ]  # fmt: skip
+
+
+def test_what_is_not_understood_neither_steers_the_terminal_nor_ends_the_session():
+    hearing = watch.Hearing()
+    (line,) = hearing.take([event(9, State.READY, "a\x1b[2Jb\nc\u202ed\x00e")])
+    assert line == "[role_9] a [2Jb c d e"
+    assert hearing.take([heard(REPORT, LoopReport(role=9))]) == []
+    assert not hearing.running
+
+
+def test_a_session_runs_when_both_loops_have_reported():
+    hearing = watch.Hearing()
+    for role, running in ((Role.SLAVE, False), (Role.SLAVE, False), (Role.MASTER, True)):
+        hearing.take([heard(REPORT, LoopReport(role=role))])
+        assert hearing.running == running
+
+
+# children
+
+
+@pytest.fixture
+def family(tmp_path, monkeypatch):
+    """A supervisor whose children run the Python given in place of arguments."""
+    said = []
+    family = Supervisor(tmp_path, lambda name, line: said.append((name, line)))
+    family.said = said
+    program = tmp_path / "python"
+    program.write_text(f'#!/bin/sh\nshift 3\nexec {sys.executable} -c "$@"\n')
+    program.chmod(0o755)
+    monkeypatch.setattr("teleop.launch.supervisor.sys.executable", str(program))
+    yield family
+    family.stop(list(family.children))
+
+
+COMPLAIN = "print('teleop: no room'); raise SystemExit({})"
+
+
+def ended(family, name, code):
+    family.start(name, [code])
+    assert wait_for(lambda: family.children[name].exit_code is not None, 20.0)
+
+
+@pytest.mark.parametrize("name", ["view", "record"])
+def test_a_session_goes_on_without_a_viewer_or_recorder_and_says_so_once(family, name):
+    ended(family, name, COMPLAIN.format(1))
+    assert family.casualty() is None
+    assert family.casualty() is None
+    assert family.said == [(name, "no room; the session goes on")]
+
+
+@pytest.mark.parametrize(("name", "code"), [("view", 2), ("slave", 1), ("master", 0), ("slave", 2)])
+def test_a_vital_child_or_a_wrong_option_ends_the_session(family, name, code):
+    ended(family, name, COMPLAIN.format(code))
+    child = family.casualty()
+    assert (child.name, child.exit_code, child.complaint) == (name, code, "no room")
+    assert family.said == []
+
+
+def test_children_are_ended_in_order_and_know_their_launcher(family):
+    code = (
+        "import os, signal, sys\n"
+        f"assert os.environ['{process.SUPERVISED}'] == str(os.getppid())\n"
+        "signal.signal(signal.SIGTERM, lambda *_: sys.exit('bye'))\n"
+        "print('here', flush=True)\n"
+        "signal.pause()\n"
+    )
+    for name in ("record", "slave", "master"):
+        family.start(name, [code])
+    assert wait_for(lambda: len(family.said) == 3, 20.0)
+    family.stop(command.ENDING)
+    assert family.said[3:] == [("master", "bye"), ("slave", "bye"), ("record", "bye")]
+
+
+# the order of events
+
+
+class Scene:
+    """Stands in for link and supervisor; writes down what is asked of them."""
+
+    def __init__(self):
+        self.log, self.children = [], {}
+        self.there, self.casualties = set(), []
+        self.session = "demo"
+
+    def __enter__(self):
+        self.log.append("link")
+        return self
+
+    def __exit__(self, *_):
+        self.log.append("unlink")
+
+    def present(self, role):
+        return role in self.there
+
+    def listen(self, _topics):
+        self.log.append("listen")
+
+    def start(self, name, _arguments):
+        self.log.append(name)
+
+    def stop(self, _order):
+        self.log.append("stop")
+
+
+class NeverStop:
+    reason = ""
+
+    def __call__(self):
+        return False
+
+
+@pytest.fixture
+def scene(monkeypatch, tmp_path):
+    scene = Scene()
+    monkeypatch.setattr(command, "Link", lambda *_: scene)
+    monkeypatch.setattr(command, "Supervisor", lambda *_: scene)
+    monkeypatch.setattr(command, "Stop", NeverStop)
+    monkeypatch.setattr(command.watch, "wait_for_slave", lambda *_: scene.log.append("wait"))
+    monkeypatch.setattr(command.watch, "watch", lambda *_: scene.log.append("watch"))
+    monkeypatch.setattr(command, "_summary", lambda *_: {"reason": "", "exit_code": 0})
+    return scene
+
+
+def test_the_master_starts_last_and_all_is_heard_from_the_beginning(scene):
+    assert cli.main(["run", "--record", "somewhere", "--view", "web"]) == 0
+    assert scene.log[:8] == ["link", "listen", "record", "slave", "view", "wait", "master", "watch"]
+    assert scene.log[-2:] == ["unlink", "stop"]
+
+
+@pytest.mark.parametrize("role", [Role.SLAVE, Role.MASTER])
+def test_nothing_is_started_in_a_session_that_is_taken(scene, role, capsys):
+    scene.there.add(role)
+    assert cli.main(["run", "--record", "somewhere"]) == PeerError.exit_code
+    assert set(scene.log) == {"link", "unlink", "stop"}
+    assert f"has a {role.name.lower()} already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--duration=nan", "--json=/no/where.json", "--record="])
+def test_a_wrong_option_is_found_before_anything_else(scene, option, capsys):
+    assert cli.main(["run", option]) == 2
+    assert scene.log == []
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_an_interrupted_start_says_nothing_and_measures_nothing(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(command, "ping_pong", lambda *_: pytest.fail("nothing ran"))
+    summary = {"slave": loop(ticks=0), "reason": "SIGINT", "exit_code": 0}
+    assert command._conclude(summary, tmp_path / "run.json") == 130
+    assert capsys.readouterr().out == ""
+    assert json.loads((tmp_path / "run.json").read_text())["reason"] == "SIGINT"

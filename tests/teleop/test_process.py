@@ -1,0 +1,122 @@
+"""What every command does around its work: arguments, summaries, and dying in time."""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from teleop.errors import TeleopError, UsageError
+from teleop.process import (
+    SUPERVISED,
+    destination,
+    die_with_launcher,
+    die_with_parent,
+    folder,
+    seconds,
+    write_summary,
+)
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "-1", "0", "1e400", "soon", ""])
+def test_a_duration_is_a_number_above_0(text):
+    with pytest.raises(argparse.ArgumentTypeError, match="above 0"):
+        seconds(text)
+
+
+def test_durations_are_seconds():
+    assert [seconds(text) for text in ("0.5", "30", "1e3")] == [0.5, 30.0, 1000.0]
+
+
+def test_an_impossible_destination_is_found_out_at_once(tmp_path):
+    (tmp_path / "file").touch()
+    for place, why in (
+        (tmp_path / "no" / "run.json", "No such file or directory"),
+        (tmp_path / "file" / "run.json", "Not a directory"),
+        (tmp_path, "is a folder"),
+        (Path("/proc/run.json"), "cannot be written"),
+    ):
+        with pytest.raises(argparse.ArgumentTypeError, match=why):
+            destination(str(place))
+    with pytest.raises(argparse.ArgumentTypeError):
+        destination("")
+    with pytest.raises(argparse.ArgumentTypeError):
+        folder("")
+
+
+def test_looking_at_a_destination_leaves_nothing(tmp_path):
+    (tmp_path / "old.json").write_text("old")
+    for name in ("old.json", "new.json"):
+        assert destination(str(tmp_path / name)) == tmp_path / name
+    assert [path.name for path in tmp_path.iterdir()] == ["old.json"]
+    assert (tmp_path / "old.json").read_text() == "old"
+
+
+def test_a_summary_replaces_the_old_one_whole(tmp_path):
+    path, link = tmp_path / "run.json", tmp_path / "newest.json"
+    link.symlink_to(path)
+    for ticks in (1, 2):
+        write_summary(str(link), {"ticks": ticks})
+        assert json.loads(path.read_text()) == {"ticks": ticks}
+    assert link.is_symlink()
+    assert set(tmp_path.iterdir()) == {path, link}
+    write_summary(None, {})
+
+
+def test_a_summary_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path):
+    (tmp_path / "taken").mkdir()
+    for place in (tmp_path / "taken", tmp_path / "no" / "run.json"):
+        with pytest.raises(UsageError, match="summary cannot be written"):
+            write_summary(place, {"ticks": 1})
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+def test_a_device_is_written_to_and_stays_one():
+    assert destination("/dev/null") == Path("/dev/null")
+    write_summary("/dev/null", {"ticks": 1})
+    assert Path("/dev/null").is_char_device()
+
+
+def test_who_was_started_by_a_process_that_has_ended_ends_too(monkeypatch):
+    with pytest.raises(TeleopError, match="has ended"):
+        die_with_parent(os.getpid())  # not our parent
+    monkeypatch.setenv(SUPERVISED, str(os.getpid()))
+    with pytest.raises(TeleopError, match="has ended"):
+        die_with_launcher()
+    monkeypatch.delenv(SUPERVISED)
+    die_with_launcher()
+
+
+CHILD = """
+import os, sys, time
+from teleop.process import die_with_launcher
+print(os.getpid(), flush=True)
+die_with_launcher()
+time.sleep(60)
+"""
+PARENT = f"""
+import os, subprocess, sys
+os.environ["{SUPERVISED}"] = str(os.getpid())
+subprocess.Popen([sys.executable, "-c", sys.argv[1]]).wait()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
+def test_a_child_dies_with_a_killed_parent():
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE, text=True
+    )
+    child = Path("/proc") / parent.stdout.readline().strip() / "stat"
+    time.sleep(0.1)
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    parent.stdout.close()
+    end = time.monotonic() + 10.0
+    while child.exists() and " Z " not in child.read_text():
+        assert time.monotonic() < end
+        time.sleep(0.02)
