@@ -23,13 +23,15 @@ from teleop.clock import Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError
+from teleop.launch.summary import loop_lines
 from teleop.link import NEVER_NS, Counts, Link
-from teleop.messages import Command, Event, text_bytes
+from teleop.messages import Command
 from teleop.meter import LoopMeter
 from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
 from teleop.run_config import RunConfig
 from teleop.session import Reason, Session
-from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE, Role
+from teleop.tell import tell
+from teleop.topics import COMMAND, HAND, REPORT, STATE, Role
 
 
 class Master:
@@ -50,7 +52,6 @@ class Master:
         self._start_ns = now_ns()
         self._said = self.memory.session
         link.subscribe_latest(STATE)
-        self._tell(self._said)
 
     def tick(self, tick: Tick) -> None:
         """Read, step, write, publish."""
@@ -83,16 +84,14 @@ class Master:
             self._tell(memory.session)
         self._verdicts[str(output.verdict.name)] += 1
         self._report(tick.stamp_ns, latest.counts)
-        self._meter.work.add(now_ns() - tick.stamp_ns)
+        self._meter.tick(memory.session, now_ns() - tick.stamp_ns)
 
     def close(self) -> None:
         """Take the force off the hand and tell the others; whatever happened before."""
         with suppress(DeviceFault):
             self._device.write((0.0,) * self._device.axes)
         self._link.publish(COMMAND, Command())
-        ended = self.error or "ended"
-        event = Event(role=Role.MASTER, text=text_bytes(f"off: {ended}"))
-        self._link.publish(EVENT, event)
+        tell(self._link, Role.MASTER, Session(), f"off: {self.error or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
@@ -104,9 +103,7 @@ class Master:
 
     def _tell(self, side: Session) -> None:
         self._said = side
-        text = text_bytes(f"{side.state.name.lower()}: {side.reason.text}")
-        event = Event(role=Role.MASTER, state=side.state, reason=side.reason, text=text)
-        self._link.publish(EVENT, event)
+        tell(self._link, Role.MASTER, side, f"{side.state.name.lower()}: {side.reason.text}")
 
     def _report(self, stamp_ns: int, counts: Counts) -> None:
         report = self._meter.report(stamp_ns, self.memory.session, counts)
@@ -158,27 +155,7 @@ def main(args: argparse.Namespace) -> int:
     summary |= {"stopped": stop.reason, "realtime": granted}
     write_summary(args.json, summary)
     if not supervised():
-        print(in_words(summary))
+        print("\n".join(loop_lines(summary)))
     if master.error:
         raise master.error
     return 0
-
-
-def in_words(summary: dict[str, Any]) -> str:
-    """Return a summary as lines to read."""
-    latency, work = summary["latency_ms"], summary["work_us"]
-    lines = [
-        f"{summary['ticks']} ticks in {summary['seconds']:.1f} s, {summary['rate_hz']:.1f} Hz, "
-        f"{summary['overruns']} overruns, latest {summary['lateness_max_ms']:.2f} ms",
-        f"states: {summary['received']} received, {summary['lost']} lost, "
-        f"{sum(summary['rejected'].values())} rejected",
-    ]
-    if work["p50"] is not None:
-        lines.append(f"work of a tick: p50 {work['p50']:.0f} us, p99 {work['p99']:.0f} us")
-    if latency["n"]:
-        lines.append(
-            f"command to force: p50 {latency['p50']:.2f} ms, p99 {latency['p99']:.2f} ms, "
-            f"p99.9 {latency['p99_9']:.2f} ms, {latency['n']} round trips"
-        )
-    lines.append(f"stopped: {summary['stopped']}; was {summary['final_state']}")
-    return "\n".join(lines)

@@ -141,6 +141,16 @@ def tendon_configs(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     return tendons
 
 
+def doubts(config: SlaveConfig) -> list[str]:
+    """Return what is to be said of the calibration before anyone relies on it."""
+    if config.calibration is None:
+        return []
+    calibration = load(config.calibration, Calibration, None)
+    if calibration.believed:
+        return []
+    return [f"WARNING: {config.calibration.name} is not to be believed: {calibration.remark}"]
+
+
 def as_built(joint: JointConfig) -> TendonConfig:
     """Return what a perfect calibration of a simulated joint would find."""
     return TendonConfig(

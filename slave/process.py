@@ -18,7 +18,7 @@ import numpy as np
 from estimator import online
 from estimator.sheath import Sheath
 from slave import loop, outbox
-from slave.config import SlaveConfig, tendon_configs
+from slave.config import SlaveConfig, doubts, tendon_configs
 from slave.loop import Memory
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import open_rig
@@ -27,15 +27,16 @@ from teleop.clock import Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.launch.summary import force_line, loop_lines
 from teleop.link import Counts, Link
-from teleop.messages import MAX_JOINTS, PROFILE_POINTS, Event, text_bytes
+from teleop.messages import MAX_JOINTS, PROFILE_POINTS
 from teleop.meter import LoopMeter
-from teleop.process import Stop, destination, go_realtime, seconds, write_summary
+from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
 from teleop.run_config import RunConfig
 from teleop.session import Reason, Session, State
+from teleop.tell import tell
 from teleop.topics import (
     COMMAND,
-    EVENT,
     PROFILE,
     REPORT,
     SHEATH,
@@ -70,7 +71,7 @@ class Housekeeping:
         now = memory.session, memory.hindrance
         if now != self._said:
             self._said = now
-            self._link.publish(EVENT, event(*now))
+            tell(self._link, Role.SLAVE, memory.session, in_words(*now))
         if time_s >= self._next_profile_s and memory.newest is not None:
             self._next_profile_s = time_s + PROFILE_PERIOD_S
             self._publish_profile(memory)
@@ -89,12 +90,12 @@ class Housekeeping:
         self._link.publish(PROFILE, outbox.tension_profile(k, x[-1], front, tension.tolist()))
 
 
-def event(side: Session, hindrance: str) -> Event:
-    """Return the event that tells of a new session state, and why the rig is not usable."""
+def in_words(side: Session, hindrance: str) -> str:
+    """Return what is told of a new session state, and why the rig is not usable."""
     text = f"{side.state.name.lower()}: {side.reason.text}"
     if side.reason is Reason.NOT_USABLE:
         text = f"{text}: {hindrance}"
-    return Event(role=Role.SLAVE, state=side.state, reason=side.reason, text=text_bytes(text))
+    return text
 
 
 class Slave:
@@ -147,15 +148,14 @@ class Slave:
         self._verdicts[str(output.verdict.name)] += 1
         self._housekeeping(time_s, memory)
         self._report(tick.stamp_ns, latest.counts)
-        self._meter.work.add(now_ns() - tick.stamp_ns)
+        self._meter.tick(memory.session, now_ns() - tick.stamp_ns)
 
     def close(self) -> None:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
         side = self.memory.session
         last = side if side.state in (State.OFF, State.FAULT) else Session()
         self._link.publish(STATE, outbox.slave_state(last, 0, None, 0.0))
-        text = text_bytes(f"off: {self.ended or 'ended'}")
-        self._link.publish(EVENT, Event(role=Role.SLAVE, text=text))
+        tell(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
@@ -232,6 +232,8 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(rig.close)
         if not 1 <= rig.tendons <= MAX_JOINTS:
             raise UsageError(f"slave.rig: {rig.tendons} tendons, must be 1 to {MAX_JOINTS}")
+        for doubt in doubts(config):
+            print(doubt, flush=True)
         models = [tendon.model() for tendon in tendon_configs(config, rig.tendons)]
         tendons = [Tendon(model, online.prepare(model)) for model in models]
         stop = Stop(args.duration)
@@ -241,6 +243,8 @@ def main(args: argparse.Namespace) -> int:
         summary = slave.summary()
     summary |= {"stopped": stop.reason, "realtime": granted}
     write_summary(args.json, summary)
+    if not supervised():
+        print("\n".join([*loop_lines(summary), f"force     {force_line(summary['force_error'])}"]))
     if slave.error:
         raise slave.error
     return 0

@@ -1,12 +1,13 @@
 """How a control loop keeps its time: reports while it runs, and its part of the summary after."""
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 from teleop.clock import Grid, now_ns
 from teleop.link import Counts
 from teleop.messages import LoopReport
-from teleop.session import Session
+from teleop.session import Session, State
 from teleop.timing import Durations
 from teleop.topics import Role
 
@@ -23,6 +24,17 @@ class LoopMeter:
         self._due_ns = now_ns() + REPORT_PERIOD_NS
         self._ticks = 0
         self._since_ns = now_ns()
+        self._in_state: Counter[State] = Counter()  # ticks
+        self._faults: list[str] = []
+        self._state = State.OFF
+
+    def tick(self, side: Session, work_ns: int) -> None:
+        """Count one tick, which left the session at `side` and took `work_ns` [ns]."""
+        self.work.add(work_ns)
+        self._in_state[side.state] += 1
+        if side.state is State.FAULT and self._state is not State.FAULT:
+            self._faults.append(side.reason.text)
+        self._state = side.state
 
     def report(self, stamp_ns: int, side: Session, counts: Counts) -> LoopReport | None:
         """Return the report that is due at `stamp_ns`, or None."""
@@ -71,6 +83,8 @@ class LoopMeter:
             },
             "restarts": counts.restarts,
             "gate": dict(verdicts),
+            "ticks_in": {state.name.lower(): self._in_state[state] for state in State},
+            "faults": self._faults,
             "final_state": side.state.name.lower(),
             "reason": side.reason.text,
         }

@@ -20,6 +20,10 @@ def ran(loop: Mapping[str, Any] | None) -> bool:
     return bool(loop and loop["ticks"])
 
 
+# what a gate says of a session that is not engaged, or that needs nothing from it
+ORDINARY = ("PASSED", "HELD", "NOT_ENGAGED", "STALE", "NOT_ENGAGED|STALE")
+
+
 def lines(summary: Mapping[str, Any]) -> list[str]:
     """Return the summary as text, one fact a line; of a loop that never ran there is none."""
     out = []
@@ -27,25 +31,12 @@ def lines(summary: Mapping[str, Any]) -> list[str]:
         loop = summary.get(role)
         if role in summary and loop is None:
             out.append(f"{role:9} left no summary (killed?)")
-        if loop is None or not ran(loop):
-            continue
-        out.append(
-            f"{role:9} {loop['rate_hz']:.1f} Hz over {loop['seconds']:.1f} s, "
-            f"{loop['overruns']} overruns, latest tick {loop['lateness_max_ms']:.2f} ms, "
-            f"work p50 {loop['work_us']['p50']:.0f} us, p99 {loop['work_us']['p99']:.0f} us"
-        )
-        rejected = sum(loop["rejected"].values())
-        out.append(f"{'':9} received {loop['received']}, lost {loop['lost']}, rejected {rejected}")
-    latency = (summary.get("master") or {}).get("latency_ms") or {}
-    if latency.get("n"):
-        out.append(
-            f"latency   command to force p50 {latency['p50']:.2f} ms, p99 {latency['p99']:.2f} ms, "
-            f"p99.9 {latency['p99_9']:.2f} ms ({latency['n']} round trips)"
-        )
+        if loop is not None and ran(loop):
+            out += loop_lines(loop)
     ping = summary.get("ping_pong")
     if ping:
         out.append(
-            f"          bare Zenoh ping-pong, same sizes: p50 {ping['p50_ms']:.2f} ms, "
+            f"{'':9} bare Zenoh ping-pong, same sizes: p50 {ping['p50_ms']:.2f} ms, "
             f"p99 {ping['p99_ms']:.2f} ms, p99.9 {ping['p99_9_ms']:.2f} ms"
         )
     slave = summary.get("slave")
@@ -56,6 +47,33 @@ def lines(summary: Mapping[str, Any]) -> list[str]:
         gaps = sum(recorder["gaps"].values())
         total = sum(recorder["messages"].values())
         out.append(f"recording {recorder['file']}: {total} messages, {gaps} gaps")
+    return out
+
+
+def loop_lines(loop: Mapping[str, Any]) -> list[str]:
+    """Return what one loop was like: its time-keeping, its link, its session, its gate."""
+    rejected = sum(loop["rejected"].values())
+    ticks = loop["ticks"] or 1
+    engaged = loop["ticks_in"]["engaged"] / ticks * loop["seconds"]
+    faults = loop["faults"]
+    limits = {kind: n for kind, n in loop["gate"].items() if kind not in ORDINARY}
+    out = [
+        f"{loop['role']:9} {loop['rate_hz']:.1f} Hz over {loop['seconds']:.1f} s, "
+        f"{loop['overruns']} overruns, latest tick {loop['lateness_max_ms']:.2f} ms, "
+        f"work p50 {loop['work_us']['p50'] or 0:.0f} us, p99 {loop['work_us']['p99'] or 0:.0f} us",
+        f"{'':9} received {loop['received']}, lost {loop['lost']}, rejected {rejected}; "
+        f"engaged {engaged:.1f} s, "
+        + (f"{len(faults)} faults, first: {faults[0]}" if faults else "no fault"),
+    ]
+    if limits:
+        told = ", ".join(f"{kind.lower()} {100 * n / ticks:.1f} %" for kind, n in sorted(limits.items()))
+        out.append(f"{'':9} the gate stepped in: {told} of the ticks")
+    latency = loop["latency_ms"]
+    if latency["n"]:
+        out.append(
+            f"latency   command to force p50 {latency['p50']:.2f} ms, p99 {latency['p99']:.2f} ms, "
+            f"p99.9 {latency['p99_9']:.2f} ms ({latency['n']} round trips)"
+        )
     return out
 
 

@@ -25,6 +25,8 @@ def loop(ticks=1000, latencies=0):
     return {
         "ticks": ticks, "rate_hz": 1000.0, "seconds": 1.0, "overruns": 3, "lateness_max_ms": 0.5,
         "work_us": some if ticks else none, "latency_ms": some if latencies else none,
+        "role": "slave", "faults": ["the rig failed"] if ticks else [],
+        "ticks_in": {"engaged": ticks // 2}, "gate": {"PASSED": 1, "SPEED": ticks // 4},
         "received": 999, "lost": 7, "rejected": {"corrupted": 1, "foreign": 2},
     }  # fmt: skip
 
@@ -40,6 +42,8 @@ def test_the_summary_of_a_session_in_words():
     text = "\n".join(summaries.lines(whole))
     for words in (
         "received 999, lost 7, rejected 3",
+        "1 faults, first: the rig failed",
+        "speed 25.0 % of the ticks",
         "command to force p50 2.00 ms",
         "ping-pong, same sizes: p50 0.10 ms",
         "no distal tension measured",
