@@ -122,6 +122,7 @@ class Slave:
         self._score, self._verdicts = Score(), Counter[str]()
         self._freshness_ns = round(config.freshness * 1e9)
         self._start_ns = now_ns()
+        self._echo_ns = 0  # stamp of the newest command heard
         link.subscribe_latest(COMMAND)
 
     def tick(self, tick: Tick) -> None:
@@ -144,7 +145,8 @@ class Slave:
             except RigFault as error:
                 output, memory = step(self._failed(error))
         self.memory = memory
-        self._publish(output, command.stamp_ns if command else 0)
+        self._echo_ns = command.stamp_ns if command else 0
+        self._publish(output)
         self._verdicts[str(output.verdict.name)] += 1
         self._housekeeping(time_s, memory)
         self._report(tick.stamp_ns, latest.counts)
@@ -154,7 +156,7 @@ class Slave:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
         side = self.memory.session
         last = side if side.state in (State.OFF, State.FAULT) else Session()
-        self._link.publish(STATE, outbox.slave_state(last, 0, None, 0.0))
+        self._link.publish(STATE, outbox.slave_state(last, self._echo_ns, None, 0.0))
         tell(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
@@ -179,9 +181,9 @@ class Slave:
         self.error = self.error or error
         self.ended = str(self.error)
 
-    def _publish(self, output: loop.Output, echo_stamp_ns: int) -> None:
+    def _publish(self, output: loop.Output) -> None:
         memory = self.memory
-        state = outbox.slave_state(memory.session, echo_stamp_ns, memory.newest, memory.silence)
+        state = outbox.slave_state(memory.session, self._echo_ns, memory.newest, memory.silence)
         self._link.publish(STATE, state)
         for row in output.rows:
             self._link.publish(TENDONS, outbox.tendon_state(row, output.motor))
