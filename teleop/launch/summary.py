@@ -66,7 +66,9 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
         + (f"{len(faults)} faults, first: {faults[0]}" if faults else "no fault"),
     ]
     if limits:
-        told = ", ".join(f"{kind.lower()} {100 * n / ticks:.1f} %" for kind, n in sorted(limits.items()))
+        told = ", ".join(
+            f"{kind.lower()} {100 * n / ticks:.1f} %" for kind, n in sorted(limits.items())
+        )
         out.append(f"{'':9} the gate stepped in: {told} of the ticks")
     latency = loop["latency_ms"]
     if latency["n"]:

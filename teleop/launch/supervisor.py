@@ -79,7 +79,7 @@ class Supervisor:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            env=os.environ | {SUPERVISED: str(os.getpid())},
+            env=os.environ | {SUPERVISED: str(os.getpid()), "NO_COLOR": "1"},
             start_new_session=True,
         )
         child = Child(name, process, summary)

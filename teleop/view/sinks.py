@@ -1,6 +1,7 @@
 """Where the scene goes: a window, a web page, a file, or nowhere."""
 
 import sys
+import threading
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
@@ -21,6 +22,7 @@ MODES: tuple[Mode, ...] = get_args(Mode)
 APPLICATION = "teleop"
 _FLUSH_S = 3.0
 _PROBE_S = 1.0
+_LET_GO_S = 1.0
 
 
 class Sink:
@@ -104,9 +106,13 @@ class Sink:
                 self.stream.flush(timeout_sec=_FLUSH_S)
             except RuntimeError as error:
                 print(f"view: the last data did not get there: {error}", file=sys.stderr)
-                if self._viewer is not None:
-                    self._viewer.close()  # to let go of a viewer that takes nothing waits for ever
+        # letting go of a viewer that hangs waits until it is gone, also where all was flushed into
+        # the kernel's buffers
+        patience = threading.Timer(_LET_GO_S, self._viewer.kill if self._viewer else lambda: None)
+        patience.daemon = True
+        patience.start()
         self._stack.close()
+        patience.cancel()
 
     def _open_window(self, stack: ExitStack, config: ViewConfig) -> None:
         if not has_display():

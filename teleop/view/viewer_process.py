@@ -78,6 +78,10 @@ class ViewerProcess:
         """Return whether it still runs; a native viewer ends when its window is closed."""
         return self._process.poll() is None
 
+    def kill(self) -> None:
+        """End it at once; from any thread."""
+        self._process.kill()
+
     def close(self) -> None:
         """End it, kindly and then not, and remove its folder."""
         self._process.terminate()

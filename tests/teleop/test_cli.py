@@ -70,17 +70,30 @@ def test_closed_standard_streams_are_no_defect(closed, tmp_path):
     assert ended.stderr == b""
 
 
+def test_a_closed_stream_is_replaced_by_one_that_takes_everything(monkeypatch):
+    for name in ("stdin", "stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    cli.open_missing_streams()
+    with sys.stdin, sys.stdout, sys.stderr:
+        sys.stdout.write("nowhere")
+        sys.stderr.write("nowhere")
+        assert sys.stdin.read() == ""
+
+
 INTERRUPTED = """
 import os, signal, sys
-from teleop import __main__, cli
+from teleop import __main__
 
 def interrupt(*_):
     os.kill(os.getpid(), signal.SIGINT)
 
 if sys.argv.pop(1) == "importing":
-    cli.build_parser = interrupt
+    class Finder:
+        def find_spec(name, *_):
+            if name == "teleop.compile_cache":
+                interrupt()
+    sys.meta_path.insert(0, Finder)
 else:
-    cli.COMMANDS = {"doctor": ("teleop.doctor", "")}
     import teleop.doctor
     teleop.doctor.main = interrupt
 sys.exit(__main__.main())

@@ -359,6 +359,14 @@ def test_shared_keys_are_checked(tmp_path: Path, text: str, says: str) -> None:
     assert says in str(caught.value)
 
 
+@pytest.mark.parametrize("index", ["²", "٣", "00", "9" * 5000])
+@pytest.mark.parametrize("text", ["slave: {sections: [{length: 1}, {length: 2}]}", ""])
+def test_what_is_no_index_of_a_list_is_one_line(tmp_path: Path, index: str, text: str) -> None:
+    change = f"slave.sections.{index}.length=1"
+    with pytest.raises(UsageError, match="counted from 0"):
+        load(write(tmp_path, text), Everything, "slave", [change])
+
+
 DOCUMENTED = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text()
 
 

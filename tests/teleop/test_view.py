@@ -4,6 +4,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.parse
@@ -18,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
+from teleop import cli
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Heard
 from teleop.messages import (
@@ -621,6 +623,36 @@ def test_a_viewer_that_hangs_is_noticed_and_does_not_hold_us(session, capfd):
     assert time.monotonic() - begin < 20  # a hang, not a speed
     assert not Path(f"/proc/{pid}").exists() or "Z" in Path(f"/proc/{pid}/stat").read_text()
     capfd.readouterr()
+
+
+@linux
+def test_a_viewer_that_hangs_with_all_its_data_in_the_pipe_does_not_hold_us(session, capfd):
+    sink = Sink("web", CONFIG, "test", None, live=True)
+    scene = Scene(CONFIG, sink.stream)
+    scene.send(decode(session.messages[:100]))
+    sink.stream.flush()
+    os.kill(sink._viewer.pid, signal.SIGSTOP)
+    scene.send(decode(session.messages[100:200]))
+    rescue = threading.Timer(20.0, sink._viewer.kill)  # so that a hang fails and does not hang us
+    rescue.start()
+    begin = time.monotonic()
+    sink.close()
+    rescue.cancel()
+    assert time.monotonic() - begin < 15
+    capfd.readouterr()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no recording"])
+def test_a_bad_recording_is_refused_before_anything_is_written(content, tmp_path, capsys):
+    bad, out = tmp_path / "bad.mcap", tmp_path / "new" / "deep" / "x.rrd"
+    if content is not None:
+        bad.write_bytes(content)
+    assert cli.main(["view", str(bad), "--view", "rrd", "--out", str(out)]) == 2
+    captured = capsys.readouterr()
+    assert str(bad) in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert captured.out == ""
+    assert not out.parent.parent.exists()
 
 
 def test_a_viewer_that_cannot_start_says_why():
