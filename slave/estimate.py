@@ -30,7 +30,7 @@ from teleop.config import as_tree, load
 from teleop.errors import UsageError
 from teleop.launch.summary import force_line
 from teleop.messages import PHASE_NAMES
-from teleop.process import write_summary
+from teleop.process import destination, write_summary
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     model.add_argument("--calibration", type=Path, metavar="FILE", help="a calibration file")
     add_config_arguments(parser)
     fit = parser.add_argument_group("with --fit")
-    fit.add_argument("--save", type=Path, metavar="FILE", help="write the fit as a calibration")
+    fit.add_argument(
+        "--save", type=destination, metavar="FILE", help="write the fit as a calibration"
+    )
     fit.add_argument(
         "--blocked-tip",
         action="store_true",
@@ -63,7 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "distal_displacement or time, e.g. --column proximal_tension=T_in",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")
-    parser.add_argument("--json", metavar="FILE", help="write the summary to FILE")
+    parser.add_argument(
+        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
+    )
     parser.add_argument(
         "--drop-nonfinite",
         action="store_true",
@@ -126,9 +130,6 @@ def check_words(args: argparse.Namespace) -> None:
         )
     if not args.fit and (args.save is not None or args.blocked_tip):
         raise UsageError("--save and --blocked-tip go with --fit")
-    for option, path in (("--save", args.save), ("--json", args.json)):
-        if path is not None and (Path(path).is_dir() or not Path(path).absolute().parent.is_dir()):
-            raise UsageError(f"{option} {path}: is not a file in an existing folder")
 
 
 def named(words: Sequence[str]) -> Columns:

@@ -7,7 +7,7 @@ import pytest
 
 from slave.table import read_table
 from teleop import cli
-from teleop.recording.reader import read_columns
+from teleop.recording.reader import open_recording, read_columns
 from teleop.topics import HAND, TENDONS
 from tests.system.test_run import run
 
@@ -33,8 +33,13 @@ def live_and_offline(data, folder, demo_config):
 
 
 def assert_same(offline, recording):
+    """Each row that was recorded is the offline one, and each that was not is counted as lost."""
     live = read_columns(recording, TENDONS.name)
-    np.testing.assert_array_equal(live["time_s"], offline.time)
+    rows = np.searchsorted(offline.time, live["time_s"])
+    np.testing.assert_array_equal(live["time_s"], offline.time[rows])
+    missing = len(offline.time) - len(rows)
+    assert missing == open_recording(recording).lost[TENDONS.name]
+    assert missing < 0.01 * len(rows)
     for field, column in (
         ("distal_tension", "distal_tension_estimate_N"),
         ("distal_tension_low", "distal_tension_low_N"),
@@ -44,7 +49,7 @@ def assert_same(offline, recording):
         ("phase", "phase"),
         ("status", "status"),
     ):
-        np.testing.assert_array_equal(live[field][:, 0], offline.extra[column], err_msg=field)
+        np.testing.assert_array_equal(live[field][:, 0], offline.extra[column][rows], err_msg=field)
 
 
 @pytest.mark.parametrize("rate", ["82", "1000", "2500"])

@@ -73,7 +73,7 @@ def test_closed_standard_streams_are_no_defect(closed, tmp_path):
 def test_a_closed_stream_is_replaced_by_one_that_takes_everything(monkeypatch):
     for name in ("stdin", "stdout", "stderr"):
         monkeypatch.setattr(sys, name, None)
-    cli.open_missing_streams()
+    assert cli.main(["run", "--config", "no-such.yaml"]) == 2
     with sys.stdin, sys.stdout, sys.stderr:
         sys.stdout.write("nowhere")
         sys.stderr.write("nowhere")
