@@ -54,7 +54,8 @@ def test_the_slave_holds_when_the_master_is_killed(session):
 
 
 def test_nothing_couples_again_until_the_operator_lets_go(tmp_path, demo_config):
-    with Processes(tmp_path, demo_config, "master.device.engage=[[0.5, 1000.0]]") as session:
+    held = ("master.device.engage=[[0.5, 1000.0]]", "master.device.engage_period=.inf")
+    with Processes(tmp_path, demo_config, *held) as session:
         session.start_all()
         session.kill("slave")
         pause(0.3)
