@@ -21,7 +21,8 @@ check: .venv/dev.done  ## format, lint, types, import rules
 	$(BIN)/lint-imports
 
 bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run
-	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@export NUMBA_CACHE_DIR="$$($(BIN)/python -c 'from teleop import compile_cache; print(compile_cache.choose())')"; \
+	for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 clean:  ## remove the environment and everything made by running
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

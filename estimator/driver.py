@@ -82,11 +82,11 @@ def follow(
     driving = along > sure_q and along >= DRIVING * expected
     tip = still or (state[DRIVER] != 0.0 and not driving)
 
-    if tip:
+    if tip and dT != 0.0:
         K = table[_K]
         u = log_tension(table, T)
         slide(table, profile, u - K if dT < 0.0 else u + table[_ASYMMETRY] * K, TIP)
-    elif state[DRIVER] != 0.0:
+    elif state[DRIVER] != 0.0 and not tip:
         profile[:] = motor_driven  # since the anchor it was the motor after all
     state[DRIVER] = 1.0 if tip else 0.0
     if still or driving or state[ANCHOR_AGE] > PATIENCE:

@@ -4,19 +4,28 @@ By (T7) the travel a change of T_in takes tells how deep the motor slides the te
 dq_p >= G(a) dT_in the front was at depth a or deeper, and beyond it friction leaves the tip the
 cone of (T2) that opens there: one point once a = K. What was proved ages: by what the motor may
 have changed since, and by `tip_tension_rate`, at which the tip may change unseen.
+
+A motor that goes on and on at one tension takes the whole tendon along, whatever the profile says:
+so a loose tendon is dragged out by the other tendon of its joint while its motor pays out. Then the
+profile is wrong, because the tip moved unseen, and is put right.
 """
 
 import math
 
 from estimator import tables as _tables
 from estimator.compiled import compiled
+from estimator.driver import anchor
 from estimator.memory import (
     BOUND,
+    DRIVER,
     E_ERROR,
+    HELD,
     K_ERROR,
+    MEMORY,
     PROVED_HIGH,
     PROVED_LOW,
     RATE,
+    SCALARS,
     SIGMA_Q,
     SIGMA_T,
     TENSION_FLOOR,
@@ -28,10 +37,12 @@ from estimator.memory import (
     Array,
     State,
 )
-from estimator.profile import log_tension, tension_of
+from estimator.profile import TIP, log_tension, slide, tension_of
 from estimator.tables import Tables, integral
+from estimator.transmission import read_out
 
 PRECISE = 10.0  # margins a window's change must exceed to be called precisely known
+CORRECTS = 2.0  # times the travel that proves all of the tendon to slide puts the profile right
 WINDOW = 0.1  # [s] after which a window of proof is closed as it is
 
 _K, _EA, _ASYMMETRY = _tables.K, _tables.EA, _tables.ASYMMETRY
@@ -70,7 +81,7 @@ def prove(
     sigma_mean: float,
     dt: float,
 ) -> None:
-    """Cut the proved interval of T_out by how deep the motor end slides at least.
+    """Cut the proved interval of T_out by how deep the motor end slides at least, in place.
 
     Over a window in which T_in went one way, dq_p >= G(a) dT_in says that at some time the front
     was at a or deeper. What of dT_in the noise hides counts against it.
@@ -90,7 +101,8 @@ def prove(
         along = max(math.copysign(dT, dT * dq), 0.0)  # of dT, what slides the way the motor went
         sure_T = along + turned + 2.0 * margin_T
         compliance = sure_q / sure_T
-        full = compliance * table[_EA] >= integral(table, table[_K], side)
+        whole = sure_T * integral(table, table[_K], side) / table[_EA]
+        full = sure_q >= whole
         precise = abs(dq) > PRECISE * margin_q and abs(dT) > PRECISE * margin_T
         if not (full or precise or state[WINDOW_AGE] > WINDOW):
             return
@@ -104,6 +116,16 @@ def prove(
         unheard = constants[RATE] * state[WINDOW_AGE] if state[WINDOW_AGE] > 0.0 else 0.0
         state[PROVED_LOW] = max(state[PROVED_LOW], low - unheard)
         state[PROVED_HIGH] = min(state[PROVED_HIGH], high + unheard)
+        profile = state[SCALARS:MEMORY]
+        T_out = read_out(table, profile)[1]
+        if full and not low <= T_out <= high:
+            if sure_q < CORRECTS * whole and state[WINDOW_AGE] <= WINDOW:
+                return
+            if sure_q >= CORRECTS * whole:
+                u = log_tension(table, state[HELD])
+                slide(table, profile, u + side * table[_K], TIP)
+                state[DRIVER] = 0.0
+                anchor(table, state, state[HELD], q)
         open_window(state, T, q)
     elif state[WINDOW_AGE] > WINDOW:
         open_window(state, T, q)

@@ -17,14 +17,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from estimator import online
 from slave import fitting
-from slave.config import Calibration, SlaveConfig, TendonConfig, tendon_configs
+from slave.calibration import file
+from slave.calibration.file import Calibration
+from slave.config import SlaveConfig, tendon_configs
 from slave.fitting import Fit
 from slave.score import Score
 from slave.table import Columns, MeasuredTable, check_destination, read_table, write_table
+from slave.tendon_config import TendonConfig
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import as_tree, load
 from teleop.errors import UsageError
@@ -43,6 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fit = parser.add_argument_group("with --fit")
     fit.add_argument(
         "--save", type=destination, metavar="FILE", help="write the fit as a calibration"
+    )
+    fit.add_argument(
+        "--rig",
+        default="",
+        metavar="NAME",
+        help="of --save: the rig (slave.rig.name) that the fit is to be used on; without it the "
+        "calibration is good for playing measured data only",
     )
     fit.add_argument(
         "--blocked-tip",
@@ -85,7 +94,7 @@ def main(args: argparse.Namespace) -> int:
     if args.fit:
         fit = fitting.fit(table, args.blocked_tip, args.length)
         if args.save is not None:
-            save(args.save, fit, table)
+            save(args.save, fit, table, args.rig)
         tendon = fit.tendon
         summary["fit"] = {
             "method": fit.method,
@@ -130,6 +139,8 @@ def check_words(args: argparse.Namespace) -> None:
         )
     if not args.fit and (args.save is not None or args.blocked_tip):
         raise UsageError("--save and --blocked-tip go with --fit")
+    if args.rig and args.save is None:
+        raise UsageError("--rig goes with --save")
 
 
 def named(words: Sequence[str]) -> Columns:
@@ -194,21 +205,18 @@ def columns(estimates: online.Estimates) -> dict[str, Any]:
     }
 
 
-def save(path: Path, fit: Fit, table: MeasuredTable) -> None:
+def save(path: Path, fit: Fit, table: MeasuredTable, rig: str) -> None:
     """Write a calibration that `--calibration` and `slave.calibration` take."""
     ends = ", ".join(f"{n} {p.low:.4g} to {p.high:.4g}" for n, p in fit.parameters.items())
     calibration = Calibration(
         tendons=(fit.tendon,),
+        rig=rig,
         method=f"{fit.method}; 95 % intervals: {ends}",
         source=f"{table.path.name}, {len(table.time)} samples",
         believed=fit.believe,
         remark=fit.reason,
     )
-    text = yaml.safe_dump(as_tree(calibration), sort_keys=False)
-    try:
-        path.write_text(text)
-    except OSError as error:
-        raise UsageError(f"--save {path}: {error.strerror}") from error
+    file.save(path, calibration)
 
 
 def in_words(summary: dict[str, Any]) -> list[str]:

@@ -18,8 +18,8 @@ from estimator.identification import (
     fit_bench,
     fit_blocked_tip,
 )
-from slave.config import TendonConfig
 from slave.table import MeasuredTable
+from slave.tendon_config import TendonConfig
 from teleop.errors import UsageError
 
 COVER = 1.96  # standard uncertainties on each side of 95 %
@@ -75,7 +75,7 @@ def from_loop(table: MeasuredTable, base: TendonConfig) -> Fit:
     stiffness = found.stiffness_per_length
     EA = Measured(stiffness.value * base.length, stiffness.uncertainty * base.length)
     tendon = with_friction(base, interval(found.K), EA.value)
-    values = {"K": found.K, "K by slopes": found.K_loop, "K by branch": found.K_branch, "EA": EA}
+    values = {"K": found.K, "K by slopes": found.K_loop, "EA": EA}
     parameters = {name: interval(value) for name, value in values.items()}
     return Fit(tendon, "pull-release loop, tip blocked", parameters, *loop_verdict(found))
 
@@ -116,8 +116,8 @@ def loop_verdict(found: Calibration) -> tuple[bool, str]:
             "both methods agree: the curvature is even enough for K and EA to be both right",
         )
     return False, (
-        "the methods disagree: the sheath is bent unevenly (then K, by the branch change, is right "
-        "to some 5 %), friction depends on direction, or the tip gives way"
+        "the methods disagree: the sheath is bent unevenly (then K is right, elongation not, which "
+        "is computed for an even bend), friction depends on direction, or the tip gives way"
     )
 
 

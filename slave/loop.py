@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import online
-from slave import control, gate, standing
+from slave import control, gate, standing, watch
+from slave.calibration import monitor
+from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
-from slave.control import Control
+from slave.control import Control, JointEstimate, TendonSeen
 from slave.rig import RigSample
 from slave.standing import Standing
+from slave.watch import Finding, Watch
 from teleop import session
 from teleop.messages import Command
 from teleop.session import Reason, Session
@@ -30,11 +33,22 @@ NO_SAMPLE = "the rig has given no sample yet"
 NO_POSITION = "no encoder reading tells where the motors stand, and the rig does not start at zero"
 
 
+class Known(NamedTuple):
+    """What is known of the rig before the first tick."""
+
+    joints: tuple[tuple[int, ...], ...]  # `Rig.joints`
+    models: tuple[online.TendonModel, ...]  # of each tendon
+    prepared: tuple[online.Prepared, ...]  # the same, for the estimator
+    watched: tuple[monitor.Watched, ...]  # the same, for the monitor of their calibration
+    barred: str = ""  # why it must not be engaged, in words: no calibration that fits it
+
+
 class Row(NamedTuple):
-    """One sample of the rig and the estimates that belong to it, one for each tendon."""
+    """One sample of the rig and what is estimated from it, for each tendon."""
 
     sample: RigSample
     estimates: tuple[online.TendonEstimate, ...]
+    tendons: tuple[TendonSeen, ...]
 
 
 class Memory(NamedTuple):
@@ -43,8 +57,14 @@ class Memory(NamedTuple):
     session: Session
     estimators: tuple[EstimatorState, ...]
     standing: Standing
+    watch: Watch
     motor: tuple[float, ...] = ()  # [m] what the gate last let through; empty = never engaged yet
     newest: Row | None = None
+    elapsed: float = 0.0  # [s] between the newest sample and the one before
+    offsets: tuple[float, ...] = ()  # [m] of each joint's tendons, see `control.joint_estimate`
+    found: Finding | None = None  # what the watch found wrong last, and where
+    monitors: tuple[monitor.Watch, ...] = ()  # of each tendon's calibration
+    advice: Advice = Advice.NONE
     following: Control = Control()
     silence: float = 0.0  # [s] since the last sample that could be used
     overload: float = 0.0  # [s] for which a tension has been far over its limit, engaged
@@ -59,14 +79,40 @@ class Output(NamedTuple):
     rows: tuple[Row, ...]  # the samples that were new, oldest first
 
 
-def start(prepared: Sequence[online.Prepared], starts_at_zero: bool) -> Memory:
-    """Return the memory of a slave that has just started; see `Rig.starts_at_zero`."""
-    states = tuple(online.initial(p) for p in prepared)
-    return Memory(Session(), states, standing.start(len(prepared), starts_at_zero))
+def know(
+    joints: Sequence[Sequence[int]], models: Sequence[online.TendonModel], barred: str = ""
+) -> Known:
+    """Return what is known of a rig whose tendons have these models."""
+    return Known(
+        tuple(tuple(joint) for joint in joints),
+        tuple(models),
+        tuple(online.prepare(model) for model in models),
+        tuple(monitor.prepare(model) for model in models),
+        barred,
+    )
+
+
+def start(known: Known, starts_at_zero: bool, samples: Sequence[RigSample] = ()) -> Memory:
+    """Return the memory of a slave that has just started; see `Rig.starts_at_zero`.
+
+    `samples` of the rig, oldest first, are all that it measured before: the tensions along the
+    tendons are then known from the start.
+    """
+    states = tuple(online.initial(p) for p in known.prepared)
+    memory = Memory(
+        Session(),
+        states,
+        standing.start(len(known.prepared), starts_at_zero),
+        watch.start(known.joints, known.prepared),
+        monitors=(monitor.Watch(),) * len(known.models),
+    )
+    for sample in samples:
+        memory, _ = take(known, memory, sample)
+    return memory._replace(standing=standing.step(memory.standing, samples, 0.0))
 
 
 def step(
-    prepared: Sequence[online.Prepared],
+    known: Known,
     config: SlaveConfig,
     memory: Memory,
     samples: Sequence[RigSample],
@@ -82,10 +128,10 @@ def step(
 
     Parameters
     ----------
-    prepared : sequence of Prepared
-        The estimator's model of each tendon.
+    known : Known
+        The rig's joints and tendons.
     config : SlaveConfig
-        Limits of the gate and of silence.
+        Limits of the gate, of the watch and of silence; the controller's gains.
     samples : sequence of RigSample
         All samples since the last tick, oldest first; the estimator takes each once.
     command : Command or None
@@ -97,25 +143,29 @@ def step(
     dt : float
         Time since the last tick [s].
     """
-    states, newest, rows = memory.estimators, memory.newest, []
+    after, rows, found = memory, [], None
     for sample in samples:
-        elapsed = sample.time_s - newest.sample.time_s if newest else 0.0
-        newest, states = estimate(prepared, states, sample, elapsed)
-        rows.append(newest)
-    silence = 0.0 if any(usable(row) for row in rows) else memory.silence + dt
+        after, row = take(known, after, sample)
+        rows.append(row)
+        seen = row.tendons
+        finding, watched = watch.step(config.watch, known.joints, after.watch, seen, after.elapsed)
+        after, found = after._replace(watch=watched), finding or found
+        after = monitored(known, config, after, row)
+    newest = after.newest
     overloaded = memory.session.may_move and overload(config.gate, newest)
-    after = memory._replace(
-        estimators=states,
+    after = after._replace(
         standing=standing.step(memory.standing, samples, dt),
-        newest=newest,
-        silence=silence,
+        silence=0.0 if any(map(usable, rows)) else memory.silence + dt,
         overload=memory.overload + dt if overloaded else 0.0,
+        found=found if rows else memory.found,
     )
     motor = memory.motor or standing.known(after.standing, config.silence_max)
-    hindrance = NO_SAMPLE if newest is None else "" if motor else NO_POSITION
+    hindrance = NO_SAMPLE if newest is None else known.barred or ("" if motor else NO_POSITION)
     master = session.State(command.state) if command is not None else session.State.OFF
     asks = fresh and master is session.State.ENGAGED
-    asked = command.position[: len(prepared)] if command is not None and asks else ()
+    joints = len(known.joints) if command is not None and asks else 0
+    asked = command.position[:joints] if command is not None else ()
+    speed = command.velocity[:joints] if command is not None else ()
 
     side = session.step(
         memory.session,
@@ -124,7 +174,7 @@ def step(
             peer_fresh=fresh,
             peer_state=master,
             engage=session.switch_of(master),
-            fault=fault if fault is not Reason.NONE else own_fault(config, after, asked),
+            fault=fault if fault is not Reason.NONE else own_fault(config, after, asked + speed),
         ),
         dt,
     )
@@ -132,17 +182,33 @@ def step(
     engaged = side.may_move and asks
     if newest is None or not (memory.motor or engaged):
         return Output((), gate.Verdict.HELD, tuple(rows)), after
-    wanted, following = control.step(memory.following, asked, motor, engaged)
-    motor, verdict = gate.step(config.gate, motor, wanted, tension(newest), silence, engaged, dt)
+    wanted, following = control.step(
+        config.control,
+        known.joints,
+        memory.following,
+        asked,
+        motor,
+        newest.tendons,
+        engaged,
+        dt,
+        speed,
+    )
+    motor, verdict = gate.step(
+        config.gate, motor, wanted, tension(newest), after.silence, engaged, dt
+    )
     return Output(motor, verdict, tuple(rows)), after._replace(motor=motor, following=following)
 
 
 def own_fault(config: SlaveConfig, memory: Memory, asked: Sequence[float]) -> Reason:
-    """Return what the slave itself finds wrong; `asked` [m] is empty unless it shall move."""
+    """Return what the slave itself finds wrong; `asked` of it is empty unless it shall move."""
     if memory.newest is not None and memory.silence > config.silence_max:
         return Reason.SAMPLES_STALE
     if memory.overload > OVERLOAD_S:
         return Reason.OVER_LIMIT
+    if memory.found is not None:
+        return memory.found.reason
+    if memory.advice is Advice.DEMANDED:
+        return Reason.CALIBRATION_DUE
     return Reason.NONE if all(map(math.isfinite, asked)) else Reason.NOT_FINITE
 
 
@@ -169,19 +235,53 @@ def tension(row: Row) -> list[float]:
     return [math.nan if refused(e) else t for e, t in zip(row.estimates, measured, strict=True)]
 
 
-def estimate(
-    prepared: Sequence[online.Prepared],
-    states: Sequence[EstimatorState],
-    sample: RigSample,
-    elapsed: float,
-) -> tuple[Row, tuple[EstimatorState, ...]]:
-    """Step each tendon's estimator with one sample, `elapsed` [s] after the one before."""
+def take(known: Known, memory: Memory, sample: RigSample) -> tuple[Memory, Row]:
+    """Step each tendon's estimator with one sample."""
+    before = memory.newest
+    elapsed = sample.time_s - before.sample.time_s if before else 0.0
     tension = sample.proximal_tension.tolist()
     displacement = sample.proximal_displacement
     travel = [math.nan] * len(tension) if displacement is None else displacement.tolist()
-    estimates, after = [], []
-    for model, state, force, position in zip(prepared, states, tension, travel, strict=True):
+    estimates, states = [], []
+    for model, state, force, position in zip(
+        known.prepared, memory.estimators, tension, travel, strict=True
+    ):
         result, advanced = online.step(model, state, force, position, elapsed)
         estimates.append(result)
-        after.append(advanced)
-    return Row(sample, tuple(estimates)), tuple(after)
+        states.append(advanced)
+    row = Row(sample, tuple(estimates), control.seen(sample, estimates))
+    after = memory._replace(estimators=tuple(states), newest=row, elapsed=elapsed)
+    if not after.offsets and usable(row):
+        offsets = tuple(control.offset([row.tendons[i] for i in j]) for j in known.joints)
+        after = after._replace(offsets=offsets if all(map(math.isfinite, offsets)) else ())
+    return after, row
+
+
+def monitored(known: Known, config: SlaveConfig, memory: Memory, row: Row) -> Memory:
+    """Take note of whether the sheaths still have the shape they were calibrated in."""
+    monitors = tuple(
+        monitor.step(
+            config.monitor,
+            watched,
+            before,
+            tendon.estimate,
+            tendon.tension,
+            tendon.displacement,
+            memory.elapsed,
+        )
+        for watched, before, tendon in zip(known.watched, memory.monitors, row.tendons, strict=True)
+    )
+    advice = monitor.advice(config.monitor, monitors)
+    return memory._replace(monitors=monitors, advice=advice)
+
+
+def joint_estimates(known: Known, memory: Memory) -> tuple[JointEstimate, ...]:
+    """Return what is known of the joints by the newest sample; nothing before the first."""
+    if memory.newest is None:
+        return ()
+    told = memory.newest.tendons
+    offsets = memory.offsets or (0.0,) * len(known.joints)
+    return tuple(
+        control.joint_estimate([told[i] for i in joint], offset)
+        for joint, offset in zip(known.joints, offsets, strict=True)
+    )

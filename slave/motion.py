@@ -69,6 +69,27 @@ class Sine:
 
 
 @dataclass(frozen=True, slots=True)
+class Keep:
+    """Follow what pulls, so that the tension stays near `tension`: the loose tendon of a pair.
+
+    The motor goes at `admittance` (tension - measured), but for a dead band, within `speed`.
+    """
+
+    tension: float  # [N]
+    speed: float  # [m/s]
+    admittance: float = 0.03  # [m/(s N)]
+    band: float = 0.1  # [N] to either side, against hunting: a short piece of tendon is stiff
+
+    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+        """See `Motion`."""
+        error = self.tension - seen.tension
+        error -= min(max(error, -self.band), self.band)
+        speed = min(max(self.admittance * error, -self.speed), self.speed)
+        target = memory.target + speed * seen.dt
+        return target, memory._replace(target=target)
+
+
+@dataclass(frozen=True, slots=True)
 class Scale:
     """How far and how fast to move."""
 

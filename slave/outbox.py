@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from estimator.sheath import Sheath
+from slave.control import JointEstimate
 from slave.loop import Row
 from slave.rig import Array
 from teleop import messages
@@ -14,30 +15,30 @@ _MISSING = (math.nan,) * MAX_TENDONS
 
 
 def slave_state(
-    side: Session, echo_stamp_ns: int, newest: Row | None, sample_age: float
+    side: Session, echo_stamp_ns: int, joints: Sequence[JointEstimate], sample_age: float
 ) -> messages.SlaveState:
-    """Return the state of a tick; with one tendon a joint, its force is that tendon's T_out.
+    """Return the state of a tick.
 
-    `sample_age` [s] is the time since the newest sample that could be used.
+    `joints` are what is known of them, none before the first sample; `sample_age` [s] is the time
+    since the newest sample that could be used.
     """
-    estimates = newest.estimates if newest else ()
     return messages.SlaveState(
         state=side.state,
         reason=side.reason,
-        joints=len(estimates),
+        joints=len(joints),
         echo_stamp_ns=echo_stamp_ns,
-        sample_age_ns=round(sample_age * 1e9) if newest else 0,
-        position=padded([e.distal_displacement for e in estimates], MAX_JOINTS),
-        force=padded([e.distal_tension for e in estimates], MAX_JOINTS),
-        force_low=padded([e.low for e in estimates], MAX_JOINTS),
-        force_high=padded([e.high for e in estimates], MAX_JOINTS),
-        status=_flags([e.status for e in estimates], MAX_JOINTS),
+        sample_age_ns=round(sample_age * 1e9) if joints else 0,
+        position=padded([joint.position for joint in joints], MAX_JOINTS),
+        force=padded([joint.force for joint in joints], MAX_JOINTS),
+        force_low=padded([joint.low for joint in joints], MAX_JOINTS),
+        force_high=padded([joint.high for joint in joints], MAX_JOINTS),
+        status=_flags([joint.status for joint in joints], MAX_JOINTS),
     )
 
 
 def tendon_state(row: Row, motor: Sequence[float]) -> messages.TendonState:
     """Return one sample with its estimates, and the motor positions [m] asked for, if any were."""
-    sample, estimates = row
+    sample, estimates, _ = row
     return messages.TendonState(
         tendons=len(estimates),
         time_s=sample.time_s,
@@ -65,12 +66,12 @@ def tension_profile(
     )
 
 
-def sheath(tendon: int, model: Sheath) -> messages.Sheath:
+def sheath(tendon: int, joint: int, model: Sheath) -> messages.Sheath:
     """Return the shape and constants of one sheath of at most `MAX_SECTIONS` sections."""
     sections = model.sections
     return messages.Sheath(
         tendon=tendon,
-        joint=tendon,
+        joint=joint,
         sections=len(sections),
         effective_friction=model.K,
         axial_stiffness=model.axial_stiffness,

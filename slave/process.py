@@ -18,8 +18,10 @@ import numpy as np
 from estimator import online
 from estimator.sheath import Sheath
 from slave import loop, outbox
-from slave.config import SlaveConfig, doubts, tendon_configs
-from slave.loop import Memory
+from slave.calibration.initialise import initialise
+from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
+from slave.housekeeping import Housekeeping
+from slave.loop import Known, Memory
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import open_rig
 from slave.score import Score
@@ -37,65 +39,18 @@ from teleop.session import Reason, Session, State
 from teleop.tell import tell
 from teleop.topics import (
     COMMAND,
-    PROFILE,
     REPORT,
-    SHEATH,
     STATE,
     TENDONS,
     Role,
 )
 
-PROFILE_PERIOD_S = 0.02  # one tendon's T(x) each; the viewer shows no more
-SHEATH_PERIOD_S = 1.0  # for listeners that come late
 
+class Past(NamedTuple):
+    """What a rig was used for before the loop."""
 
-class Tendon(NamedTuple):
-    """What the estimator knows of one tendon, readable and prepared."""
-
-    model: online.TendonModel
-    prepared: online.Prepared
-
-
-class Housekeeping:
-    """What the slave tells listeners now and then: events, profiles, sheath shapes."""
-
-    def __init__(self, link: Link, tendons: Sequence[Tendon]) -> None:
-        self._link, self._tendons = link, tendons
-        self._points = [np.linspace(0.0, t.model.sheath.length, PROFILE_POINTS) for t in tendons]
-        self._said: tuple[Session, str] | None = None
-        self._next_profile_s = self._next_sheath_s = 0.0
-        self._tendon = 0
-
-    def __call__(self, time_s: float, memory: Memory) -> None:
-        """Publish what is due at session time `time_s` [s]."""
-        now = memory.session, memory.hindrance
-        if now != self._said:
-            self._said = now
-            tell(self._link, Role.SLAVE, memory.session, in_words(*now))
-        if time_s >= self._next_profile_s and memory.newest is not None:
-            self._next_profile_s = time_s + PROFILE_PERIOD_S
-            self._publish_profile(memory)
-        if time_s >= self._next_sheath_s:
-            self._next_sheath_s = time_s + SHEATH_PERIOD_S
-            for k, tendon in enumerate(self._tendons):
-                self._link.publish(SHEATH, outbox.sheath(k, tendon.model.sheath))
-
-    def _publish_profile(self, memory: Memory) -> None:
-        assert memory.newest is not None  # noqa: S101 - asked by the caller
-        k = self._tendon
-        self._tendon = (k + 1) % len(self._tendons)
-        x = self._points[k]
-        tension = online.profile_at(self._tendons[k].prepared, memory.estimators[k], x)
-        front = memory.newest.estimates[k].front
-        self._link.publish(PROFILE, outbox.tension_profile(k, x[-1], front, tension.tolist()))
-
-
-def in_words(side: Session, hindrance: str) -> str:
-    """Return what is told of a new session state, and why the rig is not usable."""
-    text = f"{side.state.name.lower()}: {side.reason.text}"
-    if side.reason is Reason.NOT_USABLE:
-        text = f"{text}: {hindrance}"
-    return text
+    start_ns: int  # from which its session time counts
+    samples: tuple[RigSample, ...]  # all that it has given since, oldest first
 
 
 class Slave:
@@ -110,18 +65,25 @@ class Slave:
     """
 
     def __init__(
-        self, config: SlaveConfig, link: Link, rig: Rig, tendons: Sequence[Tendon], grid: Grid
+        self,
+        config: SlaveConfig,
+        link: Link,
+        rig: Rig,
+        known: Known,
+        grid: Grid,
+        past: Past | None = None,
     ) -> None:
         self.error: TeleopError | None = None
         self.ended = ""
         self._config, self._link, self._rig = config, link, rig
-        self._prepared = [tendon.prepared for tendon in tendons]
-        self.memory = loop.start(self._prepared, rig.starts_at_zero)
+        self._known = known
+        past = past or Past(now_ns(), ())
+        self.memory = loop.start(known, rig.starts_at_zero, past.samples)
         self._meter = LoopMeter(Role.SLAVE, grid)
-        self._housekeeping = Housekeeping(link, tendons)
+        self._housekeeping = Housekeeping(link, known)
         self._score, self._verdicts = Score(), Counter[str]()
         self._freshness_ns = round(config.freshness * 1e9)
-        self._start_ns = now_ns()
+        self._start_ns = past.start_ns
         self._echo_ns = 0  # stamp of the newest command heard
         link.subscribe_latest(COMMAND)
 
@@ -135,7 +97,7 @@ class Slave:
 
         def step(fault: Reason) -> tuple[loop.Output, Memory]:
             return loop.step(
-                self._prepared, self._config, self.memory, samples, command, fresh, fault, tick.dt
+                self._known, self._config, self.memory, samples, command, fresh, fault, tick.dt
             )
 
         output, memory = step(fault)
@@ -156,7 +118,7 @@ class Slave:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
         side = self.memory.session
         last = side if side.state in (State.OFF, State.FAULT) else Session()
-        self._link.publish(STATE, outbox.slave_state(last, self._echo_ns, None, 0.0))
+        self._link.publish(STATE, outbox.slave_state(last, self._echo_ns, (), 0.0))
         tell(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
@@ -183,7 +145,8 @@ class Slave:
 
     def _publish(self, output: loop.Output) -> None:
         memory = self.memory
-        state = outbox.slave_state(memory.session, self._echo_ns, memory.newest, memory.silence)
+        joints = loop.joint_estimates(self._known, memory)
+        state = outbox.slave_state(memory.session, self._echo_ns, joints, memory.silence)
         self._link.publish(STATE, state)
         for row in output.rows:
             self._link.publish(TENDONS, outbox.tendon_state(row, output.motor))
@@ -232,15 +195,13 @@ def main(args: argparse.Namespace) -> int:
         link = stack.enter_context(Link(shared.link, shared.session, Role.SLAVE))
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        if not 1 <= rig.tendons <= MAX_JOINTS:
-            raise UsageError(f"slave.rig: {rig.tendons} tendons, must be 1 to {MAX_JOINTS}")
+        require_carried(rig)
         for doubt in doubts(config):
             print(doubt, flush=True)
-        models = [tendon.model() for tendon in tendon_configs(config, rig.tendons)]
-        tendons = [Tendon(model, online.prepare(model)) for model in models]
         stop = Stop(args.duration)
+        known, past = known_before(config, rig, link, stop, shared.rate_hz)
         grid = Grid(shared.rate_hz, stop, phase=0.5)
-        slave = Slave(config, link, rig, tendons, grid)
+        slave = Slave(config, link, rig, known, grid, past)
         run(slave, grid, stop.request)
         summary = slave.summary()
     summary |= {"stopped": stop.reason, "realtime": granted}
@@ -250,6 +211,39 @@ def main(args: argparse.Namespace) -> int:
     if slave.error:
         raise slave.error
     return 0
+
+
+def require_carried(rig: Rig) -> None:
+    """Refuse a rig that the messages have no room for."""
+    if not 1 <= len(rig.joints) <= MAX_JOINTS or any(len(j) not in (1, 2) for j in rig.joints):
+        raise UsageError(
+            f"slave.rig: tendons {rig.joints}, must be 1 to {MAX_JOINTS} joints of 1 or 2 tendons"
+        )
+
+
+def known_before(
+    config: SlaveConfig, rig: Rig, link: Link, stop: Stop, rate_hz: float
+) -> tuple[Known, Past]:
+    """Return what is known of a rig when the loop begins, and what it has measured before.
+
+    If the config asks for it, the rig is calibrated first, in its quick form; `TeleopError` if
+    that has to be given up.
+    """
+    past = Past(now_ns(), ())
+    if not config.initialise.at_start:
+        models = [tendon.model() for tendon in tendon_configs(config, rig.tendons)]
+        return loop.know(rig.joints, models, hindrance_of(config, rig)), past
+    tell(link, Role.SLAVE, Session(), f"off: calibrating {rig.name}; keep its joints free")
+    done = initialise(
+        rig,
+        config,
+        Grid(rate_hz, lambda: False, phase=0.5),
+        past.start_ns,
+        stopped=lambda: stop.reason if stop() else "",
+    )
+    tell(link, Role.SLAVE, Session(), f"off: {rig.name} is calibrated")
+    models = [tendon.model() for tendon in done.calibration.tendons]
+    return loop.know(rig.joints, models), past._replace(samples=done.samples)
 
 
 def warm_up() -> None:

@@ -37,15 +37,25 @@ class Rig(Protocol):
 
     Attributes
     ----------
+    name : str
+        By which calibration files know it.
     tendons : int
-        How many it has, 1 to `teleop.messages.MAX_JOINTS`.
+        How many it has, 1 to `teleop.messages.MAX_TENDONS`.
+    joints : tuple of tuples of int
+        The tendons of each joint, counted from 0 over the whole rig: one that works against a
+        return spring, or a pair `a`, `b` that work against each other. Every tendon belongs to one
+        joint, as in ((0, 1), (2, 3)) or ((0,),); at most `teleop.messages.MAX_JOINTS` of them.
+        Joint travel is positive where `a` pulls, so the tip of `a` travels with the joint and
+        that of `b` against it.
     starts_at_zero : bool
         Whether its motors stand at 0 by their own count when it is opened and stay there until the
         first write, so that no encoder is needed to know. Otherwise nothing is ever written before
         encoders have told, for all tendons, where the motors stand.
     """
 
+    name: str
     tendons: int
+    joints: tuple[tuple[int, ...], ...]
     starts_at_zero: bool
 
     def read(self, time_s: float) -> tuple[RigSample, ...]:

@@ -3,8 +3,9 @@
   teleop simulate configs/demo.yaml --out bench.csv
   teleop simulate configs/demo.yaml --out nested.parquet --profile nested --duration 60 --seed 7
 
-The rig is slave.rig of the config file, defaults without one. All its motors make the same motion;
-the table has the housing's sensors and, as on a calibration bench, the true values at the tip
+The rig is slave.rig of the config file, defaults without one. In every joint one motor makes the
+motion; that of the other tendon, where there is one, follows and keeps it from going slack. The
+table has the housing's sensors and, as on a calibration bench, those at the tip
 (docs/data-format.md). The same command writes the same file.
 """
 
@@ -13,19 +14,23 @@ import dataclasses
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slave.config import SlaveConfig
-from slave.motion import MOTIONS, Memory, Motion, Scale, Seen
+from slave.motion import MOTIONS, Keep, Memory, Motion, Scale, Seen
+from slave.plant.effects import EffectConfig
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.table import Columns, check_destination, write_table
 from teleop.config import load
 from teleop.errors import UsageError
 
 Array = NDArray[np.float64]
+
+KEEP = 0.5  # [N] enough for a tendon not to go slack
+FOLLOW_SPEED = 0.04  # [m/s] most that the loose tendon's motor goes
 
 
 class Run(NamedTuple):
@@ -78,6 +83,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"[s] of the sine (default {scale.period:g})",
     )
     parser.add_argument(
+        "--side",
+        choices=("a", "b"),
+        default="a",
+        help="which tendon of a pair makes the motion (default a)",
+    )
+    parser.add_argument(
+        "--keep",
+        type=float,
+        default=KEEP,
+        help=f"[N] housing tension of the other one (default {KEEP:g})",
+    )
+    parser.add_argument(
         "--set",
         dest="overrides",
         action="append",
@@ -89,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    for name in ("duration", "rate", "peak", "speed", "stroke", "period"):
+    for name in ("duration", "rate", "peak", "speed", "stroke", "period", "keep"):
         if not 0.0 < getattr(args, name) <= 1e5:
             raise UsageError(f"--{name} {getattr(args, name)}: must be above 0 and at most 100 000")
     check_destination(args.out)
@@ -98,11 +115,24 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--rate {args.rate:g}: the rig's slave.rig.period allows 1/period at most"
         )
-    motion = MOTIONS[args.profile](Scale(args.peak, args.speed, args.stroke, args.period))
+    scale = Scale(args.peak, args.speed, args.stroke, args.period)
+    motion = MOTIONS[args.profile](scale)
+    replaced = args.out.exists()
+    SimulatedRig(config)  # compiles what is not compiled yet, which is not the plant's time
     began = time.perf_counter()
-    run = simulate(config, motion, args.duration, args.rate, progress=sys.stderr.isatty())
+    run = simulate(
+        config,
+        motion,
+        args.duration,
+        args.rate,
+        side=args.side,
+        keep=args.keep,
+        progress=sys.stderr.isatty(),
+    )
     took = time.perf_counter() - began
     write_table(args.out, table_of(run))
+    if replaced:
+        print(f"{args.out}: the file that was there has been replaced")
     _print_summary(args.out, config, run, took)
     return 0
 
@@ -112,32 +142,46 @@ def simulate(
     motion: Motion,
     duration: float,
     rate: float,
+    *,
+    side: Literal["a", "b"] = "a",
+    keep: float = KEEP,
     progress: bool = False,
 ) -> Run:
-    """Move all motors of a simulated rig by `motion` for `duration` [s], sampled at `rate` [Hz]."""
+    """Move all joints of a simulated rig by `motion` for `duration` [s], sampled at `rate` [Hz].
+
+    In a pair tendon `side` makes the motion, and the other one is kept at `keep` [N]. Motors are
+    sent on at every step of the plant, however few of its samples become rows.
+    """
     rig = SimulatedRig(config)
+    loose = Keep(keep, FOLLOW_SPEED)
+    pair = (motion, loose) if side == "a" else (loose, motion)
+    motions = [m for tendons in rig.joints for m in (pair if len(tendons) == 2 else (motion,))]
     memories = [Memory()] * rig.tendons
-    samples = []
-    count = int(duration * rate + 1e-9) + 1
-    for k in range(count):
-        (sample,) = rig.read(k / rate)
-        samples.append(sample)
-        tensions = sample.proximal_tension.tolist()
-        moves = [
-            motion.step(memory, Seen(sample.time_s, tension, 1.0 / rate))
-            for memory, tension in zip(memories, tensions, strict=True)
-        ]
-        memories = [memory for _, memory in moves]
-        rig.write(np.array([target for target, _ in moves]))
-        if progress and (k % 2000 == 0 or k == count - 1):
-            _show_progress((k + 1) / count)
+    period, rows = config.period, []
+    due = [round(k / rate / period) for k in range(int(duration * rate + 1e-9) + 1)]
+    kept, last = set(due), due[-1]
+    for step in range(last + 1):
+        for sample in rig.read(step * period):
+            tensions = sample.proximal_tension.tolist()
+            moves = [
+                move.step(memory, Seen(sample.time_s, tension, period))
+                for move, memory, tension in zip(motions, memories, tensions, strict=True)
+            ]
+            memories = [memory for _, memory in moves]
+            rig.write(np.array([target for target, _ in moves]))
+            if step in kept:
+                rows.append(sample)
+        if progress and (step % 2000 == 0 or step == last):
+            _show_progress((step + 1) / (last + 1))
     rig.close()
+    if not rows:
+        raise UsageError("slave.rig.effects: all samples were lost")
     return Run(
-        np.array([sample.time_s for sample in samples]),
-        np.array([sample.proximal_tension for sample in samples]),
-        np.array([sample.proximal_displacement for sample in samples]),
-        np.array([sample.bench_distal_tension for sample in samples]),
-        np.array([sample.bench_distal_displacement for sample in samples]),
+        np.array([row.time_s for row in rows]),
+        np.array([row.proximal_tension for row in rows]),
+        np.array([row.proximal_displacement for row in rows]),
+        np.array([row.bench_distal_tension for row in rows]),
+        np.array([row.bench_distal_displacement for row in rows]),
     )
 
 
@@ -171,9 +215,10 @@ def _show_progress(share: float) -> None:
 
 def _print_summary(path: Path, config: SimulatedRigConfig, run: Run, took: float) -> None:
     span = float(run.time[-1])
-    print(f"{path}: {len(run.time)} rows, {span:g} s, simulated {span / took:.0f} x real time")
-    for i, joint in enumerate(config.joints):
-        sheath = joint.sheath
+    print(f"{path}: {len(run.time)} rows, {span:g} s, simulated {span / took:.3g} x real time")
+    tendons = [tendon for joint in config.joints for tendon in joint.tendons]
+    for i, tendon in enumerate(tendons):
+        sheath = tendon.sheath
         bend = sum(section.length / section.radius for section in sheath.sections)
         print(
             f"tendon {i + 1}: K = {sheath.friction * bend:.4g}, EA = {sheath.axial_stiffness:g} N; "
@@ -182,3 +227,16 @@ def _print_summary(path: Path, config: SimulatedRigConfig, run: Run, took: float
             f"the motor moved {1e3 * np.ptp(run.proximal_displacement[:, i]):.3g} mm, "
             f"the tip {1e3 * np.ptp(run.distal_displacement[:, i]):.3g} mm"
         )
+    for effect in config.effects:
+        print(f"effect {described(effect)}")
+
+
+def described(effect: EffectConfig) -> str:
+    """Return an effect in one line: its name, its numbers, where and since when."""
+    values = {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect)}
+    name, joint, start = (values.pop(key) for key in ("type", "joint", "start"))
+    tendon = values.pop("tendon", "both")
+    numbers = ", ".join(f"{key} {value}" for key, value in values.items())
+    place = "every joint" if joint is None else f"joint {joint}"
+    place += "" if tendon == "both" else f", tendon {tendon}"
+    return f"{name} ({numbers}), {place}, from {start:g} s"

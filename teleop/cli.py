@@ -23,13 +23,16 @@ COMMANDS = {
     "record": ("teleop.recording.command", "record a session to a file"),
     "view": ("teleop.view.command", "see the tension along the sheath, live or from a recording"),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
+    "calibrate": ("slave.calibration.command", "measure a rig's sheaths: friction and stiffness"),
     "estimate": ("slave.estimate", "estimate the distal tension in measured data"),
     "simulate": ("slave.simulate", "write data as a simulated rig would measure it"),
+    "bench": ("teleop.bench", "repeat a published experiment and print its figures"),
     "doctor": ("teleop.doctor", "check this machine and name what is missing"),
 }
 
 
-COMPILED = {"run", "slave", "estimate", "simulate"}  # commands that import the estimator
+# commands that import the estimator
+COMPILED = {"run", "slave", "calibrate", "estimate", "simulate", "bench"}
 
 
 class Parser(argparse.ArgumentParser):

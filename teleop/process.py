@@ -133,9 +133,12 @@ def destination(text: str) -> Path:
 
 def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
     """Write `summary` as JSON to `path`, whole or not at all; `UsageError` if that cannot be."""
-    if path is None:
-        return
-    text = json.dumps(summary, indent=2) + "\n"
+    if path is not None:
+        write_whole(path, json.dumps(summary, indent=2) + "\n", "the summary")
+
+
+def write_whole(path: str | Path, text: str, what: str) -> None:
+    """Write `text` to `path`, whole or not at all; `UsageError` if that cannot be."""
     try:
         target = Path(path)
         if _is_special(target):
@@ -151,7 +154,7 @@ def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
                 partial.unlink()
             raise
     except OSError as error:
-        raise UsageError(f"{path}: the summary cannot be written: {error.strerror}") from error
+        raise UsageError(f"{path}: {what} cannot be written: {error.strerror}") from error
 
 
 def _is_special(path: Path) -> bool:

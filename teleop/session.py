@@ -76,6 +76,11 @@ class Reason(IntEnum):
     SAMPLES_STALE = 43, "the rig's samples stopped coming"
     NOT_FINITE = 44, "a value was not finite"
     OVER_LIMIT = 45, "a measured value was over its limit"
+    TENDON_BROKEN = 46, "a tendon has no tension although it is wound in"
+    TENDON_JAMMED = 47, "a tendon is stiffer than its sheath allows, as if it were jammed"
+    CELL_SATURATED = 48, "a load cell is at the end of its range"
+    CELL_STUCK = 49, "a load cell repeats the same reading"
+    CALIBRATION_DUE = 50, "a sheath has changed its shape; it must be calibrated again"
 
     UNKNOWN = 255, "a reason that this version does not know"
 

@@ -1,1 +1,1 @@
-"""The physics of the simulated rig: the tendon as a chain, its motor, its tip, its sensors."""
+"""The physics of the simulated rig: tendons as chains, motors, joints, what they meet, sensors."""

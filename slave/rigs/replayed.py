@@ -23,6 +23,7 @@ class ReplayedRigConfig:
     loop: bool = False  # start again behind the last row
     drop_nonfinite: bool = False  # leave out rows with values that are not finite
     tendons: tuple[Columns, ...] = (Columns(),)  # one for each tendon: its columns' names
+    name: str = ""  # by which calibration files know the rig; empty = the file's name
 
     def __post_init__(self) -> None:
         """Refuse a rig that messages cannot carry."""
@@ -45,7 +46,9 @@ class ReplayedRig:
 
     def __init__(self, config: ReplayedRigConfig) -> None:
         tables = read_tables(config.file, config.tendons, config.drop_nonfinite)
+        self.name = config.name or config.file.name
         self.tendons = len(tables)
+        self.joints: tuple[tuple[int, ...], ...] = tuple((k,) for k in range(self.tendons))
         self._loop = config.loop
         self._time = tables[0].time
         self._tension = np.column_stack([table.proximal_tension for table in tables])

@@ -1,4 +1,4 @@
-"""A simulated rig: motors, elastic tendons in their sheaths, loads at the tips, noisy sensors."""
+"""A simulated rig: motors, elastic tendons in their sheaths, joints, noisy sensors."""
 
 import math
 from dataclasses import dataclass, field
@@ -7,11 +7,22 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slave.plant.chain import SheathConfig, build_chain
-from slave.plant.joint import Joint, Truth, advance, at_rest
-from slave.plant.load import TipConfig, build_load
+from slave.plant.body import BodyConfig, build_body
+from slave.plant.effects import EffectConfig
+from slave.plant.effects.schedule import JointSchedule, SampleSchedule, SensorSchedule
+from slave.plant.environment import EnvironmentConfig, TissueConfig, build_environment
+from slave.plant.joint import Joint, Tendon, Winding, joint_at_rest
+from slave.plant.joints import advance_all, joined, replace
 from slave.plant.motor import MotorConfig, build_motor
-from slave.plant.sensors import EncoderConfig, LoadCellConfig
+from slave.plant.sensors import (
+    EncoderConfig,
+    LoadCellConfig,
+    build_sensors,
+    measure,
+    sensors_at_rest,
+)
+from slave.plant.sheath import SheathConfig
+from slave.plant.tendon import build_chain
 from slave.rig import RigFault, RigSample
 from teleop.messages import MAX_JOINTS
 
@@ -21,51 +32,102 @@ STEPS_AT_ONCE = 10  # of a read that comes late; later still, and the steps grow
 
 
 @dataclass(frozen=True, slots=True)
-class JointConfig:
-    """One joint: a motor pulls a tendon whose tip works against a load."""
+class TendonPlantConfig:
+    """A tendon in its sheath, the motor that winds it and the sensors at the housing."""
 
     sheath: SheathConfig = field(default_factory=SheathConfig)
-    tip: TipConfig = field(default_factory=TipConfig)
     motor: MotorConfig = field(default_factory=MotorConfig)
     load_cell: LoadCellConfig = field(default_factory=LoadCellConfig)
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
 
 
 @dataclass(frozen=True, slots=True)
+class JointConfig:
+    """One joint, pulled by one tendon against its spring or by two against each other."""
+
+    tendons: tuple[TendonPlantConfig, ...] = (TendonPlantConfig(),)  # a, or a and b
+    body: BodyConfig = field(default_factory=BodyConfig)
+    environment: EnvironmentConfig = field(default_factory=TissueConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse a joint that cannot be driven."""
+        if len(self.tendons) not in (1, 2):
+            raise ValueError("tendons: must be 1 or 2")
+
+
+@dataclass(frozen=True, slots=True)
 class SimulatedRigConfig:
-    """A rig of one joint or several, each with one tendon and moved by one motor."""
+    """A rig of one joint or several."""
 
     type: Literal["simulated"] = "simulated"
+    name: str = "simulated"  # by which calibration files know it
     joints: tuple[JointConfig, ...] = (JointConfig(),)
     period: float = 0.001  # [s] step of the plant
     seed: int = 1  # of the sensors' noise
+    effects: tuple[EffectConfig, ...] = ()  # faults and deviations, docs/rigs.md
 
     def __post_init__(self) -> None:
-        """Refuse a rig that messages cannot carry."""
+        """Refuse a rig that messages cannot carry, and effects on what it does not have."""
+        if not self.name.strip():
+            raise ValueError("name: must not be empty")
         if not 1 <= len(self.joints) <= MAX_JOINTS:
             raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
         if not 1e-5 <= self.period <= 0.01:
             raise ValueError("period: must be 0.00001 to 0.01 s")
         if self.seed < 0:
             raise ValueError("seed: must not be negative")
+        for number, joint in enumerate(self.joints, 1):
+            longest = min(map(longest_step, joint.tendons))
+            if self.period > longest:
+                raise ValueError(
+                    f"period: must be at most {longest:.2g} s for a rotor as light as in joint "
+                    f"{number} (motor.rotor_inertia, motor.gear)"
+                )
+        for i, effect in enumerate(self.effects):
+            if effect.joint is not None and effect.joint > len(self.joints):
+                raise ValueError(f"effects[{i}].joint: must be 1 to {len(self.joints)}")
+            single = all(
+                len(joint.tendons) == 1
+                for index, joint in enumerate(self.joints, 1)
+                if effect.joint in (None, index)
+            )
+            if single and getattr(effect, "tendon", "a") == "b":
+                raise ValueError(f"effects[{i}].tendon: must be a, there is no joint with a b")
+
+
+def longest_step(config: TendonPlantConfig) -> float:
+    """Return the step [s] beyond which a motor, loaded by the last step's tension, might swing."""
+    stiffness = 1.0 / float(build_chain(config.sheath, 0.0).compliance[0])
+    return math.sqrt(build_motor(config.motor, 0.0).mass / stiffness)
 
 
 def build_joint(config: JointConfig) -> Joint:
     """Return the plant of one joint."""
-    chain = build_chain(config.sheath, config.tip.pretension)
-    return Joint(build_motor(config.motor), chain, build_load(config.tip))
+    tendons = [
+        Tendon(
+            build_motor(tendon.motor, config.body.pretension),
+            Winding(),
+            build_chain(tendon.sheath, config.body.pretension),
+        )
+        for tendon in config.tendons
+    ]
+    return Joint(
+        tendons[0],
+        tendons[-1],
+        len(tendons) == 2,
+        build_body(config.body, len(tendons)),
+        build_environment(config.environment),
+    )
 
 
 class SimulatedRig:
-    """The rig of `slave.rig.Rig`, with bench sensors that tell the truth at the tips.
+    """The rig of `slave.rig.Rig`, with bench sensors at the tips.
 
     All displacements count from the start, where every tendon is at its pretension. The same
     config, reads and writes give the same samples.
 
     Attributes
     ----------
-    tendons : int
-        Number of joints, which have one tendon each.
     coarse_reads : int
         Reads that came so late that the plant went in longer steps than its period.
     """
@@ -73,34 +135,63 @@ class SimulatedRig:
     starts_at_zero = True
 
     def __init__(self, config: SimulatedRigConfig) -> None:
-        self.tendons = len(config.joints)
+        self.name = config.name
+        self.joints = joint_tendons([len(joint.tendons) for joint in config.joints])
+        self.tendons = sum(map(len, self.joints))
         self.coarse_reads = 0
-        self._config = config
-        self._random = np.random.default_rng(config.seed)
-        self._joints = [build_joint(joint) for joint in config.joints]
-        self._targets = [0.0] * self.tendons
+        self._period = config.period
         self._step = -1  # index of the newest sample
-        self._states = [at_rest(joint) for joint in self._joints]
-        self._advance(1, config.period)  # changes nothing, but compiles what the loop will need
+        self._targets = np.zeros((len(self.joints), 2))
+        self._random = np.random.default_rng(config.seed)
+        self._paired = np.array([[True, len(tendons) == 2] for tendons in self.joints])
+
+        joints = [build_joint(joint) for joint in config.joints]
+        self._schedules = [
+            JointSchedule(config.effects, i, joint) for i, joint in enumerate(joints)
+        ]
+        start = np.zeros(2)
+        joints = [
+            schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
+            for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
+        ]
+        self._joints = joined(joints)
+        self._states = joined([joint_at_rest(joint, -config.period) for joint in joints])
+        self._truth = self._advance(0, config.period)  # compiles what the loop will need
+
+        sensors = build_sensors(
+            [(t.load_cell, t.encoder, t.motor) for joint in config.joints for t in joint.tendons]
+        )
+        self._sensor_schedule = SensorSchedule(config.effects, self.joints, sensors)
+        self._sensors = self._sensor_schedule.at(0.0) or sensors
+        self._sensed = sensors_at_rest(self._truth)
+        self._measure(config.period)  # compiles, too
+        self._effects = bool(config.effects)
+        self._samples = SampleSchedule(config.effects, config.seed)
 
     def read(self, time_s: float) -> tuple[RigSample, ...]:
         """Advance the plant to `time_s` [s]; return its newest sample, or none if it has no new."""
-        behind = round(time_s / self._config.period) - self._step
+        behind = round(time_s / self._period) - self._step
         if behind <= 0:
             return ()
-        steps, dt = behind, self._config.period
+        steps, dt = behind, self._period
         if behind > STEPS_AT_ONCE:
             steps, dt = STEPS_AT_ONCE, behind * dt / STEPS_AT_ONCE
             self.coarse_reads += 1
         self._step += behind
-        return (self._sample(self._advance(steps, dt)),)
+        time = self._step * self._period
+        if self._effects:
+            self._turn_effects(time)
+        self._truth = self._advance(steps, dt)
+        self._measure(behind * self._period)
+        reading = self._samples.passed(time, self._sensed.reading)
+        return () if reading is None else (RigSample(time, *reading),)
 
     def write(self, proximal_displacement: Array) -> None:
         """Send the motors to these displacements [m], shape (tendons,)."""
         targets = [float(target) for target in proximal_displacement]
         if len(targets) != self.tendons or not all(map(math.isfinite, targets)):
             raise RigFault(f"motors cannot follow {targets}: {self.tendons} finite values needed")
-        self._targets = targets
+        self._targets[self._paired] = targets
 
     def summary(self) -> dict[str, int | float | str]:
         """Return how often the plant was not simulated in full."""
@@ -109,23 +200,27 @@ class SimulatedRig:
     def close(self) -> None:
         """Leave the motors where they are; there is nothing to let go of."""
 
-    def _advance(self, steps: int, dt: float) -> list[Truth]:
-        truths = []
-        for i, (joint, target) in enumerate(zip(self._joints, self._targets, strict=True)):
-            self._states[i], truth = advance(joint, self._states[i], target, steps, dt)
-            truths.append(truth)
-        return truths
+    def _advance(self, steps: int, dt: float) -> Array:
+        seen = advance_all(self._joints, self._states, self._targets, steps, dt)
+        return seen[:, self._paired]
 
-    def _sample(self, truths: list[Truth]) -> RigSample:
-        noise = self._random.standard_normal(self.tendons).tolist()
-        tension, displacement = [], []
-        for joint, truth, normal in zip(self._config.joints, truths, noise, strict=True):
-            tension.append(joint.load_cell.read(truth.proximal_tension, normal))
-            displacement.append(joint.encoder.read(truth.proximal_displacement))
-        return RigSample(
-            time_s=self._step * self._config.period,
-            proximal_tension=np.array(tension),
-            proximal_displacement=np.array(displacement),
-            bench_distal_tension=np.array([truth.distal_tension for truth in truths]),
-            bench_distal_displacement=np.array([truth.distal_displacement for truth in truths]),
-        )
+    def _measure(self, dt: float) -> None:
+        normal = self._random.standard_normal(self._truth.shape)
+        self._sensed = measure(self._sensors, self._sensed, self._truth, normal, dt)
+
+    def _turn_effects(self, time: float) -> None:
+        for i, (schedule, tendons) in enumerate(zip(self._schedules, self.joints, strict=True)):
+            _, housing, _, tip = self._truth[:, tendons]
+            joint = schedule.at(time, tip[0], housing)
+            if joint is not None:
+                replace(self._joints, i, joint)
+        self._sensors = self._sensor_schedule.at(time) or self._sensors
+
+
+def joint_tendons(counts: list[int]) -> tuple[tuple[int, ...], ...]:
+    """Return which tendons each joint has: numbered from 0, joint after joint."""
+    joints, first = [], 0
+    for count in counts:
+        joints.append(tuple(range(first, first + count)))
+        first += count
+    return tuple(joints)

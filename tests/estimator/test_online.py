@@ -9,7 +9,7 @@ from estimator import online
 from estimator.online import ModelError, Status, TendonModel
 from estimator.sheath import Section, Sheath
 from estimator.transmission import Phase, batch, envelope, slack_profile, tables
-from tests.brute.chain import Chain, Position
+from tests.brute.chain import Chain, Force, Position
 from tests.estimator.scenarios import HIDDEN, RATE, SCENARIOS, held, play, random_legs, spring
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
@@ -303,3 +303,48 @@ def test_refuses_a_senseless_model(change):
 def test_refuses_rows_of_unequal_length():
     with pytest.raises(ModelError, match="equal length"):
         online.run(online.prepare(model()), np.zeros(3), np.zeros(4))
+
+
+def dragged(tips, tension=0.4):
+    """Return T_in, q_p and T_out of a tendon dragged to and fro by its tip at one T_in."""
+    (section,) = SHEATH.sections
+    chain = Chain(((section.length, section.radius),), SHEATH.friction, 9000.0, beads=40)
+    chain.move(Position(0.001), Position(0.0))
+    rows = []
+    for tip in tips:
+        chain.move(Force(tension), Position(tip))
+        rows.append((chain.T_in, chain.travel[0], chain.T_out))
+    return np.array(rows).T
+
+
+@pytest.mark.parametrize("noise", NOISES[:2])
+def test_a_loose_tendon_is_known_to_be_dragged_by_the_way_its_motor_pays_out(noise):
+    """T_in does not change, so nothing else tells whether T_out is T_in e^-K or T_in e^K."""
+    out_and_back = 0.004 * np.concatenate([np.linspace(0, -1, 1000), np.linspace(-1, 0, 1000)])
+    T_in, q_p, T_out = dragged(out_and_back)
+    rng = np.random.default_rng(0)
+    measured = [x + rng.normal(0.0, n, len(x)) for x, n in zip((T_in, q_p), noise, strict=True)]
+    result = online.run(online.prepare(model(noise)), 1e-3 * np.arange(len(T_in)), *measured)
+    assert T_out.max() / T_out.min() > 6.0  # e^2K, of a T_in that stays
+    surely = np.zeros(len(T_in), dtype=bool)
+    surely[250:1000] = surely[1250:] = True  # the first millimetre may go by unseen
+    error = np.abs(result.distal_tension - T_out)[surely]
+    assert error.max() < 0.05 * T_out.max() + 8.0 * noise[0]
+
+
+def test_a_tip_that_stops_is_not_taken_to_have_turned():
+    """A T_in that stays for a while after a fall is no rise: T_out is still T_in e^-K."""
+    prepared = online.prepare(model())
+    state = online.initial(prepared)
+    falls = np.repeat(np.arange(10.0, 6.0, -0.05), 10)  # [N] in steps, as a coarse cell gives them
+    pull = np.linspace(0.0, 10.0, 200)
+    T_in = np.concatenate([pull, falls])
+    M_pull = 1.5 * (1.0 - math.exp(-1.0)) / 9000.0
+    q_p = np.concatenate([M_pull * pull, np.full(len(falls), M_pull * 10.0)])
+    tip_moved = 0
+    for k, (T, q) in enumerate(zip(T_in, q_p, strict=True)):
+        estimate_now, state = online.step(prepared, state, T, q, 1e-3 if k else 0.0)
+        assert estimate_now.distal_tension < 10.0 * math.exp(-1.0) * 1.01
+        tip_moved += bool(estimate_now.status & Status.TIP_MOVED)
+    assert tip_moved > 300
+    assert estimate_now.distal_tension == pytest.approx(T_in[-1] * math.exp(-1.0), rel=0.02)

@@ -7,8 +7,9 @@ import pytest
 
 from estimator import transmission
 from estimator.sheath import Section, Sheath
-from slave.plant.chain import SectionConfig, SheathConfig, build_chain, settle, tensions
-from slave.plant.load import TipConfig, build_load
+from slave.plant.sheath import SectionConfig, SheathConfig
+from slave.plant.tendon import build_chain
+from tests.slave.tendon_bench import Load, drive, ends, travels
 
 UNIFORM = ((1.5, 0.225),)
 THREE = ((0.3, np.inf), (0.8, 0.25), (0.4, 0.1))
@@ -17,25 +18,23 @@ PRETENSION = 1.0
 
 
 @pytest.mark.parametrize("sections", [UNIFORM, THREE], ids=["uniform", "three sections"])
-def test_nested_reversals_against_a_spring_and_a_contact(sections):
+def test_nested_reversals_against_a_spring(sections):
     sheath = SheathConfig(tuple(SectionConfig(*section) for section in sections))
     chain = build_chain(sheath, PRETENSION)
-    load = build_load(TipConfig(PRETENSION))
     law = Sheath(tuple(Section(*s) for s in sections), sheath.friction, sheath.axial_stiffness)
     tables = transmission.tables(law)
     profile = transmission.pretensioned_profile(tables, PRETENSION)
     rest = transmission.observe(tables, profile).elongation
-    state = np.zeros(len(chain.friction) + 2)
-    seen = []
-    for start, end in pairwise(REVERSALS):
-        for motor in np.linspace(start, end, 60)[1:]:
-            state = settle(chain, load, state, motor)
-            T_in, T_out = tensions(chain, state)[[0, -1]]
-            profile = transmission.drive_proximal(tables, profile, T_in)
-            expected = transmission.observe(tables, profile)
-            elongation = state[0] - state[-1]
-            seen.append((T_out, expected.T_out, elongation, expected.elongation - rest, T_in))
-    T_out, law_T_out, e, law_e, T_in = np.array(seen).T
+    turns = pairwise(REVERSALS)
+    path = np.concatenate([np.linspace(start, end, 60)[1:] for start, end in turns])
+    states = drive(chain, Load(PRETENSION, 600.0), path)[1:]
+    (T_in, T_out), (motor, tip) = ends(states), travels(states)
+    law_T_out, law_e = np.empty((2, len(T_in)))
+    for i, tension in enumerate(T_in):
+        profile = transmission.drive_proximal(tables, profile, tension)
+        expected = transmission.observe(tables, profile)
+        law_T_out[i], law_e[i] = expected.T_out, expected.elongation - rest
+    e = motor - tip
     assert np.ptp(T_in) > 10.0
     assert np.abs(T_out - law_T_out).max() < 3e-4 * T_out.max()
     assert np.abs(e - law_e).max() < 3e-4 * e.max()

@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 import yaml
 
-from slave.config import Calibration
-from slave.plant.load import STIFFNESS_MAX
+from slave.calibration.file import Calibration
+from slave.plant.environment import STIFFNESS_MAX
 from slave.table import read_table, write_table
 from teleop import cli
 from teleop.config import load
 
-RIG = "slave.rig.joints=[{{sheath: {{sections: {sections}, friction: 0.15}}, tip: {tip}}}]"
+RIG = (
+    "slave.rig.joints=[{{tendons: [{{sheath: {{sections: {sections}, friction: 0.15}}}}], "
+    "body: {tip}, environment: {{type: free}}}}]"
+)
 EVEN = "[{length: 1.5, radius: 0.225}]"  # K = 1, EA = 9000 N
 UNEVEN = "[{length: 0.2, radius: 0.05}, {length: 1.3, radius: 0.5}]"  # K = 0.99
-SPRING = "{pretension: 0.0, spring: 2000, contacts: []}"
-BLOCKED = f"{{pretension: 0.0, spring: {STIFFNESS_MAX:g}, contacts: []}}"
+SPRING = "{pretension: 0.0, spring: 2000}"
+BLOCKED = f"{{pretension: 0.0, spring: {STIFFNESS_MAX:g}}}"
 
 
 def simulate(path, sections, tip, profile="nested", speed="0.004"):

@@ -19,7 +19,7 @@ from teleop.session import Reason, Session, State
 CONFIG = SlaveConfig(
     tendons=(TendonConfig(effective_friction=0.8),), gate=GateConfig(displacement_max=0.05)
 )
-PREPARED = [online.prepare(online.TendonModel(Sheath.uniform(0.8, 1.5, 9000.0)))]
+KNOWN = loop.know(((0,),), [online.TendonModel(Sheath.uniform(0.8, 1.5, 9000.0))])
 DT = 0.001
 
 
@@ -36,11 +36,11 @@ def command(state, position=0.0):
 
 
 def start(starts_at_zero=False):
-    return loop.start(PREPARED, starts_at_zero)
+    return loop.start(KNOWN, starts_at_zero)
 
 
 def tick(memory, samples=(), message=None, fresh=True, fault=Reason.NONE):
-    return loop.step(PREPARED, CONFIG, memory, samples, message, fresh, fault, DT)
+    return loop.step(KNOWN, CONFIG, memory, samples, message, fresh, fault, DT)
 
 
 def engaged(displacement=0.01):
@@ -166,10 +166,49 @@ def test_a_tension_that_the_estimator_refuses_pulls_nothing(refused):
 def test_a_tension_far_over_its_limit_is_a_fault_if_it_lasts(tension, ticks):
     assert CONFIG.gate.tension_max == 25.0
     motors, memory = driven([[tension]] * ticks)
-    assert np.all(motors == motors[0])
+    assert np.all(np.diff(motors) <= 0.0)  # paid out if anything
     over = (tension, ticks) == (31.0, 22)
     expected = (State.FAULT, Reason.OVER_LIMIT) if over else (State.ENGAGED, Reason.NONE)
     assert (memory.session.state, memory.session.reason) == expected
+
+
+def test_a_rig_without_a_calibration_that_fits_it_is_never_engaged_and_says_why():
+    barred = KNOWN._replace(barred="no calibration")
+    memory = loop.start(barred, True)
+    for k, state in enumerate([State.READY] * 3 + [State.ENGAGED] * 20):
+        output, memory = loop.step(
+            barred, CONFIG, memory, [sample(k * DT)], command(state, 1e-3), True, Reason.NONE, DT
+        )
+        assert output.motor == ()
+        assert memory.session == Session(State.OFF, Reason.NOT_USABLE)
+    assert memory.hindrance == "no calibration"
+
+
+def test_a_broken_tendon_is_a_fault_that_names_it_and_holds_the_motors():
+    memory, reeled = start(True), 0.0
+    for k in range(3):
+        _, memory = tick(memory, [sample(k * DT)], command(State.READY))
+    for k in range(3, 1200):  # wound in by 30 mm, and no tension
+        held, reeled = memory.motor, (k - 3) * 2.5e-5
+        now = sample(k * DT, 0.0, 0.01 + reeled)
+        _, memory = tick(memory, [now], command(State.ENGAGED, reeled))
+        if memory.session.state == State.FAULT:
+            break
+    assert memory.session == Session(State.FAULT, Reason.TENDON_BROKEN)
+    assert memory.found.tendon == 0
+    assert memory.motor == held
+    assert CONFIG.watch.take_up <= reeled < CONFIG.watch.take_up + 0.002
+
+
+def test_samples_from_before_the_loop_tell_where_the_tendon_and_the_motor_are():
+    before = [sample(k * DT, 10.0 * math.sin(0.01 * k) + 1e-6, 0.02) for k in range(300)]
+    memory = loop.start(KNOWN, True, before)
+    assert memory.newest.sample is before[-1]
+    assert memory.newest.estimates[0].distal_tension > 0.1
+    _, memory = tick(memory, [sample(0.3)], command(State.READY))
+    _, memory = tick(memory, [sample(0.301, 5.0, 0.02)], command(State.READY))
+    output, memory = tick(memory, [sample(0.302, 5.0, 0.02)], command(State.ENGAGED))
+    assert output.motor == pytest.approx((0.02,), abs=1e-15)
 
 
 def test_peaks_that_pass_do_not_add_up_to_an_overload():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slave.motion import MOTIONS, Memory, Scale, Seen, Sine, Turns
+from slave.motion import MOTIONS, Keep, Memory, Scale, Seen, Sine, Turns
 
 
 def swings(motion, stiffness, seconds=60.0, dt=0.001):
@@ -42,3 +42,15 @@ def test_the_sine_starts_at_rest_and_returns():
     assert position.max() == pytest.approx(0.010, rel=1e-4)
     assert np.interp([4.0], time, position) == pytest.approx(0.0, abs=1e-6)
     assert abs(np.diff(position)[0]) < 1e-8
+
+
+def test_keep_comes_to_its_tension_from_either_side_and_stays_within_its_speed():
+    for offset in (-0.01, 0.01):  # slack, and pulled hard
+        memory, target, forces, speeds = Memory(target=offset), offset, [], []
+        for k in range(2000):
+            forces.append(max(0.0, 1000.0 * target))
+            new, memory = Keep(0.5, 0.04).step(memory, Seen(k * 1e-3, forces[-1], 1e-3))
+            speeds.append(abs(new - target) / 1e-3)
+            target = new
+        assert forces[-1] == pytest.approx(0.5, abs=0.11)
+        assert max(speeds) <= 0.04 * (1 + 1e-9)

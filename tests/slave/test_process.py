@@ -8,10 +8,9 @@ import socket
 import numpy as np
 import pytest
 
-from estimator import online
-from slave import process, rigs
+from slave import loop, process, rigs
 from slave.config import SlaveConfig, TendonConfig
-from slave.process import Slave, Tendon, run
+from slave.process import Slave, run
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated import SimulatedRigConfig
 from teleop.clock import Grid, now_ns
@@ -76,7 +75,9 @@ class Line:
 class Bench:
     """A rig that fails where it is told to, and keeps what is done to it."""
 
+    name = "bench"
     tendons = 1
+    joints = ((0,),)
     starts_at_zero = False
 
     def __init__(self, encoder=START, read_fails_at=None, write_fails_at=None, error=RigFault):
@@ -128,7 +129,7 @@ def driven(rig, line=None, ticks=40, rate_hz=1000.0):
     model = TENDON.model()
     stop = Until(ticks)
     grid = Grid(rate_hz, stop)
-    slave = Slave(CONFIG, line, rig, [Tendon(model, online.prepare(model))], grid)
+    slave = Slave(CONFIG, line, rig, loop.know(rig.joints, [model]), grid)
     run(slave, grid, stop.request)
     return slave, line, stop
 
@@ -261,6 +262,7 @@ def arguments(*words):
             f"--set=link.master=tcp/127.0.0.1:{ports[0]}",
             f"--set=link.slave=tcp/127.0.0.1:{ports[1]}",
             "--set=session=alone",
+            "--set=slave.calibration=as-built",
             *words,
         ]
     )
@@ -292,9 +294,9 @@ def test_a_rig_that_is_not_there_is_told_in_a_line(monkeypatch):
 @pytest.mark.usefixtures("quiet_process")
 def test_a_rig_that_messages_cannot_carry_is_told_in_a_line_and_closed(monkeypatch):
     rig = Bench()
-    rig.tendons = MAX_JOINTS + 1
+    rig.joints = tuple((k,) for k in range(MAX_JOINTS + 1))
     monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: rig)
-    with pytest.raises(UsageError, match=rf"^slave\.rig: {MAX_JOINTS + 1} tendons, .*{MAX_JOINTS}"):
+    with pytest.raises(UsageError, match=rf"^slave\.rig: .*must be 1 to {MAX_JOINTS} joints"):
         process.main(arguments("--duration", "1"))
     assert rig.closed == 1
     assert rig.reads == 0

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from slave import simulate
+from slave.motion import MOTIONS, Scale
+from slave.plant.effects.sensors import LostSamples
+from slave.plant.environment import WallConfig
 from slave.plant.sensors import EncoderConfig, LoadCellConfig
-from slave.rigs.simulated import JointConfig, SimulatedRigConfig
+from slave.rigs.simulated import JointConfig, SimulatedRigConfig, TendonPlantConfig
 from slave.table import Columns, read_table, read_tables
 from teleop.errors import UsageError
 
@@ -54,25 +57,83 @@ def test_the_papers_swing_loses_at_the_tip_what_friction_takes(tmp_path):
     assert np.ptp(T_out[after]) < 0.05
 
 
+QUIET = TendonPlantConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))
+
+
 def test_without_noise_the_sensors_tell_what_the_plant_does():
-    quiet = JointConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))
-    motion = simulate.MOTIONS["sine"](simulate.Scale(stroke=0.008, period=1.0))
-    result = simulate.simulate(SimulatedRigConfig(joints=(quiet,) * 2), motion, 2.0, 1000.0)
+    joint = JointConfig((QUIET,))
+    motion = MOTIONS["sine"](Scale(stroke=0.008, period=2.0))
+    result = simulate.simulate(SimulatedRigConfig(joints=(joint,) * 2), motion, 2.0, 1000.0)
     assert result.proximal_tension.shape == (2001, 2)
     assert np.array_equal(result.proximal_tension[:, 0], result.proximal_tension[:, 1])
     travel = result.proximal_displacement[:, 0]
-    wanted = 0.004 * (1 - np.cos(2 * np.pi * result.time))
-    assert np.abs(travel - wanted).max() < 0.010 * 0.008 * np.pi * 1.05  # lag times top speed
-    assert np.abs(travel - wanted).max() > 0.1 * 0.010 * 0.008 * np.pi
+    wanted = 0.004 * (1 - np.cos(np.pi * result.time))
+    lag = 0.010 * 0.004 * np.pi  # of a position loop of 100 rad/s at the top speed
+    assert 0.5 * lag < np.abs(travel - wanted).max() < 1.1 * lag
 
 
-def test_further_joints_are_numbered_columns(tmp_path):
+def test_fewer_rows_are_rows_of_the_same_run():
+    config = SimulatedRigConfig(joints=(JointConfig((QUIET,)),))
+    motion = MOTIONS["pull-release-pull"](Scale())
+    every = simulate.simulate(config, motion, 1.0, 1000.0)
+    some = simulate.simulate(config, motion, 1.0, 50.0)
+    assert np.array_equal(some.proximal_tension, every.proximal_tension[::20])
+
+
+@pytest.mark.parametrize(("side", "other"), [("a", 1), ("b", 0)])
+def test_in_a_pair_one_tendon_makes_the_motion_and_the_other_follows_without_going_slack(
+    side, other
+):
+    wall = WallConfig(position=0.008 if side == "a" else -0.008, side=side)
+    config = SimulatedRigConfig(joints=(JointConfig((TendonPlantConfig(),) * 2, environment=wall),))
+    motion = MOTIONS["pull-release-pull"](Scale())
+    run = simulate.simulate(config, motion, 8.0, 1000.0, side=side, keep=0.5)
+    pulled = run.proximal_tension[:, 1 - other]
+    assert pulled.max() == pytest.approx(20.0, abs=0.3)
+    assert pulled[pulled.argmax() :].min() == pytest.approx(5.0, abs=0.3)
+    loose = run.proximal_tension[1000:, other]
+    assert loose.min() > 0.2
+    assert loose.max() < 1.0
+    travel = run.distal_displacement
+    assert np.array_equal(travel[:, 0], -travel[:, 1])
+    assert travel[:, 1 - other].max() > 0.008
+
+
+def test_further_tendons_are_numbered_columns(tmp_path):
     config = tmp_path / "two.yaml"
-    config.write_text("slave: {rig: {type: simulated, joints: [{}, {tip: {spring: 900}}]}}\n")
+    config.write_text(
+        "slave: {rig: {type: simulated, joints: [{}, {tendons: [{}, {}], body: {spring: 900}}]}}\n"
+    )
     path = tmp_path / "two.csv"
     run(config, "--out", path, "--duration", 1)
-    first, second = read_tables(path, (Columns(), Columns.of_tendon(2)))
+    first, second, third = read_tables(path, tuple(Columns.of_tendon(k) for k in (1, 2, 3)))
     assert np.ptp(second.distal_displacement) < np.ptp(first.distal_displacement)
+    assert np.array_equal(second.distal_displacement, -third.distal_displacement)
+
+
+def test_it_says_which_effects_were_on_and_that_it_replaced_a_file(tmp_path, capsys):
+    config = tmp_path / "faulty.yaml"
+    config.write_text(
+        "slave: {rig: {type: simulated, effects: [{type: joint_friction, friction: 0.7, start: 2}, "
+        "{type: slack, joint: 1, tendon: a}]}}\n"
+    )
+    path = tmp_path / "faulty.csv"
+    run(config, "--out", path, "--duration", 0.1)
+    printed = capsys.readouterr().out
+    assert "effect joint_friction (friction 0.7), every joint, from 2 s" in printed
+    assert "effect slack (length 0.001), joint 1, tendon a, from 0 s" in printed
+    assert "replaced" not in printed
+    run(config, "--out", path, "--duration", 0.1)
+    assert "faulty.csv: the file that was there has been replaced" in capsys.readouterr().out
+
+
+def test_samples_that_are_lost_are_missing_rows(tmp_path):
+    lost = LostSamples(share=0.3)
+    config = SimulatedRigConfig(joints=(JointConfig((QUIET,)),), effects=(lost,))
+    motion = MOTIONS["sine"](Scale())
+    run = simulate.simulate(config, motion, 1.0, 1000.0)
+    assert 550 < len(run.time) < 850
+    assert np.all(np.diff(run.time) > 0)
 
 
 @pytest.mark.parametrize(
@@ -83,6 +144,7 @@ def test_further_joints_are_numbered_columns(tmp_path):
         (["--rate", "2000"], "--rate"),
         (["--seed", "-1"], "--seed"),
         (["--peak", "-5"], "--peak"),
+        (["--keep", "0"], "--keep"),
     ],
 )
 def test_wrong_usage_is_one_line(tmp_path, words, message):

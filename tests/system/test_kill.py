@@ -60,7 +60,7 @@ def test_nothing_couples_again_until_the_operator_lets_go(tmp_path, demo_config)
         session.kill("slave")
         pause(0.3)
         session.start("slave", "--json", str(tmp_path / "slave.json"))
-        pause(3.0)
+        pause(10.0)  # it takes some seconds to come up
         session.stop("master")
         session.stop("slave")
         session.stop("record")

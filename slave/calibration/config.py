@@ -1,0 +1,96 @@
+"""How a calibration is done: tensions, speeds and limits."""
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True, slots=True)
+class KnownSheathConfig:
+    """What is known of a sheath beforehand, from its supplier or a stiffness test."""
+
+    length: float = 1.5  # [m]
+    axial_stiffness: float | None = None  # EA [N] of tendon and sheath in series
+    stiffness_error: float = 0.02  # relative standard uncertainty of EA/L
+
+    def __post_init__(self) -> None:
+        """Refuse what no sheath is like."""
+        if not 0.0 < self.length <= 100.0:
+            raise ValueError("length: must be above 0 and at most 100 m")
+        if self.axial_stiffness is not None and not 1.0 <= self.axial_stiffness <= 1e9:
+            raise ValueError("axial_stiffness: must be 1 to 1e9 N")
+        if not 0.0 <= self.stiffness_error <= 1.0:
+            raise ValueError("stiffness_error: must be 0 to 1")
+
+
+@dataclass(frozen=True, slots=True)
+class InitialiseConfig:
+    """Tensions at the housing, speeds of the motors' tendons, and when to give up."""
+
+    at_start: bool = False  # do the quick form whenever the slave starts
+    sheaths: tuple[KnownSheathConfig, ...] = ()  # one for each tendon, or one for all
+    range: float | None = None  # [m] travel of every joint between its stops, where it is known
+    range_error: float = 0.05  # of it, by which the travel found may differ
+    tension: float = 20.0  # [N] pulled to against the stop
+    low: float = 0.2  # [N] released to
+    take_up: float = 0.5  # [N] in each tendon before it begins, and when it is over
+    keep: float = 0.2  # [N] in a tendon that is drawn out by the other
+    seek_speed: float = 0.020  # [m/s] while the joint moves freely
+    stretch_speed: float = 0.002  # [m/s] once it does not, for the first time
+    stretch_time: float = 3.0  # [s] that each pull and release behind that takes
+    loops: int = 3  # of pull and release behind the first
+    pay_out: float = 0.0015  # [m] of the loose tendon behind the stop, so that it cannot pull
+    slack_max: float = 0.005  # [m] to be wound in before the tendons of a joint are taut
+    travel_max: float = 0.10  # [m] of a motor in search of the stop
+    compliance_max: float = 0.0005  # [m/N] softer is no sheath; of one with known EA, L/EA
+    lag_max: float = 0.003  # [m] of a motor behind its command
+    phase_max: float = 30.0  # [s] in which each phase must end
+    relax_max: float = 5.0  # [s] for bringing the tensions down after a refusal
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot end, or cannot be told from noise."""
+        for name, least, most, unit in (
+            ("tension", 2.0, 1000.0, "N"),
+            ("low", 0.01, 10.0, "N"),
+            ("take_up", 0.05, 10.0, "N"),
+            ("keep", 0.05, 10.0, "N"),
+            ("seek_speed", 1e-4, 1.0, "m/s"),
+            ("stretch_speed", 1e-5, 0.1, "m/s"),
+            ("stretch_time", 0.1, 60.0, "s"),
+            ("pay_out", 0.0, 0.1, "m"),
+            ("slack_max", 1e-4, 1.0, "m"),
+            ("travel_max", 1e-3, 10.0, "m"),
+            ("compliance_max", 1e-7, 1.0, "m/N"),
+            ("lag_max", 1e-4, 0.1, "m"),
+            ("phase_max", 1.0, 3600.0, "s"),
+            ("relax_max", 0.1, 60.0, "s"),
+            ("range_error", 0.001, 1.0, "of the range"),
+        ):
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"{name}: must be {least:g} to {most:g} {unit}")
+        if not 1 <= self.loops <= 10:
+            raise ValueError("loops: must be 1 to 10")
+        if self.range is not None and not 1e-3 <= self.range <= 10.0:
+            raise ValueError("range: must be 0.001 to 10 m, or left out")
+        if not max(self.low, self.take_up, self.keep) <= 0.25 * self.tension:
+            raise ValueError("tension: must be four times low, take_up and keep, or more")
+
+    def quick(self) -> "InitialiseConfig":
+        """Return the form that takes less than 20 s a joint: one loop, twice as fast."""
+        return replace(self, loops=1, stretch_time=0.5 * self.stretch_time)
+
+
+def known_sheath(config: InitialiseConfig, tendon: int) -> KnownSheathConfig:
+    """Return what is known of one tendon's sheath; the count was checked before."""
+    if not config.sheaths:
+        return KnownSheathConfig()
+    return config.sheaths[tendon if len(config.sheaths) > 1 else 0]
+
+
+def compliance_limit(config: InitialiseConfig, tendon: int) -> float:
+    """Return the largest e/T_in [m/N] that pulling against a stop can show: L/EA, without friction.
+
+    With half as much again where L and EA are known, lest a stop be missed for a wrong EA.
+    """
+    known = known_sheath(config, tendon)
+    if known.axial_stiffness is None:
+        return config.compliance_max
+    return 1.5 * known.length / known.axial_stiffness

@@ -1,0 +1,132 @@
+"""What the initialisation of a joint goes by, and what it remembers."""
+
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+from slave.calibration.cell import Cell
+from slave.calibration.config import InitialiseConfig
+from slave.calibration.trend import Trend
+from slave.gate import Verdict
+
+Tendons = tuple[float, ...]
+
+
+class Phase(IntEnum):
+    """What the procedure is doing; the words are for the operator."""
+
+    text: str
+
+    def __new__(cls, number: int, text: str) -> "Phase":
+        """Give each phase its words, `phase.text`."""
+        phase = int.__new__(cls, number)
+        phase._value_ = number
+        phase.text = text
+        return phase
+
+    TAKE_UP = 0, "taking up"
+    SEEK = 1, "seeking the stop"
+    PROBE = 2, "trying the load cell"
+    SLACKEN = 3, "loosening the other tendon"
+    RELEASE = 4, "releasing"
+    PULL = 5, "pulling"
+    RETURN = 6, "going to the middle"
+    SETTLE = 7, "settling"
+    DONE = 8, "done"
+    RELAX = 9, "letting go"
+    REFUSED = 10, "refused"
+
+
+class Seen(NamedTuple):
+    """What is known of one joint at a tick; one entry a tendon."""
+
+    tension: Tendons  # [N] newest at the housing
+    travel: Tendons  # [m] newest of the encoders
+    motor: Tendons  # [m] what the gate let through last
+    verdict: Verdict = Verdict.PASSED  # and what it had to do
+    fresh: bool = True  # whether tension and travel are new
+
+
+class Contact(NamedTuple):
+    """Where a stop was felt, and how soft the tendon is when pulled against it."""
+
+    travel: float  # [m] of the motor
+    tension: float  # [N] at the housing, a little after the joint moved freely
+    compliance: float = 0.0  # [m/N]
+
+
+class Joint(NamedTuple):
+    """What the procedure is told of a joint."""
+
+    number: int  # from 1
+    compliance: Tendons  # [m/N] one a tendon: pulled against a stop, none can be softer
+
+
+class Memory(NamedTuple):
+    """All that the procedure of a joint remembers from one tick to the next."""
+
+    phase: Phase = Phase.TAKE_UP
+    side: int = 0  # the tendon that is pulled
+    releases: int = 0  # ended on this side
+    elapsed: float = 0.0  # [s] in this phase
+    origin: Tendons = ()  # [m] travel when the phase began
+    tension: Tendons = ()  # [N] smoothed
+    trend: Trend | None = None
+    contact: Contact | None = None  # where the pulled tendon was soft last
+    stops: tuple[Contact, ...] = ()  # found so far, one a side
+    home: Tendons = ()  # [m] travel when all tendons were taut for the first time
+    lowest: float = math.inf  # [m] travel of the other tendon in this phase
+    highest: float = 0.0  # [N] smoothed tension of the pulled tendon in this phase
+    cells: tuple[Cell, ...] = ()
+    tried: float = -math.inf  # [m] travel where the pulled tendon's cell was alive for sure
+    steady: float = 0.0  # [s] for which all tendons have had the tension they are brought to
+    blocked: Tendons = ()  # [s] for which the gate has not let each motor go as asked
+    moved: Tendons = ()  # [m] how far each motor was asked to go last, and from where
+    before: Tendons = ()  # [m]
+    refusal: str = ""  # why it was refused, in words
+
+
+def begin(memory: Memory, phase: Phase, seen: Seen) -> Memory:
+    """Return the memory at the beginning of a phase."""
+    return memory._replace(
+        phase=phase,
+        elapsed=0.0,
+        origin=seen.travel,
+        trend=None,
+        lowest=math.inf,
+        highest=0.0,
+        steady=0.0,
+        blocked=(0.0,) * len(seen.motor),
+        moved=(),
+        before=(),
+    )
+
+
+def refuse(memory: Memory, seen: Seen, why: str) -> Memory:
+    """Return the memory of a procedure that gives up: it lets the tensions down, and then holds."""
+    return begin(memory._replace(refusal=memory.refusal or why), Phase.RELAX, seen)
+
+
+def ended(memory: Memory) -> bool:
+    """Return whether nothing will move any more."""
+    return memory.phase in (Phase.DONE, Phase.REFUSED)
+
+
+def progress(config: InitialiseConfig, memory: Memory) -> float:
+    """Return the share of the phases that is behind a joint, 0 to 1."""
+    if memory.phase is Phase.DONE:
+        return 1.0
+    a_side = 2 * config.loops + 4  # taking up, seeking, loosening, and the releases and pulls
+    within = {
+        Phase.SEEK: 1,
+        Phase.PROBE: 1,
+        Phase.SLACKEN: 2,
+        Phase.RELEASE: 3,
+        Phase.PULL: 2,
+        Phase.RETURN: 1,
+    }
+    done = within.get(memory.phase, 0)
+    if memory.phase in (Phase.RELEASE, Phase.PULL):
+        done += 2 * memory.releases
+    sides = 2  # at most
+    return (memory.side * a_side + done) / (sides * a_side + 3)

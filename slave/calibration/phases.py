@@ -1,0 +1,300 @@
+"""What each phase of the initialisation asks of the motors, and when it is over.
+
+Every handler returns the speeds [m/s] of the joint's motors and the memory, perhaps at the
+beginning of another phase.
+"""
+
+import math
+from collections.abc import Callable
+
+from slave.calibration import cell, refusals, trend
+from slave.calibration.config import InitialiseConfig
+from slave.calibration.memory import Contact, Joint, Memory, Phase, Seen, Tendons, begin, refuse
+from slave.calibration.refusals import tendon_name
+from slave.calibration.trend import Trend
+
+WINDOW = 2e-4  # [m] of motor travel that says how stiff the tendon is
+GAIN = 0.004  # [m/s] of winding per [N] that a tendon is too loose
+LOOSE, TIGHT = 0.7, 1.3  # times the tension to be kept: between them a motor rests
+TIGHT_ENOUGH = 3.0  # times the tension to be taken up to; friction near the motor allows no finer
+SLACK_SPEED = 0.25  # of the seek speed: a slack tendon is wound in
+STEADY_S = 0.05  # [s] for which tensions must be as they shall before it goes on
+TAUT = 0.2  # of the tension wanted; below it a tendon counts as slack
+LEAST_RISE = 0.25  # of the tension to go to: the share that must be beyond the stop
+LEFT_STOP = 20.0  # times as soft as the pull: while releasing, the joint has left its stop
+LOST = 0.3  # of the highest tension of a pull; a tendon that falls below it has slipped or broken
+RETRY = 5e-4  # [m] of travel before a cell that was alive is tried again
+PROBE = 1e-5  # [m] to go back for that
+PROBE_S = 0.2  # [s] in which the cell must see it
+OVER = 1.5  # times the travel expected of a pull or release
+RUN_ON = 5e-4  # [m] and so much more
+
+Step = tuple[Tendons, Memory]
+
+
+def _take_up(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Wind in every tendon until it is just taut."""
+    count = len(seen.tension)
+    if memory.steady >= STEADY_S:
+        if memory.phase is Phase.SETTLE:
+            return _still(seen), begin(memory, Phase.DONE, seen)
+        if not memory.home:
+            memory = memory._replace(home=seen.travel)
+        return _still(seen), begin(memory, _after_take_up(memory, count), seen)
+    wound = [q - q0 for q, q0 in zip(seen.travel, memory.origin, strict=True)]
+    allowed = config.slack_max + (config.pay_out + WINDOW if memory.stops else 0.0)
+    if sum(wound) > allowed:
+        loosest = min(range(count), key=lambda k: memory.tension[k])
+        name = tendon_name(joint.number, count, loosest)
+        if memory.tension[loosest] > TAUT * config.take_up or sum(wound) > 2.0 * allowed:
+            return _slack(config, memory, seen, name, loosest, sum(wound), config.take_up)
+    tightest = min(range(count), key=wound.__getitem__)
+    if wound[tightest] < -allowed:
+        name = tendon_name(joint.number, count, tightest)
+        why = refusals.tight(name, -wound[tightest], memory.tension[tightest])
+        return _refused(memory, seen, why)
+    return tuple(
+        _held(config, memory.tension[k], config.take_up, TIGHT_ENOUGH, 0.0) for k in range(count)
+    ), memory
+
+
+def _after_take_up(memory: Memory, count: int) -> Phase:
+    return Phase.SEEK if memory.side < count else Phase.RETURN
+
+
+def _seek(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Pull one tendon until the joint stands at its stop and the tension is reached."""
+    k, count = memory.side, len(seen.tension)
+    name = tendon_name(joint.number, count, k)
+    tension, travel = memory.tension[k], seen.travel[k]
+    line = _line(memory, seen, k, 1.0)
+    stretching = trend.stiffness(line, WINDOW) * joint.compliance[k] >= 1.0
+    contact = memory.contact
+    if contact is None or not stretching:
+        contact = Contact(travel, tension)
+    memory = memory._replace(trend=line, contact=contact)
+    if tension >= config.tension:
+        return _found(config, joint.compliance[k], name, memory, seen)
+    gone = travel - memory.origin[k]
+    if gone > config.travel_max:
+        unchanged = travel - memory.cells[k].since > 0.5 * gone
+        return _refused(memory, seen, refusals.no_stop(name, tension, unchanged, config))
+    if tension < LOST * memory.highest and memory.highest > LEAST_RISE * config.tension:
+        return _refused(memory, seen, refusals.lost(name, memory.highest, tension))
+    if travel > memory.tried + RETRY and cell.stands_still(memory.cells[k], travel):
+        return _still(seen), begin(memory, Phase.PROBE, seen)
+    speed = config.stretch_speed if stretching else config.seek_speed
+    return _drawn(config, joint, memory, seen, k, speed)
+
+
+def _found(config: InitialiseConfig, softest: float, name: str, memory: Memory, seen: Seen) -> Step:
+    """Take what the search ended at for a stop, unless it cannot be one."""
+    k, contact = memory.side, memory.contact
+    assert contact is not None  # noqa: S101 - set by the caller
+    rise = memory.tension[k] - contact.tension
+    if rise < LEAST_RISE * config.tension:
+        why = refusals.late_stop(name, contact.tension, memory.tension[k])
+        return _refused(memory, seen, why)
+    compliance = (seen.travel[k] - contact.travel) / rise
+    if compliance > softest:
+        why = refusals.soft_stop(name, contact.tension, compliance, softest)
+        return _refused(memory, seen, why)
+    stops = (*memory.stops, contact._replace(compliance=compliance))
+    after = Phase.SLACKEN if len(seen.tension) > 1 else Phase.RELEASE
+    return _still(seen), begin(memory._replace(stops=stops, releases=0), after, seen)
+
+
+def _probe(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Go back a little, to see whether the load cell sees it."""
+    k = memory.side
+    if memory.cells[k].alike == 0:
+        memory = memory._replace(tried=seen.travel[k])
+        return _still(seen), begin(memory, Phase.SEEK, seen)
+    if memory.elapsed > PROBE_S:
+        name = tendon_name(joint.number, len(seen.tension), k)
+        return _refused(memory, seen, refusals.saturated(name, memory.tension[k]))
+    back = seen.motor[k] > memory.origin[k] - PROBE
+    return _only(seen, k, -config.stretch_speed if back else 0.0), memory
+
+
+def _slacken(config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Pay out the other tendon so far that it cannot pull the joint off its stop."""
+    other = 1 - memory.side
+    if memory.origin[other] - seen.travel[other] >= config.pay_out:
+        return _still(seen), begin(memory, Phase.RELEASE, seen)
+    return _only(seen, other, -config.seek_speed), memory
+
+
+def _release(config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Let one tendon go, until its tension is low or the joint leaves the stop."""
+    k = memory.side
+    line = _line(memory, seen, k, -1.0)
+    memory = memory._replace(trend=line)
+    left = trend.stiffness(line, WINDOW) * memory.stops[k].compliance * LEFT_STOP < 1.0
+    enough = _expected(config, memory)
+    gone = memory.origin[k] - seen.travel[k]
+    if not (memory.tension[k] <= config.low or left or gone > enough):
+        return _only(seen, k, -_stretch_speed(config, memory)), memory
+    memory = memory._replace(releases=memory.releases + 1)
+    if memory.releases <= config.loops:
+        return _still(seen), begin(memory, Phase.PULL, seen)
+    memory = memory._replace(side=memory.side + 1, contact=None, tried=-math.inf)
+    if len(seen.tension) == 1:
+        return _still(seen), begin(memory, Phase.RETURN, seen)
+    return _still(seen), begin(memory, Phase.TAKE_UP, seen)
+
+
+def _pull(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Pull one tendon against the stop again."""
+    k = memory.side
+    tension, gone = memory.tension[k], seen.travel[k] - memory.origin[k]
+    if tension >= config.tension:
+        return _still(seen), begin(memory, Phase.RELEASE, seen)
+    name = tendon_name(joint.number, len(seen.tension), k)
+    if cell.stands_still(memory.cells[k], seen.travel[k]):
+        return _refused(memory, seen, refusals.saturated(name, tension))
+    if tension < LOST * memory.highest and memory.highest > LEAST_RISE * config.tension:
+        return _refused(memory, seen, refusals.lost(name, memory.highest, tension))
+    if gone > _expected(config, memory):
+        if tension < TAUT * config.take_up:
+            return _refused(memory, seen, refusals.lost(name, config.tension, tension))
+        return _refused(memory, seen, refusals.not_again(name, tension, config))
+    return _only(seen, k, _stretch_speed(config, memory)), memory
+
+
+def _return(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Go to the middle between the stops; with a return spring, to where the joint came from."""
+    if len(seen.tension) == 1:
+        if seen.travel[0] <= memory.home[0]:
+            return _still(seen), begin(memory, Phase.SETTLE, seen)
+        return _only(seen, 0, -config.seek_speed), memory
+    if seen.travel[0] >= 0.5 * (memory.stops[0].travel + memory.origin[0]):
+        return _still(seen), begin(memory, Phase.SETTLE, seen)
+    if memory.tension[0] >= memory.stops[0].tension + LEAST_RISE * config.tension:
+        why = refusals.in_the_way(joint.number, memory.tension[0], memory.stops[0].tension)
+        return _refused(memory, seen, why)
+    line = _line(memory, seen, 0, 1.0)
+    memory = memory._replace(trend=line)
+    stretching = trend.stiffness(line, WINDOW) * joint.compliance[0] >= 1.0
+    speed = config.stretch_speed if stretching else config.seek_speed
+    return _drawn(config, joint, memory, seen, 0, speed)
+
+
+def _relax(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Let all tensions down, slowly, winding in nothing and paying out no more than that takes."""
+    if memory.steady >= STEADY_S or memory.elapsed > config.relax_max:
+        return _still(seen), begin(memory, Phase.REFUSED, seen)
+    speeds = []
+    for k, tension in enumerate(memory.tension):
+        most = OVER * joint.compliance[k] * config.tension + RUN_ON
+        tight = tension > relaxed(config) and memory.origin[k] - seen.motor[k] < most
+        speeds.append(-0.5 * config.seek_speed if tight else 0.0)
+    return tuple(speeds), memory
+
+
+def _rest(_config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen) -> Step:
+    return _still(seen), memory
+
+
+def _refused(memory: Memory, seen: Seen, why: str) -> Step:
+    return _still(seen), refuse(memory, seen, why)
+
+
+def _slack(
+    config: InitialiseConfig,
+    memory: Memory,
+    seen: Seen,
+    name: str,
+    k: int,
+    wound: float,
+    wanted: float,
+) -> Step:
+    why = refusals.slack(name, wound, memory.tension[k], TAUT * wanted, config)
+    return _refused(memory, seen, why)
+
+
+def _still(seen: Seen) -> Tendons:
+    return (0.0,) * len(seen.motor)
+
+
+def _only(seen: Seen, tendon: int, speed: float) -> Tendons:
+    return tuple(speed if k == tendon else 0.0 for k in range(len(seen.motor)))
+
+
+def _line(memory: Memory, seen: Seen, k: int, direction: float) -> Trend:
+    if memory.trend is None:
+        return trend.start(seen.travel[k], seen.tension[k])
+    return trend.step(memory.trend, seen.travel[k], seen.tension[k], direction, WINDOW)
+
+
+def _expected(config: InitialiseConfig, memory: Memory) -> float:
+    """Return the motor travel [m] within which a whole pull or release must be over."""
+    return OVER * memory.stops[memory.side].compliance * config.tension + RUN_ON
+
+
+def _stretch_speed(config: InitialiseConfig, memory: Memory) -> float:
+    """Return the speed [m/s] at which a whole pull or release takes the time it shall."""
+    return memory.stops[memory.side].compliance * config.tension / config.stretch_time
+
+
+def _held(
+    config: InitialiseConfig, tension: float, wanted: float, tight: float, along: float
+) -> float:
+    """Return the speed [m/s] that keeps a tendon near `wanted` [N] while its end moves by `along`.
+
+    From `LOOSE` to `tight` times that it is left alone.
+    """
+    if tension < TAUT * wanted:
+        return along + SLACK_SPEED * config.seek_speed
+    alone = LOOSE * wanted <= tension <= tight * wanted
+    speed = 0.0 if alone else GAIN * (wanted - tension)
+    return min(max(along + speed, -2.0 * config.seek_speed), config.seek_speed)
+
+
+def _drawn(
+    config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen, k: int, speed: float
+) -> Step:
+    """Pull tendon `k` at `speed`, the other one paid out as fast and kept just taut.
+
+    As fast even while the joint rests: friction makes much of a tendon that lags behind, as the
+    joint has to draw it out with e^K times its tension at the housing.
+    """
+    if len(seen.tension) == 1:
+        return (speed,), memory
+    other = 1 - k
+    wound = seen.travel[other] - memory.lowest
+    if wound > config.slack_max and memory.tension[other] < TAUT * config.keep:
+        name = tendon_name(joint.number, 2, other)
+        return _slack(config, memory, seen, name, other, wound, config.keep)
+    kept = _held(config, memory.tension[other], config.keep, TIGHT, -speed)
+    return ((speed, kept) if k == 0 else (kept, speed)), memory
+
+
+def settled(config: InitialiseConfig, phase: Phase, tension: Tendons) -> bool:
+    """Return whether all tendons have the tension that this phase brings them to."""
+    if phase is Phase.RELAX:
+        return max(tension) <= relaxed(config)
+    if phase not in (Phase.TAKE_UP, Phase.SETTLE):
+        return False
+    least, most = 0.9 * LOOSE * config.take_up, 1.1 * TIGHT_ENOUGH * config.take_up
+    return all(least <= t <= most for t in tension)
+
+
+def relaxed(config: InitialiseConfig) -> float:
+    """Return the tension [N] that tendons are let down to."""
+    return 2.0 * max(config.low, config.take_up)
+
+
+HANDLERS: dict[Phase, Callable[[InitialiseConfig, Joint, Memory, Seen], Step]] = {
+    Phase.TAKE_UP: _take_up,
+    Phase.SEEK: _seek,
+    Phase.PROBE: _probe,
+    Phase.SLACKEN: _slacken,
+    Phase.RELEASE: _release,
+    Phase.PULL: _pull,
+    Phase.RETURN: _return,
+    Phase.SETTLE: _take_up,
+    Phase.DONE: _rest,
+    Phase.RELAX: _relax,
+    Phase.REFUSED: _rest,
+}

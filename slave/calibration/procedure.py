@@ -1,0 +1,111 @@
+"""The initialisation of one joint, as a pure function of what the housing measures.
+
+After Phee et al. 2009, section III, for each tendon of the joint in turn: take up all tendons, pull
+one at constant speed while the other is paid out at a small tension of its own, feel the end stop
+by the slope of the tension, go on to a chosen tension, make the other tendon loose, release to a
+low tension, and pull and release again. The joint rests against its stop all the while, so what
+the motor travels is elongation. Then the other tendon; then back to the middle of the range.
+
+`step` says where the motors shall be next. It measures by tension and motor travel alone, and
+whatever it does not understand it refuses: the tendons are then let down to a low tension, and
+nothing is pulled any more.
+"""
+
+import math
+
+from slave.calibration import cell, refusals
+from slave.calibration.cell import Cell
+from slave.calibration.config import InitialiseConfig
+from slave.calibration.memory import Joint, Memory, Phase, Seen, Tendons, begin, refuse
+from slave.calibration.phases import HANDLERS, settled
+from slave.calibration.refusals import tendon_name
+
+SMOOTH_S = 0.005  # [s] of averaging where a single tension decides
+BLOCKED_S = 0.2  # [s] for which the gate may withhold all motion
+
+_ENDS = (Phase.DONE, Phase.RELAX, Phase.REFUSED)
+
+
+def step(
+    config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen, dt: float
+) -> tuple[Tendons, Memory]:
+    """Return where the motors of the joint shall be [m], and the new memory.
+
+    Parameters
+    ----------
+    config : InitialiseConfig
+        Tensions, speeds and limits.
+    joint : Joint
+        Its number, and how soft its sheaths can be.
+    memory : Memory
+        `Memory()` to begin with.
+    seen : Seen
+        Newest readings, all finite.
+    dt : float
+        Time since the last tick [s].
+    """
+    memory = _observe(config, memory, seen, dt)
+    if memory.phase not in _ENDS:
+        refusal = _common_refusal(config, joint, memory, seen)
+        if refusal:
+            memory = refuse(memory, seen, refusal)
+    speeds, memory = HANDLERS[memory.phase](config, joint, memory, seen)
+    moves = tuple(speed * dt for speed in speeds)
+    targets = tuple(m + d for m, d in zip(seen.motor, moves, strict=True))
+    return targets, memory._replace(moved=moves, before=seen.motor)
+
+
+def _observe(config: InitialiseConfig, memory: Memory, seen: Seen, dt: float) -> Memory:
+    """Take in the readings of a tick."""
+    if not memory.origin:
+        cells = tuple(Cell() for _ in seen.tension)
+        memory = begin(memory._replace(tension=seen.tension, cells=cells), memory.phase, seen)
+    share = -math.expm1(-dt / SMOOTH_S)
+    tension = tuple(
+        was + share * (now - was) for was, now in zip(memory.tension, seen.tension, strict=True)
+    )
+    k = _pulled(memory, seen)
+    return memory._replace(
+        tension=tension,
+        elapsed=memory.elapsed + dt,
+        steady=memory.steady + dt if settled(config, memory.phase, tension) else 0.0,
+        highest=max(memory.highest, tension[k]),
+        lowest=min(memory.lowest, seen.travel[1 - k]) if len(tension) > 1 else math.inf,
+        cells=tuple(map(cell.step, memory.cells, seen.tension, seen.travel))
+        if seen.fresh
+        else memory.cells,
+        blocked=_blocked(memory, seen, dt),
+    )
+
+
+def _blocked(memory: Memory, seen: Seen, dt: float) -> Tendons:
+    """Return for how long each motor has been asked to move and stayed where it was."""
+    if not memory.moved:
+        return memory.blocked
+    return tuple(
+        time + dt if asked != 0.0 and now == was else 0.0
+        for time, asked, now, was in zip(
+            memory.blocked, memory.moved, seen.motor, memory.before, strict=True
+        )
+    )
+
+
+def _pulled(memory: Memory, seen: Seen) -> int:
+    """Return the tendon that is pulled; on the way back it is the first one again."""
+    return memory.side if memory.side < len(seen.tension) else 0
+
+
+def _common_refusal(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> str:
+    """Return what is wrong whatever the phase; empty if nothing is."""
+    count = len(seen.tension)
+    if memory.elapsed > config.phase_max:
+        return refusals.too_slow(joint.number, memory.phase.text, config)
+    for k in range(count):
+        name = tendon_name(joint.number, count, k)
+        if memory.blocked[k] > BLOCKED_S:
+            seeking = memory.phase is Phase.SEEK
+            return refusals.withheld(name, seen.verdict, memory.moved[k], seeking)
+        behind = abs(seen.motor[k] - seen.travel[k])
+        if behind > config.lag_max:
+            return refusals.weak_motor(name, behind, seen.tension[k], config)
+    return ""

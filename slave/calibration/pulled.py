@@ -1,0 +1,153 @@
+"""What was measured of one tendon while it was pulled against its stop."""
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.calibration import Measured
+from slave.calibration.memory import Contact, Phase
+from slave.calibration.refusals import tendon_name
+from slave.calibration.run import Record
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.bool_]
+
+BEFORE = (2e-3, 3e-4)  # [m] of travel before the contact, from and to: there the joint surely moved
+RELEASED = 1.5  # times the low tension; a release that ends above it ended as the joint left
+STILL_THERE = 1.15  # times the tension at which it left
+NEAR = 2.5  # counts of the encoder from a turn
+FINEST, COARSEST = 5e-7, 5e-6  # [m] of a count
+LEAST_PULL = 100  # samples of a first pull that is worth evaluating
+
+
+class Loop(NamedTuple):
+    """What a motor did against a stop, the tip resting: pulls and releases in turn."""
+
+    tension: Array  # [N]
+    travel: Array  # [m]
+
+
+class Pulled(NamedTuple):
+    """One tendon of one joint in a record."""
+
+    record: Record
+    joint: int  # counted from 0
+    side: int  # which of its tendons
+
+    @property
+    def tendon(self) -> int:
+        """Its number in the rig."""
+        return self.record.joints[self.joint][self.side]
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return tendon_name(self.joint + 1, len(self.record.joints[self.joint]), self.side)
+
+    @property
+    def contact(self) -> Contact:
+        """Where its stop was felt."""
+        return self.record.stops[self.joint][self.side]
+
+    @property
+    def tension(self) -> Array:
+        """Its tension at the housing [N], all through the record, less what it read when slack."""
+        return self.record.tension[:, self.tendon] - (self.zero or 0.0)
+
+    @property
+    def zero(self) -> float | None:
+        """What its load cell read [N] while the other tendon was pulled against its stop."""
+        if len(self.record.joints[self.joint]) == 1:
+            return None
+        slack = Pulled(self.record, self.joint, 1 - self.side).rows(Phase.RELEASE, Phase.PULL)
+        return float(np.mean(self.record.tension[slack, self.tendon]))
+
+    @property
+    def travel(self) -> Array:
+        """Its motor's travel [m], all through the record."""
+        return self.record.travel[:, self.tendon]
+
+    def rows(self, *phases: Phase) -> Rows:
+        """Return where the procedure pulled this tendon and was in one of these phases."""
+        codes = [int(phase) for phase in phases]
+        mine = np.equal(self.record.side[:, self.joint], self.side)
+        return np.asarray(mine & np.isin(self.record.phase[:, self.joint], codes))
+
+    @property
+    def first_pull(self) -> Rows:
+        """Where it was pulled on when it had met its stop.
+
+        The stop is felt a little late; it was met where the line of the pull comes down to the
+        tension of the free joint.
+        """
+        late = self.rows(Phase.SEEK) & (self.travel >= self.contact.travel)
+        slope = slope_of(self.tension[late], self.travel[late]).value
+        over = max(0.0, self.contact.tension - self.free_tension)
+        met = self.contact.travel - slope * over
+        return self.rows(Phase.SEEK) & np.greater_equal(self.travel, met)
+
+    @property
+    def free_tension(self) -> float:
+        """The tension [N] at which the joint moved just before its stop."""
+        ahead = self.contact.travel - self.travel
+        rows = self.rows(Phase.SEEK) & (ahead < BEFORE[0]) & (ahead > BEFORE[1])
+        return float(np.median(self.tension[rows])) if rows.any() else self.contact.tension
+
+
+def loops(pulled: Pulled, low: float) -> list[Loop]:
+    """Return what was pulled and released against the stop while the tip rested, in turn.
+
+    As a whole, unless the joint left its stop on the way down, as a return spring makes it: then
+    each pull and release by itself, without what the tip's own travel was in. A first pull that
+    met the stop near its end is left out, and the release behind it.
+    """
+    of_release = pulled.record.releases[:, pulled.joint]
+    count = int(of_release[pulled.rows(Phase.RELEASE)].max()) + 1
+    pulls = [pulled.rows(Phase.PULL) & (of_release == i) for i in range(count)]
+    releases = [pulled.rows(Phase.RELEASE) & (of_release == i) for i in range(count)]
+    pulls[0] = pulled.first_pull
+    if pulls[0].sum() < LEAST_PULL:
+        pulls, releases = pulls[1:], releases[1:]
+    ends = [float(np.median(pulled.tension[release][-5:])) for release in releases]
+    if max(ends) <= RELEASED * low:
+        return [_loop(pulled, pulls, releases)]
+    there = pulled.tension > STILL_THERE * max(ends)
+    regained = pulled.tension > STILL_THERE * pulled.contact.tension
+    return [
+        _loop(pulled, [pull & regained], [release & there])
+        for pull, release in zip(pulls, releases, strict=True)
+    ]
+
+
+def _loop(pulled: Pulled, pulls: list[Rows], releases: list[Rows]) -> Loop:
+    """Return branches in turn, without the samples at their turns.
+
+    There one count of the encoder is worth much tension, and samples on either side of the turn
+    cannot be told apart.
+    """
+    branches = [branch for pair in zip(pulls, releases, strict=True) for branch in pair]
+    rows = np.logical_or.reduce(branches)
+    count = _count(pulled.travel[rows])
+    for i, (before, after) in enumerate(pairwise(branches)):
+        around = np.flatnonzero(before | after)
+        ahead = pulled.travel[around] * (1.0 if i % 2 == 0 else -1.0)
+        short = ahead.max() - ahead
+        first = int(np.argmax(short <= NEAR * count))
+        last = int(np.flatnonzero(short <= (NEAR + 1.0) * count)[-1])
+        rows[around[first + 1 : last + 1]] = False
+    return Loop(pulled.tension[rows], pulled.travel[rows])
+
+
+def _count(travel: Array) -> float:
+    """Return the travel of one count of the encoder [m], or some such for one without."""
+    steps = np.diff(np.unique(travel))
+    return float(min(max(steps.min(), FINEST), COARSEST))
+
+
+def slope_of(T: Array, q: Array) -> Measured:
+    """Return dq/dT [m/N] of tension and travel, by least squares."""
+    (slope, _), covariance = np.polyfit(T, q, 1, cov=True)
+    return Measured(float(slope), math.sqrt(float(covariance[0, 0])))

@@ -1,0 +1,312 @@
+"""Drive a rig through the initialisation: joint after joint, or all at once.
+
+Every position written has been through `slave.gate`, with the limits of the slave's own config.
+However it ends but for a fault of the rig, the tensions have been let down and the motors hold.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slave import gate, standing
+from slave.calibration import memory, procedure
+from slave.calibration.config import InitialiseConfig, compliance_limit
+from slave.calibration.memory import Contact, Joint, Memory, Phase, Seen
+from slave.gate import GateConfig
+from slave.rig import Rig, RigFault, RigFinished, RigSample
+from teleop.clock import Tick
+from teleop.errors import TeleopError, UsageError
+from teleop.process import INTERRUPTED
+
+Array = NDArray[np.float64]
+Codes = NDArray[np.int64]
+
+SILENCE_MAX_S = 0.5  # [s] without a sample that can be used
+UNREADABLE = (
+    "no tension and travel of every tendon for half a second, and nothing can be calibrated "
+    "without: is a load cell or an encoder missing?"
+)
+
+
+class Refused(TeleopError):
+    """A joint that could not be calibrated: exit code 1, one line that says why and what to do."""
+
+
+class Interrupted(Refused):
+    """The operator ended it."""
+
+    exit_code = INTERRUPTED
+
+
+class Limits(NamedTuple):
+    """What the procedure is done within."""
+
+    initialise: InitialiseConfig
+    gate: GateConfig
+
+
+class Progress(NamedTuple):
+    """Where the procedure is."""
+
+    time_s: float  # [s] since it began
+    joint: int  # from 1
+    phase: Phase
+    side: int  # the tendon that is pulled
+    done: float  # of the whole, 0 to 1
+    tension: tuple[float, ...]  # [N] of the joint's tendons
+
+
+@dataclass(frozen=True)
+class Record:
+    """What was measured, and what the procedure was doing: n samples, t tendons, j joints.
+
+    A joint that was not calibrated has no stops.
+    """
+
+    joints: tuple[tuple[int, ...], ...]  # the tendons of each
+    time: Array  # [s] shape (n,), on the rig's clock
+    tension: Array  # [N] shape (n, t)
+    travel: Array  # [m] shape (n, t)
+    phase: Codes  # shape (n, j)
+    side: Codes  # shape (n, j): which tendon of the joint was pulled
+    releases: Codes  # shape (n, j): ended on that side
+    stops: tuple[tuple[Contact, ...], ...]  # of each joint, one a tendon
+
+
+class Driven(NamedTuple):
+    """How a run ended."""
+
+    record: Record
+    samples: tuple[RigSample, ...]  # all of them, for estimators that shall know the profile
+
+
+@dataclass
+class _Log:
+    """Samples as they come, with the state of each joint's procedure."""
+
+    samples: list[RigSample] = field(default_factory=list)
+    codes: list[tuple[tuple[int, int, int], ...]] = field(default_factory=list)
+
+    def add(self, samples: Sequence[RigSample], memories: Sequence[Memory]) -> None:
+        """Keep the samples of a tick."""
+        now = tuple((int(m.phase), m.side, m.releases) for m in memories)
+        self.samples += samples
+        self.codes += [now] * len(samples)
+
+    def record(self, joints: tuple[tuple[int, ...], ...], memories: Sequence[Memory]) -> Record:
+        """Return it as arrays."""
+        codes = np.array(self.codes, dtype=np.int64)
+        return Record(
+            joints=joints,
+            time=np.array([s.time_s for s in self.samples]),
+            tension=np.array([s.proximal_tension for s in self.samples]),
+            travel=np.array([s.proximal_displacement for s in self.samples]),
+            phase=codes[:, :, 0],
+            side=codes[:, :, 1],
+            releases=codes[:, :, 2],
+            stops=tuple(memory.stops for memory in memories),
+        )
+
+
+def drive(
+    rig: Rig,
+    limits: Limits,
+    ticks: Iterable[Tick],
+    start_ns: int,
+    joints: Sequence[int],
+    together: bool = False,
+    stopped: Callable[[], str] = lambda: "",
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> Driven:
+    """Do the procedure on some joints of a rig; return what was measured.
+
+    Parameters
+    ----------
+    rig : Rig
+        Open; nothing else may read or write it.
+    limits : Limits
+        The procedure's own, and those of the gate before the motors.
+    ticks : iterable of Tick
+        The pace, without an end: of a real rig a `teleop.clock.Grid` that never stops, else
+        `fast_ticks`.
+    start_ns : int
+        Stamp [ns] from which the rig's session time counts.
+    joints : sequence of int
+        Which joints, counted from 0.
+    together : bool
+        Whether to move them all at once; else the others hold while one moves.
+    stopped : callable
+        Asked at every tick; a reason ends the procedure, the tensions let down.
+    progress : callable
+        Told at every tick.
+
+    Raises
+    ------
+    Refused
+        If it was given up, with the tensions let down.
+    TeleopError
+        If the rig failed.
+    """
+    require_possible(rig, limits)
+    drive = _Drive(rig, limits, joints, together)
+    began_ns = None
+    for tick in ticks:
+        began_ns = tick.stamp_ns if began_ns is None else began_ns
+        drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped())
+        if drive.newest is not None:
+            progress(drive.progress((tick.stamp_ns - began_ns) * 1e-9))
+        if drive.over:
+            break
+    return drive.result()
+
+
+class _Drive:
+    """A rig under way through the procedure."""
+
+    def __init__(self, rig: Rig, limits: Limits, joints: Sequence[int], together: bool) -> None:
+        self.newest: RigSample | None = None
+        self.over = False
+        self._rig, self._limits, self._joints = rig, limits, joints
+        self._told = [_told(limits.initialise, j, tendons) for j, tendons in enumerate(rig.joints)]
+        self._memories = [Memory() for _ in rig.joints]
+        self._verdicts = [gate.Verdict.PASSED for _ in rig.joints]
+        self._groups = [tuple(joints)] if together else [(j,) for j in joints]
+        self._log = _Log()
+        self._place = standing.start(rig.tendons, rig.starts_at_zero)
+        self._motor: tuple[float, ...] = ()
+        self._silence = 0.0
+        self._interrupted = False
+
+    def tick(self, time_s: float, dt: float, order: str) -> None:
+        """Read, step every joint of the group under way, and write; `order` ends it."""
+        self._read(time_s, dt)
+        self._interrupted = self._interrupted or bool(order)
+        if self._silence > SILENCE_MAX_S:
+            order = order or UNREADABLE
+        if self.newest is None or not self._motor:
+            if order:
+                raise Interrupted(order) if self._interrupted else Refused(order)
+            return
+        group = self._groups[0]
+        wanted = list(self._motor)
+        for j in group:
+            order = order or next((m.refusal for m in self._memories if m.refusal), "")
+            for k, target in zip(self._rig.joints[j], self._step(j, order, dt), strict=True):
+                wanted[k] = target
+        self._write(wanted, dt)
+        if all(memory.ended(self._memories[j]) for j in group):
+            del self._groups[0]
+            self.over = not self._groups or any(m.refusal for m in self._memories)
+
+    def progress(self, time_s: float) -> Progress:
+        """Return where it is, `time_s` [s] after it began."""
+        done = [memory.progress(self._limits.initialise, m) for m in self._memories]
+        group = self._groups[0] if self._groups else self._joints[-1:]
+        j = min(group, key=lambda j: done[j])
+        now = self._memories[j]
+        share = sum(done[i] for i in self._joints) / len(self._joints)
+        return Progress(time_s, j + 1, now.phase, now.side, share, now.tension)
+
+    def result(self) -> Driven:
+        """Return what was measured, or raise why there is nothing to go by."""
+        refusal = next((m.refusal for m in self._memories if m.refusal), "")
+        if refusal:
+            raise Interrupted(refusal) if self._interrupted else Refused(refusal)
+        return Driven(self._log.record(self._rig.joints, self._memories), tuple(self._log.samples))
+
+    def _read(self, time_s: float, dt: float) -> None:
+        try:
+            samples = self._rig.read(time_s)
+        except RigFinished as error:
+            raise Refused("these are measured data: there is no rig to calibrate") from error
+        except RigFault as error:
+            raise TeleopError(f"rig: {error}") from error
+        useful = [sample for sample in samples if usable(sample)]
+        self._log.add(useful, self._memories)
+        self._place = standing.step(self._place, samples, dt)
+        self._silence = 0.0 if useful else self._silence + dt
+        self.newest = useful[-1] if useful else self.newest
+        self._motor = self._motor or standing.known(self._place, SILENCE_MAX_S)
+
+    def _step(self, j: int, order: str, dt: float) -> tuple[float, ...]:
+        """Step one joint; return where its motors shall be [m]."""
+        assert self.newest is not None and self.newest.proximal_displacement is not None  # noqa: S101, PT018 - `usable`
+        tendons = list(self._rig.joints[j])
+        seen = Seen(
+            tuple(self.newest.proximal_tension[tendons].tolist()),
+            tuple(self.newest.proximal_displacement[tendons].tolist()),
+            tuple(self._motor[k] for k in tendons),
+            self._verdicts[j],
+            self._silence == 0.0,
+        )
+        before = self._memories[j]
+        if order and not before.refusal:
+            before = memory.refuse(before, seen, order)
+        targets, self._memories[j] = procedure.step(
+            self._limits.initialise, self._told[j], before, seen, dt
+        )
+        return targets
+
+    def _write(self, wanted: Sequence[float], dt: float) -> None:
+        """Let through what each joint may do, and write it."""
+        assert self.newest is not None  # noqa: S101 - asked by the caller
+        tension = self.newest.proximal_tension.tolist()
+        motor = list(self._motor)
+        for j, tendons in enumerate(self._rig.joints):
+            passed, self._verdicts[j] = gate.step(
+                self._limits.gate,
+                [self._motor[k] for k in tendons],
+                [wanted[k] for k in tendons],
+                [tension[k] for k in tendons],
+                self._silence,
+                True,
+                dt,
+            )
+            for k, position in zip(tendons, passed, strict=True):
+                motor[k] = position
+        self._motor = tuple(motor)
+        try:
+            self._rig.write(np.array(motor))
+        except RigFault as error:
+            raise TeleopError(f"rig: {error}") from error
+
+
+def fast_ticks(rate_hz: float) -> Iterator[Tick]:
+    """Yield ticks of a simulated rig's own time, as fast as they are asked for."""
+    dt = 1.0 / rate_hz
+    return (Tick(k, round(k * dt * 1e9), dt) for k in count())
+
+
+def usable(sample: RigSample) -> bool:
+    """Return whether every tendon's tension and travel are there."""
+    travel = sample.proximal_displacement
+    return travel is not None and bool(
+        np.isfinite(sample.proximal_tension).all() and np.isfinite(travel).all()
+    )
+
+
+def require_possible(rig: Rig, limits: Limits) -> None:
+    """Refuse a config that the procedure cannot be done with, before anything moves."""
+    config, most = limits.initialise, limits.gate
+    if len(config.sheaths) not in (0, 1, rig.tendons):
+        raise UsageError(
+            f"slave.initialise.sheaths: {len(config.sheaths)} described, the rig has {rig.tendons}"
+        )
+    if config.tension > most.tension_max:
+        raise UsageError(
+            f"slave.initialise.tension: {config.tension:g} N is over slave.gate.tension_max "
+            f"({most.tension_max:g} N)"
+        )
+    if config.seek_speed > most.speed_max:
+        raise UsageError(
+            f"slave.initialise.seek_speed: {config.seek_speed:g} m/s is over "
+            f"slave.gate.speed_max ({most.speed_max:g} m/s)"
+        )
+
+
+def _told(config: InitialiseConfig, j: int, tendons: tuple[int, ...]) -> Joint:
+    return Joint(j + 1, tuple(compliance_limit(config, k) for k in tendons))

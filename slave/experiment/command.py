@@ -1,0 +1,174 @@
+"""Repeat the experiment of Phee et al. 2009 on simulated rigs.
+
+  teleop bench paper
+  teleop bench paper --sheaths 12 --seed 7 --out results
+
+Initialisation, then pull to 20 N, release to 5 N and pull to 20 N, then nested reversals: with a
+sheath as the paper's, and with random ones. Two readings of the paper's method and ours estimate
+force and elongation at the tip from the housing; the tip's true values judge them. With --out the
+tables, the figures and a page that shows all are written there (docs/experiment.md). The same seed
+gives the same figures.
+"""
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+from slave.experiment import report
+from slave.experiment.demonstration import SPECIMEN, Demonstration, demonstrate
+from slave.experiment.methods import METHODS, OURS
+from slave.experiment.outcome import Outcome
+from slave.experiment.page import Page
+from slave.experiment.sheaths import Specimen, random_sheaths
+from slave.experiment.study import experiment, judge
+from teleop.errors import UsageError
+from teleop.process import destination, write_summary, write_whole
+
+MOST_SHEATHS = 1000
+TITLE = "The experiment of Phee et al. 2009, repeated"
+UNITS = "Errors in % of full scale, the largest true value of the run."
+
+Task = TypeVar("Task")
+Done = TypeVar("Done")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "--sheaths", type=int, default=40, metavar="N", help="random sheaths (default 40)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of sheaths and noise (default 1)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for tables and figures")
+    parser.add_argument(
+        "--json", type=destination, metavar="FILE", help="write all numbers to FILE"
+    )
+    parser.add_argument(
+        "--figures",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="draw figures into --out (default: yes)",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=len(os.sched_getaffinity(0)),
+        metavar="N",
+        help="sheaths at a time (default: one for each processor)",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    for name, least, most in (
+        ("sheaths", 1, MOST_SHEATHS),
+        ("seed", 0, 2**31),
+        ("jobs", 1, 256),
+    ):
+        if not least <= getattr(args, name) <= most:
+            raise UsageError(f"--{name} {getattr(args, name)}: must be {least} to {most}")
+    if args.out is not None:
+        _make_folder(args.out)
+    shown, outcomes = run(args.sheaths, args.seed, args.jobs)
+    print(text(shown, outcomes, args.seed))
+    tree = report.tree(shown.outcome, outcomes, args.seed)
+    write_summary(args.json, tree)
+    if args.out is not None:
+        write_summary(args.out / "table.json", tree)
+        write_whole(args.out / "table.md", text(shown, outcomes, args.seed) + "\n", "the tables")
+        captions = _figures(shown, outcomes, args.out) if args.figures else {}
+        page = page_of(shown, outcomes, args.seed, args.out, captions)
+        write_whole(args.out / "index.html", page, "the page")
+        print(f"\nwritten: {args.out / 'index.html'}")
+    return 0
+
+
+def run(sheaths: int, seed: int, jobs: int) -> tuple[Demonstration, list[Outcome]]:
+    """Return the sheath of the figures in full, and how the random ones came out."""
+    tasks = [(specimen, seed) for specimen in (None, *random_sheaths(sheaths, seed))]
+    done = list(_with_progress(_in_processes(_one, tasks, jobs), len(tasks)))
+    (shown,) = (one for one in done if isinstance(one, Demonstration))
+    return shown, [one for one in done if isinstance(one, Outcome)]
+
+
+def text(shown: Demonstration, outcomes: list[Outcome], seed: int) -> str:
+    """Return all tables as Markdown."""
+    parts = [f"# {TITLE}", UNITS, f"## A sheath as the paper's: {SPECIMEN.describe()}"]
+    parts += ["Largest / average.", report.by_phase(shown.outcome).markdown()]
+    parts += [f"## {len(outcomes)} random sheaths, seed {seed}"]
+    parts += [report.over_sheaths(outcomes).markdown(), report.summary(outcomes)]
+    for method in METHODS:
+        worst = "\n".join(f"- {line}" for line in report.worst(outcomes, method, seed))
+        parts += [f"### Worst of {method}, by the largest error of force", worst]
+    return "\n\n".join(parts)
+
+
+def page_of(
+    shown: Demonstration,
+    outcomes: list[Outcome],
+    seed: int,
+    folder: Path,
+    captions: dict[str, str],
+) -> str:
+    """Return the page; the figures, by file name in `folder`, have captions."""
+    page = Page(TITLE)
+    page.text(f"{UNITS} {report.summary(outcomes)}.")
+    page.heading(f"A sheath as the paper's: {SPECIMEN.describe()}")
+    page.text("Largest / average.")
+    page.table(report.by_phase(shown.outcome), mark="")
+    page.heading(f"{len(outcomes)} random sheaths, seed {seed}")
+    page.table(report.over_sheaths(outcomes), mark=OURS)
+    for method in METHODS:
+        page.text(f"Worst of {method}, by the largest error of force:")
+        page.points(report.worst(outcomes, method, seed))
+    page.heading("Figures")
+    for file, caption in captions.items():
+        page.figure(folder / file, caption)
+    return page.render()
+
+
+def _one(task: tuple[Specimen | None, int]) -> Demonstration | Outcome:
+    specimen, seed = task
+    return demonstrate(seed) if specimen is None else judge(experiment(specimen, seed))
+
+
+def _in_processes(work: Callable[[Task], Done], tasks: list[Task], jobs: int) -> Iterator[Done]:
+    """Yield what `work` makes of each task, in their order."""
+    if jobs == 1:
+        yield from map(work, tasks)
+        return
+    # spawned, as numba's and the BLAS's threads do not survive a fork
+    with get_context("spawn").Pool(min(jobs, len(tasks)), _quiet) as pool:
+        yield from pool.imap(work, tasks)
+
+
+def _quiet() -> None:
+    """Leave Ctrl-C to the parent, who ends the pool."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _with_progress(done: Iterator[Done], count: int) -> Iterator[Done]:
+    for i, one in enumerate(done, start=1):
+        if sys.stderr.isatty():
+            bar = "#" * round(40 * i / count)
+            end = "\n" if i == count else ""
+            print(f"\r[{bar:<40}] {i} of {count} sheaths", end=end, file=sys.stderr)
+        yield one
+
+
+def _figures(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[str, str]:
+    from slave.experiment import figures
+
+    return figures.draw(shown, outcomes, folder)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        destination(str(folder / "index.html"))
+    except (OSError, argparse.ArgumentTypeError) as error:
+        raise UsageError(f"--out {folder}: {error}") from error

@@ -1,0 +1,69 @@
+"""What a config or a calibration file says of one tendon and its sheath."""
+
+from dataclasses import dataclass
+
+from estimator.online import TendonModel
+from estimator.sheath import Section, Sheath
+from slave.plant.sheath import SectionConfig
+from teleop.messages import MAX_SECTIONS
+
+
+@dataclass(frozen=True, slots=True)
+class TendonConfig:
+    """What the estimator believes of one tendon and its sheath.
+
+    Either the effective friction K of the whole sheath, as a calibration gives it, or a friction
+    coefficient and the sections it acts along.
+    """
+
+    effective_friction: float | None = None  # K, dimensionless
+    length: float = 1.5  # [m] with effective_friction; else the sections say
+    friction: float | None = None  # mu, dimensionless
+    sections: tuple[SectionConfig, ...] = ()  # housing to tip
+    axial_stiffness: float = 9000.0  # EA [N] of tendon and sheath in series
+    drag: float = 0.0  # tau [N], load-independent
+    asymmetry: float = 1.0  # rho, friction releasing over friction pulling
+    pretension: float = 0.0  # [N] all along the tendon at the start; 0 = slack
+    tension_noise: float = 0.0  # [N] standard deviation at the load cell
+    displacement_noise: float = 0.0  # [m] standard deviation at the encoder
+    friction_error: float = 0.02  # relative error of K that the interval allows for
+    elongation_error: float = 0.1  # relative error of the predicted elongation it allows for
+    tip_tension_rate: float = 100.0  # [N/s] at which the tip may change unseen
+
+    def __post_init__(self) -> None:
+        """Refuse a sheath described twice or not at all."""
+        if (self.effective_friction is None) == (self.friction is None):
+            raise ValueError("effective_friction: give either this or friction with sections")
+        if (self.friction is None) != (not self.sections):
+            raise ValueError("sections: needed with friction, and only with it")
+        if len(self.sections) > MAX_SECTIONS:
+            raise ValueError(f"sections: at most {MAX_SECTIONS}")
+        self.model()
+
+    def model(self) -> TendonModel:
+        """Return the estimator's model of this tendon."""
+        if self.effective_friction is not None:
+            sheath = Sheath.uniform(
+                self.effective_friction,
+                self.length,
+                self.axial_stiffness,
+                drag=self.drag,
+                asymmetry=self.asymmetry,
+            )
+        else:
+            sheath = Sheath(
+                tuple(Section(s.length, s.radius) for s in self.sections),
+                self.friction or 0.0,
+                self.axial_stiffness,
+                drag=self.drag,
+                asymmetry=self.asymmetry,
+            )
+        return TendonModel(
+            sheath,
+            initial=self.pretension or "slack",
+            tension_noise=self.tension_noise,
+            displacement_noise=self.displacement_noise,
+            friction_error=self.friction_error,
+            elongation_error=self.elongation_error,
+            tip_tension_rate=self.tip_tension_rate,
+        )

@@ -1,0 +1,183 @@
+"""Joints under tendon control on the simulated rig: estimator, control, gate and watch, no link."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator import online
+from estimator.sheath import Sheath
+from slave import control, gate, watch
+from slave.control import Control, ControlConfig
+from slave.gate import GateConfig
+from slave.plant.body import BodyConfig
+from slave.plant.environment import EnvironmentConfig, FreeConfig
+from slave.plant.sensors import LoadCellConfig
+from slave.plant.sheath import SectionConfig, SheathConfig
+from slave.rigs.simulated import (
+    JointConfig,
+    SimulatedRig,
+    SimulatedRigConfig,
+    TendonPlantConfig,
+)
+from slave.watch import Finding, WatchConfig
+
+Array = NDArray[np.float64]
+Command = Callable[[float], tuple[float, float]]  # [s] to travel [m] and its velocity [m/s]
+
+DT = 0.001  # [s]
+BEGIN = 0.02  # [s] at which the session engages
+L, EA, MU = 1.5, 9000.0, 0.15
+CONFIG = ControlConfig()
+LIMITS = GateConfig(displacement_min=-0.05, displacement_max=0.05, speed_max=0.1)
+
+
+class Record(NamedTuple):
+    """What happened, one row a tick from engagement on."""
+
+    asked: Array  # [m] shape (n, joints)
+    travel: Array  # [m] true, shape (n, joints)
+    tension: Array  # [N] measured at the housing, shape (n, tendons)
+    motor: Array  # [m] what the gate let through, shape (n, tendons)
+    position: Array  # [m] of the joints, estimated, shape (n, joints)
+    found: tuple[tuple[float, Finding], ...]  # [s] since the rig's start, and each new finding
+
+    def error(self, joint: int = 0) -> tuple[float, float]:
+        """Return the RMS and the largest tracking error of a joint [m]."""
+        error = self.travel[:, joint] - self.asked[:, joint]
+        return float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+
+
+def joint(
+    K: float,
+    spring: float = 0.0,
+    environment: EnvironmentConfig | None = None,
+    tendons: int = 2,
+    noise: float = 0.02,
+    resolution: float = 0.002,
+    pretension: float = 0.5,
+    sections: tuple[SectionConfig, ...] = (),
+    nodes: int = 20,
+    **body: float | tuple[float, float],
+) -> JointConfig:
+    """Return a joint whose sheaths have one bend, or `sections`."""
+    tendon = TendonPlantConfig(
+        sheath=SheathConfig(sections or (SectionConfig(L, MU * L / K),), MU, EA, nodes),
+        load_cell=LoadCellConfig(noise=noise, resolution=resolution),
+    )
+    settings = {"friction": 0.1, "spring": spring, "pretension": pretension} | body
+    return JointConfig((tendon,) * tendons, BodyConfig(**settings), environment or FreeConfig())
+
+
+def model(
+    tendon: TendonPlantConfig, pretension: float, K_error: float, EA_error: float
+) -> online.TendonModel:
+    """Return what a calibration that is wrong by so much would tell: one even bend."""
+    sections = tendon.sheath.sections
+    K = tendon.sheath.friction * sum(section.length / section.radius for section in sections)
+    length = sum(section.length for section in sections)
+    step = tendon.encoder.resolution(tendon.motor.pulley_radius)
+    return online.TendonModel(
+        Sheath.uniform(K * K_error, length, tendon.sheath.axial_stiffness * EA_error),
+        tension_noise=math.hypot(tendon.load_cell.noise, tendon.load_cell.resolution / 12**0.5),
+        displacement_noise=step / 12**0.5,
+        initial=pretension or "slack",
+    )
+
+
+def follow(
+    joints: Sequence[JointConfig],
+    commands: Sequence[Command],
+    seconds: float,
+    config: ControlConfig = CONFIG,
+    *,
+    errors: tuple[float, float] = (1.02, 1.03),  # what the model has of K and EA, over the truth
+    effects: Sequence[object] = (),
+    until_found: bool = False,
+    seed: int = 1,
+) -> Record:
+    """Let joints follow commands, which begin as the session engages."""
+    rig = SimulatedRig(SimulatedRigConfig(joints=tuple(joints), effects=tuple(effects), seed=seed))
+    prepared = [
+        online.prepare(model(tendon, j.body.pretension, *errors))
+        for j in joints
+        for tendon in j.tendons
+    ]
+    states = [online.initial(p) for p in prepared]
+    memory, watched = Control(), watch.start(rig.joints, prepared)
+    motor: tuple[float, ...] = (0.0,) * rig.tendons
+    offsets: list[float] = []
+    rows, found = [], []
+    for k in range(round(seconds / DT)):
+        time = k * DT
+        (sample,) = rig.read(time)
+        estimates = []
+        for i, (p, T, q) in enumerate(
+            zip(
+                prepared,
+                sample.proximal_tension.tolist(),
+                sample.proximal_displacement.tolist(),
+                strict=True,
+            )
+        ):
+            estimate, states[i] = online.step(p, states[i], T, q, DT if k else 0.0)
+            estimates.append(estimate)
+        seen = control.seen(sample, estimates)
+        own = [[seen[i] for i in j] for j in rig.joints]
+        offsets = offsets or [control.offset(tendons) for tendons in own]
+        finding, watched = watch.step(WatchConfig(), rig.joints, watched, seen, DT if k else 0.0)
+        if finding is not None and (not found or found[-1][1] != finding):
+            found.append((time, finding))
+            if until_found:
+                break
+        if time < BEGIN:
+            continue
+        asked, velocity = zip(*(command(time - BEGIN) for command in commands), strict=True)
+        wanted, memory = control.step(
+            config, rig.joints, memory, asked, motor, seen, True, DT, velocity
+        )
+        tension = sample.proximal_tension.tolist()
+        motor = gate.step(LIMITS, motor, wanted, tension, 0.0, True, DT).displacement
+        rig.write(np.array(motor))
+        firsts = [j[0] for j in rig.joints]
+        told = [
+            control.joint_estimate(tendons, offset).position
+            for tendons, offset in zip(own, offsets, strict=True)
+        ]
+        rows.append((asked, sample.bench_distal_displacement[firsts], tension, motor, told))
+    return Record(*(np.array(column) for column in zip(*rows, strict=True)), tuple(found))
+
+
+def staircase(levels: Sequence[float], speed: float, rest: float) -> Command:
+    """Go to each level [m] at `speed` [m/s] and rest there for so long [s]; stay at the last."""
+
+    def at(time: float) -> tuple[float, float]:
+        here = 0.0
+        for level in levels:
+            way = level - here
+            if time < abs(way) / speed:
+                return here + math.copysign(speed * time, way), math.copysign(speed, way)
+            time -= abs(way) / speed
+            if time < rest:
+                return level, 0.0
+            time -= rest
+            here = level
+        return here, 0.0
+
+    return at
+
+
+def sine(amplitude: float, frequency: float) -> Command:
+    """Swing to and fro by so much [m], so often [Hz]."""
+    rate = 2.0 * math.pi * frequency
+    return lambda time: (
+        amplitude * math.sin(rate * time),
+        amplitude * rate * math.cos(rate * time),
+    )
+
+
+def hold(_time: float) -> tuple[float, float]:
+    """Stay."""
+    return 0.0, 0.0

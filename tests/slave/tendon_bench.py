@@ -1,0 +1,99 @@
+"""A test bench for one tendon: a motor that goes where it is told, and something at the tip."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.compiled import compiled
+from slave.plant.chain import recover, respond
+from slave.plant.response import tension_on
+from slave.plant.sheath import SectionConfig, SheathConfig
+from slave.plant.tendon import POSITION, TENSION, at_rest, build_chain
+
+L, EA = 1.5, 9000.0
+
+
+class Load(NamedTuple):
+    """A tip that pulls with force + stiffness * travel, never less than nothing."""
+
+    force: float  # [N] at travel 0
+    stiffness: float  # [N/m] > 0
+
+
+BLOCKED = Load(0.0, 1e9)
+SPRING = Load(0.0, 500.0)
+
+
+def uniform(K, nodes=60, pretension=0.0, axial_stiffness=EA, **knobs):
+    """Return a chain of one bend."""
+    sheath = SheathConfig((SectionConfig(L, 0.2),), K * 0.2 / L, axial_stiffness, nodes)
+    chain = build_chain(sheath, pretension)
+    return chain._replace(knobs=chain.knobs._replace(**knobs))
+
+
+def turned(chain, **knobs):
+    """Return the chain with some of its knobs turned."""
+    return chain._replace(knobs=chain.knobs._replace(**knobs))
+
+
+def drive(chain, load, motor, state=None, dt=1e-3):
+    """Move the motor along a path against a load; return all states, the one before it first."""
+    motor = np.asarray(motor, float)
+    return _run(chain, motor, np.empty(0), load, _begin(chain, state), dt)
+
+
+def stretch(chain, motor, tip, state=None, dt=1e-3):
+    """Move both ends along paths of one length; return all states, the one before it first."""
+    motor, tip = np.broadcast_arrays(np.asarray(motor, float), np.asarray(tip, float))
+    return _run(chain, motor.copy(), tip.copy(), SPRING, _begin(chain, state), dt)
+
+
+def proximal(state):
+    """Return where the motor's end is [m]."""
+    return state[POSITION, 0]
+
+
+def distal(state):
+    """Return where the tip is [m]."""
+    return state[POSITION, -1]
+
+
+def ends(states):
+    """Return the tensions [N] at housing and tip of states, each of shape (states,)."""
+    return states[:, TENSION, 0], states[:, TENSION, -2]
+
+
+def travels(states):
+    """Return the displacements [m] of motor and tip of states, each of shape (states,)."""
+    return states[:, POSITION, 0], states[:, POSITION, -1]
+
+
+def _begin(chain, state):
+    return at_rest(chain) if state is None else state
+
+
+@compiled
+def _run(chain, motor, tip, load, state, dt):
+    states = np.empty((len(motor) + 1, *state.shape))
+    states[0] = state
+    for k in range(len(motor)):
+        response = respond(chain, state, motor[k], dt)
+        place = tip[k] if len(tip) > 0 else meet(response, load)
+        tension = tension_on(response.tip, place)
+        state = recover(chain, state, response, motor[k], place, tension, dt)
+        states[k + 1] = state
+    return states
+
+
+@compiled
+def meet(response, load):
+    """Return where tendon and load pull alike, by halving an interval until it has no inside."""
+    low, high = -1.0, 1.0
+    while True:
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            return middle
+        if tension_on(response.tip, middle) > load.force + load.stiffness * middle:
+            low = middle
+        else:
+            high = middle
