@@ -45,6 +45,10 @@ class SlaveConfig:
             raise ValueError("calibration: give either this or tendons")
         if self.calibration == AS_BUILT and not isinstance(self.rig, SimulatedRigConfig):
             raise ValueError("calibration: as-built is for simulated rigs")
+        if self.control.tension_max >= self.gate.tension_max:
+            raise ValueError(
+                f"control.tension_max: must be below gate.tension_max ({self.gate.tension_max:g} N)"
+            )
         if len(self.tendons) > MAX_TENDONS:
             raise ValueError(f"tendons: at most {MAX_TENDONS}")
         if not 0.0 < self.freshness <= 0.5 or not math.isfinite(self.freshness):

@@ -148,7 +148,7 @@ def _calibrated(pulled: Pulled, known: KnownSheathConfig, low: float) -> blocked
         ]
     except CalibrationError as error:
         raise Refused(
-            f"{pulled.name}: {error}; or the tip moved, against something soft"
+            f"{pulled.name}: {error}, without --quick; or the tip moved, against something soft"
         ) from error
     best, loop = min(zip(found, there, strict=True), key=lambda one: one[0].K.uncertainty)
     lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)

@@ -1,8 +1,8 @@
 """Calibrate a rig: pull each joint against its stops, and read friction and stiffness off that.
 
   teleop calibrate --config configs/paper-joint.yaml            writes paper-joint-calibration.yaml
-  teleop calibrate --config configs/arm.yaml --quick --together
-  teleop calibrate --config configs/arm.yaml --joint 3 --out arm-calibration.yaml
+  teleop calibrate --config configs/paper-joint.yaml --quick --figure loops.png
+  teleop calibrate --config my-arm.yaml --joint 3 --out my-arm-calibration.yaml
 
 Keep the tips free: each joint is pulled to both of its stops, up to slave.initialise.tension. Give
 length and stiffness of the sheaths (slave.initialise.sheaths) and the joints' range

@@ -33,36 +33,24 @@ def _panel(panel: Axes, record: Record, j: int, side: int, direction: Direction)
     phases = [Phase.SEEK, Phase.SLACKEN, Phase.RELEASE, Phase.PULL]
     rows = (record.side[:, j] == side) & np.isin(record.phase[:, j], phases)
     travel = 1e3 * record.travel[rows, tendons[side]]
-    if len(tendons) == 2:
-        loose = record.tension[rows, tendons[1 - side]]
-        panel.plot(travel, loose, color=OTHER, lw=0.8, label=f"tendon {TENDON_NAMES[1 - side]}")
     tension = record.tension[rows, tendons[side]]
-    panel.plot(travel, tension, color=PULLED, lw=0.8, label=f"tendon {TENDON_NAMES[side]}, pulled")
+    panel.plot(travel, tension, color=PULLED, lw=0.9, label=f"tendon {TENDON_NAMES[side]}, pulled")
+    if len(tendons) == 2:
+        other = record.tension[rows, tendons[1 - side]]
+        panel.plot(travel, other, color=OTHER, lw=0.9, label=f"tendon {TENDON_NAMES[1 - side]}")
     peak = float(tension.max())
-    ends = np.array([direction.free_tension, peak])
-    for slope, from_, name in (
-        (direction.M_pull.value, direction.stop, "M_pull"),
-        (direction.M_rel.value, direction.stop, "M_rel"),
-    ):
-        top = ends if name == "M_pull" else np.array([0.0, peak * np.exp(-2.0 * direction.K.value)])
-        line = 1e3 * (from_ + slope * top)
-        panel.plot(line, top, color=LINE, ls="--", lw=1.0)
-        panel.annotate(
-            f"{name} = {1e3 * slope:.4f} mm/N",
-            (line[-1], top[-1]),
-            fontsize=8,
-            xytext=(6, -10),
-            textcoords="offset points",
-        )
-    panel.axvline(1e3 * direction.stop, color=LINE, ls=":", lw=1.0)
-    panel.annotate(
-        "stop",
-        (1e3 * direction.stop, 0.95 * peak),
-        fontsize=8,
-        ha="right",
-        xytext=(-3, 0),
-        textcoords="offset points",
+    released = peak * np.exp(-2.0 * direction.K.value)
+    slopes = (
+        ("M_pull", direction.M_pull.value, "--", (direction.free_tension, peak)),
+        ("M_rel", direction.M_rel.value, "-.", (0.0, released)),
     )
+    for name, slope, style, tensions in slopes:
+        ends = np.array(tensions)
+        line = 1e3 * (direction.stop + slope * ends)
+        label = f"{name} = {1e3 * slope:.4f} mm/N"
+        panel.plot(line, ends, color=LINE, ls=style, lw=1.4, label=label)
+    panel.axvline(1e3 * direction.stop, color=LINE, ls=":", lw=1.0)
+    panel.text(1e3 * direction.stop, 0.97 * peak, "stop ", fontsize=8, ha="right")
     panel.set_title(
         f"joint {direction.joint}, tendon {direction.tendon}: K = {direction.K.value:.3f}"
         f" ± {direction.K.uncertainty:.3f}",
@@ -70,4 +58,4 @@ def _panel(panel: Axes, record: Record, j: int, side: int, direction: Direction)
     )
     panel.set_xlabel("motor travel [mm]")
     panel.set_ylabel("tension at the housing [N]")
-    panel.legend(fontsize=8, loc="upper left")
+    panel.legend(fontsize=8, loc="center left")

@@ -177,7 +177,10 @@ def test_bristles_may_need_more_corners_than_there_is_room_for_at_first():
     chain = uniform(2.0, 200, presliding=1e-3, drag=2.0)
     most, state = 0, at_rest(chain)
     for motor in random_path(rng, 40):
-        most = max(most, respond(chain, state, motor, 1e-3).inner.corners.max())
+        response = respond(chain, state, motor, 1e-3)
+        most = max(most, response.inner.corners.max())
+        assert np.all(np.diff(response.tip.place) < 1e-12)
+        assert np.all(np.diff(response.tip.tension) > -1e-6)
         before, state = state, drive(chain, SPRING, [motor], state)[-1]
         assert_balanced(chain, before, state, 1e-3)
     assert most > 2 * 200 + 8
