@@ -6,6 +6,7 @@ While a joint rests against its stop, what the motor travels is elongation, and
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,38 +50,52 @@ class JointResult(NamedTuple):
     range: float  # [m] of travel between its stops; with one tendon, from its rest to its stop
 
 
-def analyse(record: Record, config: InitialiseConfig) -> tuple[JointResult, ...]:
+def analyse(
+    record: Record, config: InitialiseConfig, ranges: Sequence[float | None] = ()
+) -> tuple[JointResult, ...]:
     """Return what a record says of each joint that went through the procedure.
+
+    Parameters
+    ----------
+    record : Record
+        From `slave.calibration.run.drive`.
+    config : InitialiseConfig
+        By which it was made.
+    ranges : sequence of float or None
+        How far each joint travelled between its stops [m] by an earlier calibration.
 
     Raises
     ------
     Refused
         If what was measured cannot be tendons in their sheaths against end stops.
     """
-    return tuple(_joint(record, config, j) for j in range(len(record.joints)) if record.stops[j])
+    before = [*ranges, *[None] * len(record.joints)]
+    return tuple(
+        _joint(record, config, j, before[j]) for j in range(len(record.joints)) if record.stops[j]
+    )
 
 
-def _joint(record: Record, config: InitialiseConfig, j: int) -> JointResult:
+def _joint(record: Record, config: InitialiseConfig, j: int, before: float | None) -> JointResult:
     pulled = [Pulled(record, j, side) for side in range(len(record.joints[j]))]
     found = [evaluate(p, known_sheath(config, p.tendon), config.low) for p in pulled]
     directions = tuple(direction for direction, _ in found)
     tendons = tuple(tendon for _, tendon in found)
-    return JointResult(j, directions, tendons, _range(pulled, directions, config))
+    return JointResult(j, directions, tendons, _range(pulled, directions, config, before))
 
 
 def evaluate(
     pulled: Pulled, known: KnownSheathConfig, low: float
 ) -> tuple[Direction, TendonConfig]:
     """Return what one tendon's pulls and releases say; `low` [N] is what it was released to."""
-    _require_straight(pulled, known)
-    found = _calibrated(pulled, known, low)
-    if known.axial_stiffness is not None:
-        _require_stiff(pulled, found, known.length / known.axial_stiffness, known.stiffness_error)
     zero = pulled.zero
     if zero is not None and abs(zero) > TARE:
         raise Refused(
             f"{pulled.name}: its load cell reads {zero:.2f} N while the tendon is slack; tare it"
         )
+    _require_straight(pulled, known)
+    found = _calibrated(pulled, known, low)
+    if known.axial_stiffness is not None:
+        _require_stiff(pulled, found, known.length / known.axial_stiffness, known.stiffness_error)
     remarks = [_disagreement(found, known)]
     if zero is not None and abs(zero) > BIASED:
         remarks.append(f"its load cell reads {zero:.2f} N while it is slack: tare it")
@@ -232,7 +247,10 @@ def _disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> s
 
 
 def _range(
-    pulled: list[Pulled], directions: tuple[Direction, ...], config: InitialiseConfig
+    pulled: list[Pulled],
+    directions: tuple[Direction, ...],
+    config: InitialiseConfig,
+    before: float | None,
 ) -> float:
     """Return the travel of a joint between its stops [m], or from its rest with one tendon.
 
@@ -258,11 +276,13 @@ def _range(
             f"{name}: tendon a saw it travel {seen[0] * 1e3:.1f} mm between its stops, tendon b "
             f"{seen[1] * 1e3:.1f} mm: a tendon has slipped, or hangs on something"
         )
-    if config.range is not None and abs(found - config.range) > config.range_error * config.range:
+    expected = before if config.range is None else config.range
+    if expected is not None and abs(found - expected) > config.range_error * expected:
+        why = "by the earlier calibration" if config.range is None else "slave.initialise.range"
         raise Refused(
-            f"{name}: it travels {found * 1e3:.1f} mm between its stops, "
-            f"{config.range * 1e3:.1f} mm were expected (slave.initialise.range): the tip touches "
-            "something early, or a stop has moved; free it"
+            f"{name}: it travels {found * 1e3:.1f} mm between its stops, {expected * 1e3:.1f} mm "
+            f"were expected ({why}): the tip touches something early, or a stop has moved; free "
+            "it, or set slave.initialise.range"
         )
     return _rounded(found)
 

@@ -87,7 +87,7 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(rig.close)
         out = args.out or destination(f"{rig.name}-calibration.yaml")
         joints = chosen(args.joint, len(rig.joints))
-        earlier = earlier_file(out, config) if joints else None
+        earlier = earlier_file(out, config, needed=bool(joints))
         start_ns, ticks = pace(config, shared.rate_hz)
         found = initialise(
             rig,
@@ -118,11 +118,20 @@ def chosen(numbers: list[int], count: int) -> tuple[int, ...]:
     return tuple(sorted({number - 1 for number in numbers}))
 
 
-def earlier_file(out: Path, config: SlaveConfig) -> Calibration | None:
-    """Return the calibration that is to be renewed in part, if there is one."""
-    if out.is_file():
-        return file.load(out)
-    return file.load(config.calibration) if isinstance(config.calibration, Path) else None
+def earlier_file(out: Path, config: SlaveConfig, needed: bool) -> Calibration | None:
+    """Return the calibration that is to be renewed, if there is one that can be read.
+
+    Where it is `needed`, for what is not renewed, one that cannot be read is a `UsageError`.
+    """
+    path = out if out.is_file() else config.calibration
+    if not isinstance(path, Path) or not (needed or path.is_file()):
+        return None
+    try:
+        return file.load(path)
+    except UsageError:
+        if needed:
+            raise
+        return None
 
 
 def pace(config: SlaveConfig, rate_hz: float) -> tuple[int, Iterator[Tick]]:

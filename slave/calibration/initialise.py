@@ -49,7 +49,7 @@ def initialise(
     joints : sequence of int
         Which joints, counted from 0; all if none are named.
     earlier : Calibration, optional
-        Of this rig, for the joints that are not done now.
+        Of this rig: it knows the joints that are not done now, and how far the others went.
 
     Raises
     ------
@@ -57,14 +57,17 @@ def initialise(
         `UsageError` if the config forbids it, `slave.calibration.run.Refused` if it was given up.
     """
     chosen = tuple(joints) or tuple(range(len(rig.joints)))
-    if len(chosen) < len(rig.joints):
+    in_part = len(chosen) < len(rig.joints)
+    if in_part:
         _require_rest(rig, earlier)
     procedure = config.initialise.quick() if quick else config.initialise
     limits = Limits(procedure, config.gate)
     driven = drive(rig, limits, ticks, start_ns, chosen, together, stopped, progress)
+    ranges = earlier.ranges if earlier is not None and fits(earlier, rig) is None else ()
+    results = analyse(driven.record, procedure, ranges)
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    calibration = assembled(analyse(driven.record, procedure), rig, method, now, earlier)
+    calibration = assembled(results, rig, method, now, earlier if in_part else None)
     return Initialised(calibration, driven.record, driven.samples)
 
 

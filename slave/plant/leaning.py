@@ -164,9 +164,7 @@ def place_leaning(response: Response, state: Array, after: Array) -> None:
     for i in range(n, 0, -1):
         stay, free, corners = state[POSITION, i], response.slack[i - 1], inner.corners[i - 1]
         loose = after[POSITION, i + 1] + springs.rest[i]
-        place = loose + springs.compliance[i] * tension
-        if loose >= free:
-            place, tension = free, 0.0
+        place = loose + springs.compliance[i] * tension if tension > 0.0 else free
         x, T = inner.place[i - 1, :corners], inner.tension[i - 1, :corners]
         pulled = tension_on(Curve(x, T, inner.ray[i - 1]), place)
         if (

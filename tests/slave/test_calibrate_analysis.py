@@ -148,6 +148,8 @@ def test_a_stop_that_comes_too_early_is_refused_where_the_range_is_known():
     said = r"joint 1: it travels 20\.\d mm between its stops, 30.0 mm were expected"
     with pytest.raises(Refused, match=said):
         analyse(blocked, but(QUICK, range=RANGE))
+    with pytest.raises(Refused, match="by the earlier calibration"):
+        analyse(blocked, QUICK, [RANGE])
 
 
 def test_a_joint_that_does_not_move_is_refused():

@@ -141,3 +141,14 @@ def test_at_the_start_of_a_slave_the_same_is_done_and_the_samples_are_handed_ove
     assert np.diff([sample.time_s for sample in found.samples]).min() > 0.0
     swing = np.array([sample.proximal_tension for sample in found.samples])
     assert (swing.max(axis=0) / swing[-1]).min() > np.exp(2.0)  # the estimators' past is erased
+
+
+def test_a_range_that_was_found_once_is_expected_again(done, capsys):
+    wall = "{type: wall, position: 0.001, stiffness: 1.0e+6}"
+    words = ["--set", f"slave.rig.joints.0.environment={wall}"]
+    out = done / "bench-calibration.yaml"
+    before = out.read_text()
+    assert teleop("--config", done / "rig.yaml", *words, "--quick", "--together", "--out", out) == 1
+    said = capsys.readouterr().err
+    assert "joint 1: it travels 4.0 mm between its stops, 6.0 mm were expected" in said
+    assert out.read_text() == before
