@@ -64,10 +64,9 @@ def contacts(chain: Chain, state: Array, dt: float) -> Contacts:
             relative = state[SPEED, i + 1] / knobs.stribeck_speed
             friction *= 1.0 + knobs.stribeck_ratio * math.exp(-relative * relative)
         friction *= 1.0 + (knobs.static_ratio - 1.0) * state[RESTED, i + 1]
-        friction = min(friction, ENOUGH - total)
-        total += friction
-        housing = min(friction, LIMIT)
-        tip = min(friction * knobs.asymmetry, LIMIT)
+        housing = min(friction, LIMIT, ENOUGH - total)
+        tip = min(housing * knobs.asymmetry, LIMIT)
+        total += housing
         pull[i] = (2.0 - housing) / (2.0 + housing)
         release[i] = (2.0 + tip) / (2.0 - tip)
     leaning = n if knobs.presliding > 0.0 or knobs.viscosity > 0.0 else 0

@@ -167,9 +167,8 @@ def place_leaning(response: Response, state: Array, after: Array) -> None:
         place = loose + springs.compliance[i] * tension if tension > 0.0 else free
         x, T = inner.place[i - 1, :corners], inner.tension[i - 1, :corners]
         pulled = tension_on(Curve(x, T, inner.ray[i - 1]), place)
-        if (
-            pulled == 0.0 and tension == 0.0 and contacts.drag == 0.0
-        ):  # nothing says where the node is
+        if pulled == 0.0 and tension == 0.0 and contacts.drag == 0.0:
+            # nothing says where it is
             place = min(max(stay, free), loose)
         after[POSITION, i], after[TENSION, i] = place, tension
         after[FRICTION, i] = pulled - tension - contacts.dashpot[i - 1] * (place - stay)

@@ -3,11 +3,13 @@
 import math
 from functools import cache
 
+import numpy as np
 import pytest
 
 from slave.calibration.analysis import analyse, evaluate
 from slave.calibration.config import KnownSheathConfig
-from slave.calibration.pulled import Pulled
+from slave.calibration.memory import Phase
+from slave.calibration.pulled import Pulled, loops
 from slave.calibration.run import Refused
 from slave.plant.environment import TissueConfig, WallConfig
 from tests.slave.calibration_bench import (
@@ -47,6 +49,19 @@ def integral(sections, friction, sign):
             total += math.exp(sign * (s + 0.5 * ds)) * dx / EA
             s += ds
     return total
+
+
+def test_what_may_lie_on_either_side_of_a_turn_is_left_out():
+    pulled = Pulled(record(joint(1.0, noise=0.03)), 0, 0)
+    (loop,) = loops(pulled, QUICK.low)
+    steps = np.diff(loop.travel)
+    turns = [int(np.argmax(loop.travel)), int(np.argmin(loop.travel[1000:])) + 1000]
+    count = 2.0 * np.pi * 0.010 / 67_000
+    for turn in turns:
+        assert abs(steps[turn]) > 1.5 * count
+    assert (
+        len(loop.travel) > 0.98 * (pulled.first_pull | pulled.rows(Phase.PULL, Phase.RELEASE)).sum()
+    )
 
 
 @pytest.mark.parametrize(("K", "noise"), [(0.4, 0.01), (1.0, 0.03), (1.5, 0.01)])

@@ -168,6 +168,10 @@ REFUSALS = {
         {"a": joint(range=4.0)},
         r"joint 1, tendon a: the load cell reads 4.00 N .*saturated",
     ),
+    "a cell stuck at a tension": (
+        {"a": joint(body={"pretension": 5.0}), "effects": (effect("stuck_cell", tendon="a"),)},
+        r"joint 1, tendon a: still \d\.\d\d N after paying out 5\.\d mm; .*stuck",
+    ),
     "a stuck cell": (
         {"a": joint(), "effects": (effect("stuck_cell", tendon="a"),)},
         r"joint 1, tendon a: .*load cell",

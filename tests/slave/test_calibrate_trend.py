@@ -57,3 +57,10 @@ def test_releasing_counts_the_other_way():
 def test_too_little_travel_says_nothing():
     travel = np.linspace(0.0, 0.2 * WINDOW, 50)
     assert math.isinf(trend.stiffness(fed(travel, 100.0 * travel), WINDOW))
+
+
+def test_an_encoder_that_flickers_back_changes_nothing():
+    travel = np.linspace(0.0, 1e-3, 500)
+    line = fed(travel, 4000.0 * travel)
+    assert trend.step(line, travel[-1] - 1e-6, 0.0, 1.0, WINDOW) == line
+    assert trend.step(line, travel[-1], 99.0, 1.0, WINDOW) == line

@@ -206,6 +206,15 @@ def test_what_nothing_passes_stays_finite(knobs, nodes, steps):
     assert ends(states)[1].max() < 2.0 + 500.0 * travels(states)[1].max()
 
 
+def test_a_node_that_jams_leaves_the_others_their_friction():
+    chain = uniform(1.0, pretension=5.0)
+    chain.friction[10] = 1e3
+    T = tensions(chain, drive(chain, Load(5.0, 500.0), np.linspace(0.0, 20e-3, 50))[-1])
+    assert T[11] < 0.2 * T[10]
+    slid = slice(11, 20)
+    assert T[slid][-1] / T[slid][0] == pytest.approx(np.exp(-8.0 / 60.0), rel=1e-3)
+
+
 def test_without_friction_the_tension_arrives_and_the_tendon_is_one_spring():
     chain = uniform(0.0)
     states = drive(chain, SPRING, [1e-3, 4e-3, 2e-3])[1:]
