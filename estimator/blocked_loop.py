@@ -191,8 +191,8 @@ def _refuse_saturation(T: Array, q: Array, span: tuple[int, int]) -> None:
         rate_top < _FLAT * rate_below and rate_below > 2.0 * noise
     ):
         raise CalibrationError(
-            f"tension stays at {float(np.median(T[top])):.4g} N while the motor goes on: the load "
-            "cell is saturated or the tip gives way; choose a lower peak"
+            f"tension stays at {float(np.median(T[top])):.4g} N while the motor goes on: the tip "
+            "gives way, or the load cell is saturated and the peak must be lower"
         )
 
 

@@ -12,7 +12,7 @@ Where the first two disagree the sheath is not uniformly curved, or friction dep
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
@@ -21,6 +21,8 @@ from estimator.measured import CalibrationError, Measured
 from estimator.paper_calibration import friction_from_elongation, paper_friction
 from estimator.pattern import Fitter, Pattern
 from estimator.pattern_search import Found, search
+from estimator.rivals import UNSEEN, Rival, Weighed
+from estimator.rivals import together as weighed_together
 from estimator.sheath import Sheath
 from estimator.slopes import pull_slope, release_slope, require_straight
 
@@ -31,6 +33,7 @@ __all__ = [
     "Measured",
     "calibrate",
     "friction_from_elongation",
+    "together",
 ]
 
 AGREEMENT = 3.0
@@ -80,6 +83,10 @@ class Calibration:
         as a negative one (docs/theory.md, section 8).
     pattern
         How compliance is spread over friction.
+    rivals
+        Patterns that were weighed for it.
+    compliance_noise
+        Standard uncertainty of L/EA [m/N] that noise leaves in any of them.
     misfit
         Squared residuals of the best pattern there is over those that noise would leave: 1 where
         the law says all, more where it misses something.
@@ -102,6 +109,8 @@ class Calibration:
     T_peak: Measured  # [N]
     zero: Measured  # [N]
     pattern: Pattern
+    rivals: tuple[Rival, ...]
+    compliance_noise: float  # [m/N]
     misfit: float
     uniform: bool
     agree: bool
@@ -149,14 +158,14 @@ def calibrate(
         )
     loop = read(proximal_tension, proximal_displacement)
     found = search(Fitter(loop, zero_uncertainty))
-    K = found.K
+    K, pattern = found.weighed.K, found.weighed.pattern
     largest = K.value + 2.0 * K.uncertainty
     _require_sheath(loop, found)
     require_straight(loop, largest)
     _require_decided(loop, found, tolerance)
     M_pull = pull_slope(loop, largest)
     M_rel = release_slope(loop, largest) or Measured(
-        found.pattern.slope(1.0), K.uncertainty * found.pattern.slope(1.0)
+        pattern.slope(1.0), K.uncertainty * pattern.slope(1.0)
     )
     if not M_rel.value > M_pull.value:
         raise CalibrationError(
@@ -174,8 +183,6 @@ def calibrate(
         if M_e.value * axial_stiffness < length:
             K_paper_ratio = paper_friction(M_e, axial_stiffness, length, stiffness_uncertainty)
     uniform = _agree(K, K_loop)
-    compliance = found.compliance
-    stiffness = Measured(1.0 / compliance.value, compliance.uncertainty / compliance.value**2)
     return Calibration(
         K=K,
         K_loop=K_loop,
@@ -184,14 +191,59 @@ def calibrate(
         M_pull=M_pull,
         M_rel=M_rel,
         M_e=M_e,
-        stiffness_per_length=stiffness,
+        stiffness_per_length=_stiffness(found.weighed, found.compliance_noise),
         T_peak=Measured(loop.peak, loop.sigma),
         zero=found.zero,
-        pattern=found.pattern,
+        pattern=pattern,
+        rivals=found.rivals,
+        compliance_noise=found.compliance_noise,
         misfit=found.misfit,
         uniform=uniform,
         agree=uniform and (K_paper is None or _agree(K, K_paper)),
     )
+
+
+def together(a: Calibration, b: Calibration, total: Measured) -> tuple[Calibration, Calibration]:
+    """Return the calibrations of two antagonists, put right by K_a + K_b.
+
+    `total` comes from `estimator.drag`; it knows what hides at the tips, where a blocked loop tells
+    little. What sets the two apart is known from their loops alone.
+
+    Raises
+    ------
+    CalibrationError
+        If the loops cannot be so far off.
+    """
+    K_a, K_b = a.K, b.K
+    loops = Measured(
+        K_a.value + K_b.value, math.hypot(K_a.uncertainty, K_b.uncertainty, UNSEEN, UNSEEN)
+    )
+    allowed = AGREEMENT * math.hypot(total.uncertainty, loops.uncertainty)
+    if abs(total.value - loops.value) > allowed:
+        raise CalibrationError(
+            f"K of both tendons is {total.value:.3f} by the drags, {loops.value:.3f} by the loops"
+        )
+    of_a, of_b = weighed_together(a.rivals, b.rivals, total)
+    return _standing(a, of_a), _standing(b, of_b)
+
+
+def _standing(found: Calibration, weighed: Weighed) -> Calibration:
+    """Return a calibration of which other rivals stand."""
+    uniform = _agree(weighed.K, found.K_loop)
+    return replace(
+        found,
+        K=weighed.K,
+        stiffness_per_length=_stiffness(weighed, found.compliance_noise),
+        pattern=weighed.pattern,
+        uniform=uniform,
+        agree=uniform and (found.K_paper is None or _agree(weighed.K, found.K_paper)),
+    )
+
+
+def _stiffness(weighed: Weighed, noise: float) -> Measured:
+    """Return EA/L [N/m]."""
+    value, between = weighed.compliance
+    return Measured(1.0 / value, math.hypot(between, noise) / value**2)
 
 
 def _elongation_constant(loop: BlockedLoop) -> Measured:
@@ -201,7 +253,7 @@ def _elongation_constant(loop: BlockedLoop) -> Measured:
 
 
 def _require_decided(loop: BlockedLoop, found: Found, tolerance: float) -> None:
-    K = found.K
+    K = found.weighed.K
     lowest = max(float(loop.turns.min()), loop.slack)
     reach = 0.5 * math.log(loop.peak / lowest)
     if K.value + _BEYOND > reach or K.uncertainty > tolerance:
@@ -213,10 +265,10 @@ def _require_decided(loop: BlockedLoop, found: Found, tolerance: float) -> None:
 
 
 def _require_sheath(loop: BlockedLoop, found: Found) -> None:
-    if found.compliance.value > _SOFTEST:
+    compliance = found.weighed.compliance.value
+    if compliance > _SOFTEST:
         raise CalibrationError(
-            f"EA/L is {1.0 / found.compliance.value:.3g} N/m, softer than any sheath: the tip is "
-            "not blocked"
+            f"EA/L is {1.0 / compliance:.3g} N/m, softer than any sheath: the tip is not blocked"
         )
     if found.residual > _WORST_FIT * loop.peak:
         raise CalibrationError(

@@ -13,7 +13,7 @@ from least squares, and only the ends of the intervals, of which the last is K, 
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -75,6 +75,16 @@ class Pattern:
         for a, b, c in zip(begin[:-1], begin[1:], self.spread, strict=True):
             total += c * math.exp(sign * a) * math.expm1(sign * (b - a)) / (sign * (b - a))
         return total
+
+    def ending(self, K: float) -> "Pattern":
+        """Return the pattern with more or less friction in its last bend, or else in all of them.
+
+        Its compliances stay: the loop has shown them, and hardly how far the last bend goes.
+        """
+        before = self.ends[-2] if len(self.ends) > 1 else 0.0
+        if before + LEAST_STEP < K:
+            return replace(self, ends=(*self.ends[:-1], K))
+        return replace(self, ends=tuple(end * K / self.K for end in self.ends))
 
     def sheath(self, length: float, friction: float = 0.1) -> Sheath:
         """Return a sheath of that pattern, `length` [m] long, motor first.

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.measured import Measured
-from estimator.pattern import LARGEST_K, LEAST_STEP, Fit, Fitter, Pattern, Shape
+from estimator.pattern import LARGEST_K, LEAST_STEP, Fit, Fitter, Shape
+from estimator.rivals import Rival, Weighed, alone, distinct
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,26 +40,17 @@ _BENT = 2.0  # times as often a sheath ends in a slight bend as straight
 _WIDTHS = np.arange(0.5, 8.0) * _WIDTH_STEP
 _WIDEST = float(_WIDTHS[-1])
 _LARGEST_OWN = 0.03  # of K; linearised, a bend of no visible width has any uncertainty
-_ALIKE = 0.002  # of K: fits of one shape that differ by less are one
 
 
 class Found(NamedTuple):
-    """The pattern chosen, how sure all that were weighed are of it, and what it leaves."""
+    """What a loop may be, what stands for all of it, and what that leaves."""
 
-    pattern: Pattern
-    K: Measured
-    compliance: Measured  # L/EA [m/N]
+    rivals: tuple[Rival, ...]
+    weighed: Weighed
+    compliance_noise: float  # [m/N] standard uncertainty of L/EA that the noise alone leaves
     zero: Measured  # [N]
     misfit: float  # least chi² of any pattern, over what noise alone would leave
     residual: float  # [N] root mean square
-
-
-class Rival(NamedTuple):
-    """A pattern, and -2 ln of how probable the loop and its own make make it."""
-
-    pattern: Pattern
-    score: float
-    uncertainty: float  # of K, by noise alone
 
 
 def search(fitter: Fitter) -> Found:
@@ -71,10 +63,17 @@ def search(fitter: Fitter) -> Found:
     fit, uncertainty = fitter.refine(fit)
     misfit = _misfit(fitter, fit)
     scale = max(misfit, 1.0)
-    rivals = [_rival(fit, scale, uncertainty.K), *_rivals(fitter, fit, scale, uncertainty.K)]
-    K, compliance, pattern = _weighed(rivals, math.sqrt(scale) * uncertainty.compliance)
-    zero = Measured(fitter.zero, uncertainty.zero * math.sqrt(scale))
-    return Found(pattern, K, compliance, zero, misfit, fitter.tension_residual(fit))
+    rivals = distinct(
+        [_rival(fit, scale, uncertainty.K), *_rivals(fitter, fit, scale, uncertainty.K)]
+    )
+    return Found(
+        rivals=rivals,
+        weighed=alone(rivals),
+        compliance_noise=math.sqrt(scale) * uncertainty.compliance,
+        zero=Measured(fitter.zero, uncertainty.zero * math.sqrt(scale)),
+        misfit=misfit,
+        residual=fitter.tension_residual(fit),
+    )
 
 
 def _rival(fit: Fit, scale: float, uncertainty: float, prior: float = 0.0) -> Rival:
@@ -155,36 +154,6 @@ def _chosen(fitter: Fitter, fit: Fit) -> Fit:
     return fit
 
 
-def _weighed(rivals: list[Rival], noise: float) -> tuple[Measured, Measured, Pattern]:
-    """Weigh what was tried; the one that stands for all is the weighted median of K.
-
-    `noise` [m/N] is the standard uncertainty of the compliance that the noise alone leaves.
-    """
-    different: dict[tuple[int, int, int], Rival] = {}
-    for rival in sorted(rivals, key=lambda rival: rival.score):
-        pattern = rival.pattern
-        straight = sum(1 << k for k, c in enumerate(pattern.straight) if c > 0.0)
-        kind = (len(pattern.ends), straight, round(pattern.K / _ALIKE))
-        different.setdefault(kind, rival)
-    chosen = list(different.values())
-    score = np.array([rival.score for rival in chosen])
-    weight = np.exp(-0.5 * (score - score.min()))
-    weight /= weight.sum()
-    K = np.array([rival.pattern.K for rival in chosen])
-    compliance = np.array([rival.pattern.compliance for rival in chosen])
-    order = np.argsort(K)
-    middle = int(order[np.searchsorted(np.cumsum(weight[order]), 0.5)])
-
-    own = np.array([rival.uncertainty for rival in chosen])
-    u_K = math.sqrt(float(weight @ (own**2 + (K - K[middle]) ** 2)))
-    between = float(weight @ (compliance - compliance[middle]) ** 2)
-    return (
-        Measured(float(K[middle]), u_K),
-        Measured(float(compliance[middle]), math.hypot(noise, math.sqrt(between))),
-        chosen[middle].pattern,
-    )
-
-
 def _rarity(fit: Fit) -> float:
     """Return how improbably tight the last bend is, in units of chi²."""
     pattern = fit.pattern
@@ -198,6 +167,10 @@ def _larger(shape: Shape) -> Iterator[Shape]:
     ends, straight = shape
     for i in np.flatnonzero(~straight):
         yield Shape(ends, _with(straight, int(i), value=True))
+    if not straight[-1]:  # the last bend drawn in, a straight stretch behind it
+        begin = float(ends[-2]) if len(ends) > 1 else 0.0
+        shorter = np.append(ends[:-1], begin + 0.8 * (float(ends[-1]) - begin))
+        yield Shape(shorter, _with(straight, -1, value=True))
     for j, (begin, end) in enumerate(zip((0.0, *ends[:-1]), ends, strict=True)):
         if end - begin < 4.0 * LEAST_STEP:
             continue

@@ -56,6 +56,11 @@ class SlaveConfig:
         if not 0.0 < self.silence_max <= 1.0:
             raise ValueError("silence_max: must be above 0 and at most 1 s")
 
+    @property
+    def rig_obeys(self) -> bool:
+        """Whether the motors go where they are sent; those of data that are played have gone."""
+        return not isinstance(self.rig, ReplayedRigConfig)
+
 
 def tendon_configs(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     """Return the models for `count` tendons; `UsageError` if there are none, or too few.
@@ -63,9 +68,12 @@ def tendon_configs(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     From the config, or from the calibration it names. Whether that fits the rig is asked of
     `hindrance_of`.
     """
-    tendons, place = config.tendons, "slave.tendons"
+    tendons, place, remedy = config.tendons, "slave.tendons", "describe each, or one for all"
     if isinstance(config.calibration, Path):
-        tendons, place = file.load(config.calibration).tendons, str(config.calibration)
+        calibration = file.load(config.calibration)
+        of = f"a calibration of the rig {calibration.rig!r}" if calibration.rig else "a calibration"
+        tendons, place = calibration.tendons, f"{config.calibration}: {of}"
+        remedy = "give the calibration of this rig, as `teleop calibrate` writes it"
     elif config.calibration == AS_BUILT and isinstance(config.rig, SimulatedRigConfig):
         joints = config.rig.joints
         tendons = tuple(
@@ -76,7 +84,9 @@ def tendon_configs(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     if len(tendons) == 1:
         return tendons * count
     if len(tendons) != count:
-        raise UsageError(f"{place}: {len(tendons)} tendons described, the rig has {count}")
+        raise UsageError(
+            f"{place}: {len(tendons)} tendons described, the rig has {count}; {remedy}"
+        )
     return tendons
 
 
@@ -105,6 +115,8 @@ def hindrance_of(config: SlaveConfig, rig: file.Named) -> str:
 
 def doubts(config: SlaveConfig) -> list[str]:
     """Return what is to be said of the calibration before anyone relies on it."""
+    if any(tendon.tension_noise == 0.0 for tendon in config.tendons) and config.rig_obeys:
+        return ["WARNING: slave.tendons: no tension_noise: a stuck load cell may not be noticed"]
     if not isinstance(config.calibration, Path):
         return []
     calibration = file.load(config.calibration)

@@ -21,9 +21,10 @@ import numpy as np
 from estimator import online
 from slave import fitting
 from slave.calibration import file
-from slave.calibration.file import Calibration
+from slave.calibration.file import Calibration, JointTendons
 from slave.config import SlaveConfig, tendon_configs
 from slave.fitting import Fit
+from slave.rigs.simulated import SimulatedRigConfig, joint_tendons
 from slave.score import Score
 from slave.table import Columns, MeasuredTable, check_destination, read_table, write_table
 from slave.tendon_config import TendonConfig
@@ -31,7 +32,7 @@ from teleop.config import add_arguments as add_config_arguments
 from teleop.config import as_tree, load
 from teleop.errors import UsageError
 from teleop.launch.summary import force_line
-from teleop.messages import PHASE_NAMES
+from teleop.messages import MAX_TENDONS, PHASE_NAMES
 from teleop.process import destination, write_summary
 
 
@@ -63,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.0,
         metavar="M",
-        help="[m] of the sheath; EA scales with it",
+        help="[m] of the sheath (default 1); data tell only EA/L, so that EA scales with it",
     )
     parser.add_argument(
         "--column",
@@ -72,6 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=COLUMN",
         help="what the data call proximal_tension, proximal_displacement, distal_tension, "
         "distal_displacement or time, e.g. --column proximal_tension=T_in",
+    )
+    parser.add_argument(
+        "--tendon",
+        metavar="1a",
+        help="which one, by joint and side or by number, of data or a model that have several "
+        "(default the first)",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")
     parser.add_argument(
@@ -89,8 +96,12 @@ def main(args: argparse.Namespace) -> int:
     check_words(args)
     if args.out is not None:
         check_destination(args.out)
-    table = read_table(args.data, named(args.column), args.drop_nonfinite)
+    models, joints = ((), ()) if args.fit else configured(args)
+    k = chosen(args.tendon, joints, len(models))
+    table = read_table(args.data, named(args.column, k), args.drop_nonfinite)
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
+    if args.tendon is not None or len(models) > 1:
+        summary["tendon"] = tendon_name(k, joints)
     if args.fit:
         fit = fitting.fit(table, args.blocked_tip, args.length)
         if args.save is not None:
@@ -99,11 +110,12 @@ def main(args: argparse.Namespace) -> int:
         summary["fit"] = {
             "method": fit.method,
             "parameters": {name: p._asdict() for name, p in fit.parameters.items()},
+            "length": tendon.length,
             "believe": fit.believe,
             "reason": fit.reason,
         }
     else:
-        tendon = configured(args)
+        tendon = models[k] if len(models) > 1 else models[0]
     estimates = online.run(
         online.prepare(tendon.model()),
         table.time,
@@ -111,7 +123,7 @@ def main(args: argparse.Namespace) -> int:
         table.proximal_displacement,
     )
     summary["model"] = as_tree(tendon)
-    summary["force_error"] = judged(estimates, table)
+    summary["force_error"] = judged(estimates, table, tendon.tension_noise)
     summary["travel_contradicts"] = travel_contradicts(tendon, table, summary["force_error"])
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
@@ -143,8 +155,8 @@ def check_words(args: argparse.Namespace) -> None:
         raise UsageError("--rig goes with --save")
 
 
-def named(words: Sequence[str]) -> Columns:
-    """Return the columns' names with those given as NAME=COLUMN put in."""
+def named(words: Sequence[str], tendon: int = 0) -> Columns:
+    """Return the columns' names of a tendon, from 0, with those given as NAME=COLUMN put in."""
     known = [f.name for f in dataclasses.fields(Columns)]
     given = {}
     for word in words:
@@ -154,7 +166,7 @@ def named(words: Sequence[str]) -> Columns:
                 f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(known)}"
             )
         given[name] = column
-    return dataclasses.replace(Columns(), **given)
+    return dataclasses.replace(Columns.of_tendon(tendon + 1), **given)
 
 
 def travel_contradicts(
@@ -164,27 +176,64 @@ def travel_contradicts(
     if error is None or table.proximal_displacement is None:
         return False
     alone = online.run(online.prepare(tendon.model()), table.time, table.proximal_tension)
-    without = judged(alone, table)
+    without = judged(alone, table, tendon.tension_noise)
     return (
         without is not None
         and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
     )
 
 
-def configured(args: argparse.Namespace) -> TendonConfig:
-    """Return the model that the calibration file or the config names."""
+def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
+    """Return the models that the calibration file or the config has, and the rig's joints.
+
+    One model is for all tendons; joints are empty where nothing tells which they are.
+    """
     if args.calibration is not None:
-        config = SlaveConfig(calibration=args.calibration)
-    else:
-        config = load(args.config, SlaveConfig, "slave", args.overrides)
-    return tendon_configs(config, 1)[0]
+        calibration = file.load(args.calibration)
+        return calibration.tendons, calibration.joints
+    config = load(args.config, SlaveConfig, "slave", args.overrides)
+    if isinstance(config.calibration, Path):
+        calibration = file.load(config.calibration)
+        return calibration.tendons, calibration.joints
+    joints: JointTendons = ()
+    if isinstance(config.rig, SimulatedRigConfig):
+        joints = joint_tendons([len(joint.tendons) for joint in config.rig.joints])
+    count = sum(map(len, joints)) or max(len(config.tendons), 1)
+    return tendon_configs(config, count), joints
 
 
-def judged(estimates: online.Estimates, table: MeasuredTable) -> dict[str, Any] | None:
-    """Return the error against the measured distal tension, None without one."""
+def chosen(word: str | None, joints: JointTendons, count: int) -> int:
+    """Return the tendon, from 0, that `--tendon` means: 1a, 1b, 2a, ... or 1, 2, 3, ...
+
+    `count` models are known; one is for all tendons.
+    """
+    names = {tendon_name(k, joints): k for k in range(sum(map(len, joints)))}
+    names |= {str(k + 1): k for k in range(len(names) or (count if count > 1 else MAX_TENDONS))}
+    if word is None:
+        return 0
+    if word not in names:
+        raise UsageError(f"--tendon {word}: must be one of {', '.join(names)}")
+    return names[word]
+
+
+def tendon_name(k: int, joints: JointTendons) -> str:
+    """Return what tendon `k`, from 0, is called: by joint and side where that is known."""
+    for number, tendons in enumerate(joints, start=1):
+        if k in tendons:
+            return f"{number}{'ab'[tendons.index(k)]}"
+    return str(k + 1)
+
+
+def judged(
+    estimates: online.Estimates, table: MeasuredTable, noise: float
+) -> dict[str, Any] | None:
+    """Return the error against the measured distal tension, None without one.
+
+    `noise` [N] is that of the load cell at the housing.
+    """
     if table.distal_tension is None:
         return None
-    score = Score()
+    score = Score(noise)
     rows = (estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
     for row in zip(*(column.tolist() for column in rows), strict=True):
         score.add(*row)
@@ -222,6 +271,8 @@ def save(path: Path, fit: Fit, table: MeasuredTable, rig: str) -> None:
 def in_words(summary: dict[str, Any]) -> list[str]:
     """Return the summary as lines to read."""
     lines = [f"{summary['data']}: {summary['samples']} samples"]
+    if "tendon" in summary:
+        lines.append(f"tendon    {summary['tendon']} (--tendon says which)")
     if "fit" in summary:
         fit = summary["fit"]
         lines.append(f"fit       {fit['method']}")
@@ -229,6 +280,12 @@ def in_words(summary: dict[str, Any]) -> list[str]:
             lines.append(
                 f"          {name} = {p['value']:.4g} (95 %: {p['low']:.4g} to {p['high']:.4g})"
             )
+        length, EA = fit["length"], summary["model"]["axial_stiffness"]
+        known = "" if "EA" in fit["parameters"] else " assumed"
+        lines.append(
+            f"          EA = {EA:.4g} N{known} for a length of {length:g} m (--length): "
+            f"EA and L only enter as EA/L = {EA / length:.4g} N/m"
+        )
         lines.append(
             f"          {'believable' if fit['believe'] else 'NOT to be believed'}: {fit['reason']}"
         )

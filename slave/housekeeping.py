@@ -1,25 +1,38 @@
 """What the slave tells listeners now and then: events, tension profiles, sheath shapes."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from estimator import online
 from slave import outbox
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
+from slave.calibration.refusals import tendon_name
+from slave.calibration.run import Progress
 from slave.loop import Known, Memory
+from slave.rig import Rig
 from teleop.link import Link
 from teleop.messages import PROFILE_POINTS
-from teleop.session import Reason, Session
+from teleop.meter import in_words
+from teleop.session import Reason, Session, State
 from teleop.tell import tell
 from teleop.topics import PROFILE, SHEATH, Role
 
 PROFILE_PERIOD_S = 0.02  # T(x) of one tendon after the other; the viewer shows no more of one
 PROFILE_LEAST_S = 0.005  # between two of them, however many tendons there are
 SHEATH_PERIOD_S = 1.0  # for listeners that come late
+PROGRESS_S = 2.0  # between two lines of a calibration
 
 
 class Housekeeping:
-    """Publishes what is due, and what is new."""
+    """Publishes what is due, and what is new.
+
+    Attributes
+    ----------
+    detail : str
+        What the reason of the present session state is about; empty if nothing more is known.
+    """
 
     def __init__(self, link: Link, known: Known) -> None:
         self._link, self._known = link, known
@@ -28,15 +41,21 @@ class Housekeeping:
         self._profile_s = max(PROFILE_PERIOD_S / len(known.models), PROFILE_LEAST_S)
         self._next_profile_s = self._next_sheath_s = 0.0
         self._tendon = 0
+        self.detail = ""
         self._said: tuple[Session, str] | None = None
         self._advice = Advice.NONE
 
     def __call__(self, time_s: float, memory: Memory) -> None:
         """Publish what is due at session time `time_s` [s]."""
-        now = memory.session, self._detail(memory)
+        side = memory.session
+        lasting = side.state is State.FAULT and self._said is not None and self._said[0] == side
+        if not (lasting and self.detail):  # where a fault began, not where it shows by and by
+            self.detail = self._detail(memory)
+        now = side, self.detail
         if now != self._said:
             self._said = now
-            tell(self._link, Role.SLAVE, memory.session, in_words(*now))
+            text = f"{side.state.name.lower()}: {in_words(side.reason, self.detail)}"
+            tell(self._link, Role.SLAVE, side, text)
         if memory.advice is not self._advice:
             self._advice = memory.advice
             if memory.advice is Advice.ADVISED:
@@ -80,6 +99,22 @@ class Housekeeping:
         self._link.publish(PROFILE, outbox.tension_profile(k, x[-1], front, tension.tolist()))
 
 
-def in_words(side: Session, detail: str) -> str:
-    """Return what is told of a new session state, and what its reason is about."""
-    return f"{side.state.name.lower()}: {side.reason.text}" + (f": {detail}" if detail else "")
+def calibrating(rig: Rig) -> Callable[[Progress], None]:
+    """Return what prints how far the calibration of a rig is, at each phase that lasts."""
+    due_s = 0.0
+
+    def show(progress: Progress) -> None:
+        nonlocal due_s
+        if progress.time_s < due_s:
+            return
+        due_s = progress.time_s + PROGRESS_S
+        count = len(rig.joints[progress.joint - 1])
+        where = tendon_name(progress.joint, count, progress.side % count)
+        tension = " and ".join(f"{t:z.1f}" for t in progress.tension)
+        print(
+            f"calibrating {rig.name}: {progress.done:.0%}, {where}: {progress.phase.text}, "
+            f"{tension} N",
+            flush=True,
+        )
+
+    return show

@@ -19,7 +19,7 @@ from slave.config import SlaveConfig
 from slave.control import Control, JointEstimate, TendonSeen
 from slave.rig import RigSample
 from slave.standing import Standing
-from slave.watch import Finding, Watch
+from slave.watch import Finding, Motors, Watch
 from teleop import session
 from teleop.messages import Command
 from teleop.session import Reason, Session
@@ -62,11 +62,12 @@ class Memory(NamedTuple):
     newest: Row | None = None
     elapsed: float = 0.0  # [s] between the newest sample and the one before
     offsets: tuple[float, ...] = ()  # [m] of each joint's tendons, see `control.joint_estimate`
+    motors: Motors = Motors()  # whether they go where they are sent
     found: Finding | None = None  # what the watch found wrong last, and where
     monitors: tuple[monitor.Watch, ...] = ()  # of each tendon's calibration
     advice: Advice = Advice.NONE
     following: Control = Control()
-    silence: float = 0.0  # [s] since the last sample that could be used
+    silence: float = 0.0  # [s] since the last sample that was new and could be used
     overload: float = 0.0  # [s] for which a tension has been far over its limit, engaged
     hindrance: str = NO_SAMPLE  # why the rig is not usable, in words; empty if it is
 
@@ -151,11 +152,18 @@ def step(
         finding, watched = watch.step(config.watch, known.joints, after.watch, seen, after.elapsed)
         after, found = after._replace(watch=watched), finding or found
         after = monitored(known, config, after, row)
+    if config.rig_obeys:
+        astray, motors = watch.watch_motors(
+            config.watch, memory.motors, [row.tendons for row in rows], memory.motor, dt
+        )
+        after, found = after._replace(motors=motors), found or astray
     newest = after.newest
     overloaded = memory.session.may_move and overload(config.gate, newest)
     after = after._replace(
         standing=standing.step(memory.standing, samples, dt),
-        silence=0.0 if any(map(usable, rows)) else memory.silence + dt,
+        silence=0.0
+        if any(map(usable, rows)) and not after.motors.repeated
+        else memory.silence + dt,
         overload=memory.overload + dt if overloaded else 0.0,
         found=found if rows else memory.found,
     )
@@ -202,7 +210,7 @@ def step(
 def own_fault(config: SlaveConfig, memory: Memory, asked: Sequence[float]) -> Reason:
     """Return what the slave itself finds wrong; `asked` of it is empty unless it shall move."""
     if memory.newest is not None and memory.silence > config.silence_max:
-        return Reason.SAMPLES_STALE
+        return Reason.SAMPLES_FROZEN if memory.motors.repeated else Reason.SAMPLES_STALE
     if memory.overload > OVERLOAD_S:
         return Reason.OVER_LIMIT
     if memory.found is not None:
@@ -259,6 +267,11 @@ def take(known: Known, memory: Memory, sample: RigSample) -> tuple[Memory, Row]:
 
 def monitored(known: Known, config: SlaveConfig, memory: Memory, row: Row) -> Memory:
     """Take note of whether the sheaths still have the shape they were calibrated in."""
+    against = [0.0] * len(row.tendons)
+    for joint in known.joints:
+        for one, other in zip(joint, joint[::-1], strict=True):
+            if one != other:
+                against[one] = row.estimates[other].distal_tension
     monitors = tuple(
         monitor.step(
             config.monitor,
@@ -267,9 +280,12 @@ def monitored(known: Known, config: SlaveConfig, memory: Memory, row: Row) -> Me
             tendon.estimate,
             tendon.tension,
             tendon.displacement,
+            other,
             memory.elapsed,
         )
-        for watched, before, tendon in zip(known.watched, memory.monitors, row.tendons, strict=True)
+        for watched, before, tendon, other in zip(
+            known.watched, memory.monitors, row.tendons, against, strict=True
+        )
     )
     advice = monitor.advice(config.monitor, monitors)
     return memory._replace(monitors=monitors, advice=advice)

@@ -3,8 +3,10 @@
   teleop slave --config configs/demo.yaml
   teleop slave --config configs/demo.yaml --duration 30 --json slave.json
 
-Without a master the motors hold. When commands stop coming for longer than `slave.freshness`, or
-anything else goes wrong, the motors hold too, until the operator lets go and engages again.
+Without a master the motors hold, but for one thing: with `slave.initialise.at_start` the rig is
+calibrated first, and every motor moves, whoever is there. When commands stop coming for longer than
+`slave.freshness`, or anything else goes wrong, the motors hold too, until the operator lets go and
+engages again.
 """
 
 import argparse
@@ -20,10 +22,12 @@ from estimator.sheath import Sheath
 from slave import loop, outbox
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
-from slave.housekeeping import Housekeeping
+from slave.housekeeping import Housekeeping, calibrating
 from slave.loop import Known, Memory
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import open_rig
+from slave.rigs.effect_words import late
+from slave.rigs.simulated import SimulatedRigConfig
 from slave.score import Score
 from teleop.clock import Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
@@ -81,7 +85,8 @@ class Slave:
         self.memory = loop.start(known, rig.starts_at_zero, past.samples)
         self._meter = LoopMeter(Role.SLAVE, grid)
         self._housekeeping = Housekeeping(link, known)
-        self._score, self._verdicts = Score(), Counter[str]()
+        noise = max(model.tension_noise for model in known.models)
+        self._score, self._verdicts = Score(noise), Counter[str]()
         self._freshness_ns = round(config.freshness * 1e9)
         self._start_ns = past.start_ns
         self._echo_ns = 0  # stamp of the newest command heard
@@ -112,7 +117,7 @@ class Slave:
         self._verdicts[str(output.verdict.name)] += 1
         self._housekeeping(time_s, memory)
         self._report(tick.stamp_ns, latest.counts)
-        self._meter.tick(memory.session, now_ns() - tick.stamp_ns)
+        self._meter.tick(memory.session, now_ns() - tick.stamp_ns, self._housekeeping.detail)
 
     def close(self) -> None:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
@@ -204,6 +209,9 @@ def main(args: argparse.Namespace) -> int:
         slave = Slave(config, link, rig, known, grid, past)
         run(slave, grid, stop.request)
         summary = slave.summary()
+    if isinstance(config.rig, SimulatedRigConfig):
+        for line in late(config.rig.effects, summary["seconds"]):
+            print(line, flush=True)
     summary |= {"stopped": stop.reason, "realtime": granted}
     write_summary(args.json, summary)
     if not supervised():
@@ -240,6 +248,7 @@ def known_before(
         Grid(rate_hz, lambda: False, phase=0.5),
         past.start_ns,
         stopped=lambda: stop.reason if stop() else "",
+        progress=calibrating(rig),
     )
     tell(link, Role.SLAVE, Session(), f"off: {rig.name} is calibrated")
     models = [tendon.model() for tendon in done.calibration.tendons]

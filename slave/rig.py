@@ -70,7 +70,8 @@ class Rig(Protocol):
     def write(self, proximal_displacement: Array) -> None:
         """Set the motor positions [m], shape (tendons,), counted as the encoders count.
 
-        Called with what the gate let through, at every tick from the first engagement on.
+        Called with what the gate let through: in a session at every tick from the first engagement
+        on, and in a calibration, by command or at the slave's start, with nobody engaged.
         """
 
     def summary(self) -> dict[str, int | float | str]:

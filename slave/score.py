@@ -6,11 +6,20 @@ from typing import Any
 
 from slave.loop import Row
 
+PULLED = 200.0  # times the noise: of a smaller full scale a percentage tells of the noise alone
+
 
 @dataclass(slots=True)
 class Score:
-    """Running error of the distal tension [N] against a bench sensor; empty where there is none."""
+    """Running error of the distal tension [N] against a bench sensor; empty where there is none.
 
+    Parameters
+    ----------
+    noise : float
+        Standard deviation [N] of the housing's load cells, 0 if it is not known.
+    """
+
+    noise: float = 0.0
     samples: int = 0
     peak: float = 0.0  # [N] largest measured distal tension: the full scale
     inside: int = 0  # samples inside the certified interval
@@ -47,6 +56,7 @@ class Score:
         return {
             "samples": self.samples,
             "full_scale_N": self.peak,
+            "pulled": self.peak >= PULLED * self.noise,
             "rmse_N": rmse,
             "mean_N": mean,
             "max_N": self._worst,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from slave.config import SlaveConfig
 from slave.motion import MOTIONS, Keep, Memory, Motion, Scale, Seen
-from slave.plant.effects import EffectConfig
+from slave.rigs.effect_words import described, late
 from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
 from slave.table import Columns, check_destination, write_table
 from teleop.config import load
@@ -133,7 +133,7 @@ def main(args: argparse.Namespace) -> int:
     write_table(args.out, table_of(run))
     if replaced:
         print(f"{args.out}: the file that was there has been replaced")
-    _print_summary(args.out, config, run, took)
+    _print_summary(args, config, run, took)
     return 0
 
 
@@ -213,9 +213,11 @@ def _show_progress(share: float) -> None:
     print(f"\r[{bar:<40}] {share:4.0%}", end="\n" if share == 1.0 else "", file=sys.stderr)
 
 
-def _print_summary(path: Path, config: SimulatedRigConfig, run: Run, took: float) -> None:
+def _print_summary(
+    args: argparse.Namespace, config: SimulatedRigConfig, run: Run, took: float
+) -> None:
     span = float(run.time[-1])
-    print(f"{path}: {len(run.time)} rows, {span:g} s, simulated {span / took:.3g} x real time")
+    print(f"{args.out}: {len(run.time)} rows, {span:g} s, simulated {span / took:.3g} x real time")
     tendons = [tendon for joint in config.joints for tendon in joint.tendons]
     for i, tendon in enumerate(tendons):
         sheath = tendon.sheath
@@ -227,16 +229,14 @@ def _print_summary(path: Path, config: SimulatedRigConfig, run: Run, took: float
             f"the motor moved {1e3 * np.ptp(run.proximal_displacement[:, i]):.3g} mm, "
             f"the tip {1e3 * np.ptp(run.distal_displacement[:, i]):.3g} mm"
         )
+        most = tendon.load_cell.range
+        if run.proximal_tension[:, i].max() >= most:
+            beyond = f", --peak {args.peak:g} N is never read" if args.peak >= most else ""
+            print(
+                f"WARNING: tendon {i + 1}: its load cell's readings end at {most:g} N "
+                f"(load_cell.range){beyond}"
+            )
     for effect in config.effects:
         print(f"effect {described(effect)}")
-
-
-def described(effect: EffectConfig) -> str:
-    """Return an effect in one line: its name, its numbers, where and since when."""
-    values = {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect)}
-    name, joint, start = (values.pop(key) for key in ("type", "joint", "start"))
-    tendon = values.pop("tendon", "both")
-    numbers = ", ".join(f"{key} {value}" for key, value in values.items())
-    place = "every joint" if joint is None else f"joint {joint}"
-    place += "" if tendon == "both" else f", tendon {tendon}"
-    return f"{name} ({numbers}), {place}, from {start:g} s"
+    for line in late(config.effects, args.duration):
+        print(line)

@@ -14,7 +14,7 @@ _INTERRUPTED = 128 + signal.SIGINT
 
 def main() -> int:
     """Run `teleop`; returns the exit code."""
-    signal.signal(signal.SIGINT, lambda *_: os._exit(_INTERRUPTED))
+    signal.signal(signal.SIGINT, _end)
     from teleop import cli
 
     try:
@@ -28,8 +28,15 @@ def main() -> int:
 
 def _interruptible() -> None:
     """From now on there may be something to close: raise, for a command without a loop to stop."""
+    from teleop.process import interruption
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, interruption)
+
+
+def _end(*_: object) -> None:
+    os.write(2, b"teleop: interrupted\n")
+    os._exit(_INTERRUPTED)
 
 
 if __name__ == "__main__":

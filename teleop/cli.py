@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from teleop import compile_cache
 from teleop.errors import TeleopError, UsageError
-from teleop.process import INTERRUPTED, die_with_launcher
+from teleop.process import INTERRUPTED, die_with_launcher, interruption
 
 # name -> (module with add_arguments and main, what it does); only the one that runs is imported
 COMMANDS = {
@@ -83,10 +83,20 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
         print(f"teleop: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:  # before there was a loop to stop
-        return INTERRUPTED
+        return interrupted()
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output left; nothing more to say
         return 0
+    except Exception:
+        if not interruption.came:
+            raise
+        return interrupted()  # a compiler makes an error of its own of what a signal raised
+
+
+def interrupted() -> int:
+    """Say that the user ended it; return the exit code."""
+    print("teleop: interrupted", file=sys.stderr)
+    return INTERRUPTED
 
 
 def open_missing_streams() -> None:

@@ -288,6 +288,9 @@ class _Builder:
         bases: tuple[Any, ...] = ()
         if isinstance(data, dict) and data and isinstance(preset, tuple):  # --set key.0.name=...
             bases, changed = preset, data
+            if "type" in changed:  # of one item, its brackets forgotten
+                item = f"; [{{type: {changed['type']}, ...}}] is wanted"
+                raise self._wrong(hint, data, keys, item)
             if not all(_INDEX.fullmatch(str(k)) and int(k) < len(bases) for k in changed):
                 count = f"the list has {len(bases)} items, counted from 0"
                 raise self.source.error((*keys, str(next(iter(changed)))), count)
@@ -333,7 +336,9 @@ class _Builder:
                 return self.value(member, data, keys, preset, infinite)
             except UsageError:  # another member may fit
                 continue
-        raise self._wrong(Union[members], data, keys)  # noqa: UP007 - built at run time
+        named = len(classes) > 1 and isinstance(data, str) and data in _by_tag(classes)
+        meant = f"; {{type: {data}, ...}} is wanted" if named else ""
+        raise self._wrong(Union[members], data, keys, meant)  # noqa: UP007 - built at run time
 
     def _tagged(
         self, classes: list[Any], data: Any, keys: tuple[str, ...], preset: Any
@@ -341,7 +346,7 @@ class _Builder:
         """Pick the dataclass that `data` names by its key `type`, or else the preset's."""
         if len(classes) == 1:
             return cast(type[Any], classes[0])
-        by_tag = {get_args(get_type_hints(c)["type"])[0]: c for c in classes}
+        by_tag = _by_tag(classes)
         if "type" not in data and type(preset) in classes:
             return type(preset)
         tag = data.get("type")
@@ -350,6 +355,11 @@ class _Builder:
             suggestion = _suggest(tag, by_tag)
             raise self.source.error((*keys, "type"), f"{given}{suggestion}")
         return cast(type[Any], by_tag[tag])
+
+
+def _by_tag(classes: Iterable[Any]) -> dict[str, Any]:
+    """Return the dataclasses of a union by what their key `type` must say."""
+    return {get_args(get_type_hints(c)["type"])[0]: c for c in classes}
 
 
 def _default(item: "dataclasses.Field[Any]") -> Any:
@@ -379,6 +389,15 @@ def _suggest(given: Any, known: Iterable[Any], listed: bool = True) -> str:
     return meant + (f" (allowed: {', '.join(sorted(names))})" if listed else "")
 
 
+def _described(members: Iterable[Any]) -> list[str]:
+    """Return the members of a union in words, dataclasses told apart by `type` as one."""
+    classes = [m for m in members if dataclasses.is_dataclass(m)]
+    words = [_describe(m) for m in members if m not in classes]
+    if len(classes) > 1:
+        return ["{type: ..., ...}", *words]
+    return [*map(_describe, classes), *words]
+
+
 def _describe(hint: Any) -> str:
     """Return an annotation in words."""
     origin, args = get_origin(hint), get_args(hint)
@@ -387,7 +406,7 @@ def _describe(hint: Any) -> str:
     if origin is tuple:
         return f"a list (of {_describe(args[0])})"
     if origin in (Union, types.UnionType):
-        return " or ".join(_describe(a) for a in args)
+        return " or ".join(_described(args))
     if dataclasses.is_dataclass(hint):
         return "a mapping (key: value lines)"
     words = {

@@ -7,7 +7,7 @@ from typing import Any
 from teleop.clock import Grid, now_ns
 from teleop.link import Counts
 from teleop.messages import LoopReport
-from teleop.session import Session, State
+from teleop.session import Reason, Session, State
 from teleop.timing import Durations
 from teleop.topics import Role
 
@@ -26,14 +26,26 @@ class LoopMeter:
         self._since_ns = now_ns()
         self._in_state: Counter[State] = Counter()  # ticks
         self._faults: list[str] = []
+        self._pending = ""  # the fault after which nobody has engaged again
         self._state = State.OFF
+        self._words = self._not_usable = Reason.NOT_USABLE.text
 
-    def tick(self, side: Session, work_ns: int) -> None:
-        """Count one tick, which left the session at `side` and took `work_ns` [ns]."""
+    def tick(self, side: Session, work_ns: int, detail: str = "") -> None:
+        """Count one tick, which left the session at `side` and took `work_ns` [ns].
+
+        `detail` says what the session's reason is about: which tendon, or why it is not usable.
+        """
+        self._words = in_words(side.reason, detail)
+        if side.reason is Reason.NOT_USABLE:
+            self._not_usable = self._words
         self.work.add(work_ns)
         self._in_state[side.state] += 1
         if side.state is State.FAULT and self._state is not State.FAULT:
-            self._faults.append(side.reason.text)
+            self._faults.append(self._words)
+            if self._state is State.ENGAGED:
+                self._pending = self._words
+        if side.state is State.ENGAGED:
+            self._pending = ""
         self._state = side.state
 
     def report(self, stamp_ns: int, side: Session, counts: Counts) -> LoopReport | None:
@@ -86,8 +98,15 @@ class LoopMeter:
             "ticks_in": {state.name.lower(): self._in_state[state] for state in State},
             "faults": self._faults,
             "final_state": side.state.name.lower(),
-            "reason": side.reason.text,
+            "reason": self._words,
+            "not_usable": self._not_usable,
+            "ended_in": self._words if side.state is State.FAULT else self._pending,
         }
+
+
+def in_words(reason: Reason, detail: str) -> str:
+    """Return a reason, and what it is about, in one line."""
+    return f"{reason.text}: {detail}" if detail else reason.text
 
 
 def percentiles(durations: Durations, unit: float) -> dict[str, float | int | None]:

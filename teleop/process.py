@@ -28,6 +28,19 @@ def supervised() -> bool:
     return SUPERVISED in os.environ
 
 
+class _Interruption:
+    """Of a signal to a command without a loop to stop: raised, and remembered."""
+
+    came = False
+
+    def __call__(self, _number: int, _frame: FrameType | None) -> None:
+        self.came = True
+        raise KeyboardInterrupt
+
+
+interruption = _Interruption()
+
+
 class Stop:
     """Asked by a loop before each tick; becomes true and stays so.
 

@@ -81,6 +81,8 @@ class Reason(IntEnum):
     CELL_SATURATED = 48, "a load cell is at the end of its range"
     CELL_STUCK = 49, "a load cell repeats the same reading"
     CALIBRATION_DUE = 50, "a sheath has changed its shape; it must be calibrated again"
+    MOTOR_ASTRAY = 51, "a motor is not where it was sent"
+    SAMPLES_FROZEN = 52, "the rig's samples stay the same although a motor was sent on"
 
     UNKNOWN = 255, "a reason that this version does not know"
 

@@ -67,14 +67,14 @@ def parse(text: str, place: str) -> Any:
         raise UsageError(f"{place}: {error}") from error
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Read a config file whose top level is a mapping."""
+def read(path: Path, what: str = "config file") -> dict[str, Any]:
+    """Read a config file, or one of another kind, whose top level is a mapping."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise UsageError(f"{path}: cannot read the config file: {error.strerror}") from error
+        raise UsageError(f"{path}: cannot read the {what}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: the config file is not UTF-8 text") from error
+        raise UsageError(f"{path}: the {what} is not UTF-8 text") from error
     tree = parse(text, str(path))
     if tree is None:
         return {}

@@ -8,7 +8,8 @@ Keep the tips free: each joint is pulled to both of its stops, up to slave.initi
 length and stiffness of the sheaths (slave.initialise.sheaths) and the joints' range
 (slave.initialise.range) where you know them; then something in the way of a tip is found out.
 
-With the file, set slave.calibration to it. Calibrate again when the sheaths have been moved.
+Give the file to `teleop run --calibration`, or name it in the config (slave.calibration).
+Calibrate again when the sheaths have been moved.
 How it works, and what each refusal means: docs/calibration.md.
 """
 
@@ -37,6 +38,7 @@ from teleop.run_config import RunConfig
 
 BAR = 24  # characters
 SHOWN_EVERY_S = 0.1  # [s] of the rig's time
+NOTED_EVERY_S = 10.0  # [s] likewise, where the output is no terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,7 +89,9 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(rig.close)
         out = args.out or destination(f"{rig.name}-calibration.yaml")
         joints = chosen(args.joint, len(rig.joints))
-        earlier = earlier_file(out, config, needed=bool(joints))
+        replaced = replaceable(out, args.config)
+        require_other(args.figure, (out, args.config))
+        earlier = replaced or earlier_file(config, needed=bool(joints))
         start_ns, ticks = pace(config, shared.rate_hz)
         found = initialise(
             rig,
@@ -99,14 +103,14 @@ def main(args: argparse.Namespace) -> int:
             together=args.together,
             earlier=earlier,
             stopped=lambda: f"{stop.reason}: stopped, nothing is written" if stop() else "",
-            progress=shown(rig) if sys.stderr.isatty() else lambda _: None,
+            progress=shown(rig) if sys.stderr.isatty() else noted(rig),
         )
         if sys.stderr.isatty():
             print(file=sys.stderr)
     file.save(out, found.calibration)
     if args.figure is not None:
         draw(args.figure, found)
-    print("\n".join(in_words(found, out)))
+    print("\n".join(in_words(found, out, replaced)))
     return 0
 
 
@@ -118,12 +122,36 @@ def chosen(numbers: list[int], count: int) -> tuple[int, ...]:
     return tuple(sorted({number - 1 for number in numbers}))
 
 
-def earlier_file(out: Path, config: SlaveConfig, needed: bool) -> Calibration | None:
-    """Return the calibration that is to be renewed, if there is one that can be read.
+def replaceable(out: Path, config: Path | None) -> Calibration | None:
+    """Return the calibration that `out` holds, which is to be replaced; None if there is no file.
+
+    Anything else that stands there is a `UsageError`, before the work and not after it.
+    """
+    if config is not None and out.resolve() == config.resolve():
+        raise UsageError(f"{out}: is the config; name another file with --out")
+    if not out.is_file():
+        return None
+    try:
+        return file.load(out)
+    except UsageError as error:
+        raise UsageError(
+            f"{out}: is there already and is no calibration, which alone is replaced; name another "
+            "file with --out, or move this one away"
+        ) from error
+
+
+def require_other(figure: Path | None, used: tuple[Path | None, ...]) -> None:
+    """Refuse to draw over the config or the calibration."""
+    if figure is not None and figure.resolve() in [one.resolve() for one in used if one]:
+        raise UsageError(f"{figure}: is the config or the calibration; name another by --figure")
+
+
+def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
+    """Return the calibration that the config names, if there is one that can be read.
 
     Where it is `needed`, for what is not renewed, one that cannot be read is a `UsageError`.
     """
-    path = out if out.is_file() else config.calibration
+    path = config.calibration
     if not isinstance(path, Path) or not (needed or path.is_file()):
         return None
     try:
@@ -151,8 +179,7 @@ def shown(rig: Rig) -> Callable[[Progress], None]:
         if progress.time_s < next_s:
             return
         next_s = progress.time_s + SHOWN_EVERY_S
-        count = len(rig.joints[progress.joint - 1])
-        where = tendon_name(progress.joint, count, min(progress.side, count - 1))
+        where = _name(rig, progress)
         bar = "#" * round(BAR * progress.done)
         tension = " ".join(f"{t:5.1f}" for t in progress.tension)
         line = (
@@ -161,6 +188,31 @@ def shown(rig: Rig) -> Callable[[Progress], None]:
         print(f"\r{line:<100.100}", end="", file=sys.stderr, flush=True)
 
     return show
+
+
+def noted(rig: Rig) -> Callable[[Progress], None]:
+    """Return what prints a line for each tendon, and one every few seconds: for a log."""
+    next_s, at = 0.0, (0, 0)
+
+    def note(progress: Progress) -> None:
+        nonlocal next_s, at
+        place = (progress.joint, progress.side)
+        if place == at and progress.time_s < next_s:
+            return
+        next_s, at = progress.time_s + NOTED_EVERY_S, place
+        where = _name(rig, progress)
+        print(
+            f"{progress.time_s:6.1f} s  {progress.done:4.0%}  {where}: {progress.phase.text}",
+            file=sys.stderr,
+            flush=True,
+        )
+
+    return note
+
+
+def _name(rig: Rig, progress: Progress) -> str:
+    count = len(rig.joints[progress.joint - 1])
+    return tendon_name(progress.joint, count, progress.side % count)
 
 
 def draw(path: Path, found: Initialised) -> None:
@@ -172,8 +224,8 @@ def draw(path: Path, found: Initialised) -> None:
     figure(found.record, found.calibration).savefig(path, dpi=150)
 
 
-def in_words(found: Initialised, out: Path) -> list[str]:
-    """Return the result as lines to read."""
+def in_words(found: Initialised, out: Path, replaced: Calibration | None = None) -> list[str]:
+    """Return the result as lines to read; `replaced` is the calibration that was in `out`."""
     calibration = found.calibration
     took = float(found.record.time[-1] - found.record.time[0])
     lines = [
@@ -186,7 +238,9 @@ def in_words(found: Initialised, out: Path) -> list[str]:
     for number, travel in enumerate(calibration.ranges, start=1):
         if travel is not None:
             lines.append(f"joint {number} travels {travel * 1e3:.2f} mm between its stops")
-    lines += [f"{out}: use it as slave.calibration, e.g. --set slave.calibration={out}"]
+    if replaced is not None:
+        lines.append(f"{out}: replaces the calibration of {replaced.time or 'an unknown time'}")
+    lines += [f"{out}: use it by `teleop run --calibration {out}`, or as the config's calibration"]
     return lines
 
 

@@ -37,6 +37,9 @@ class InitialiseConfig:
     stretch_speed: float = 0.002  # [m/s] once it does not, for the first time
     stretch_time: float = 3.0  # [s] that each pull and release behind that takes
     loops: int = 3  # of pull and release behind the first
+    drags: int = 2  # behind the loops: tendon a draws b out, then b draws a; 1 or 2
+    drag_time: float = 3.0  # [s] that each takes at least
+    gain_error: float = 0.002  # relative standard uncertainty of each load cell's gain
     pay_out: float = 0.0015  # [m] of the loose tendon behind the stop, so that it cannot pull
     slack_max: float = 0.005  # [m] to be wound in before the tendons of a joint are taut
     travel_max: float = 0.10  # [m] of a motor in search of the stop
@@ -55,6 +58,8 @@ class InitialiseConfig:
             ("seek_speed", 1e-4, 1.0, "m/s"),
             ("stretch_speed", 1e-5, 0.1, "m/s"),
             ("stretch_time", 0.1, 60.0, "s"),
+            ("drag_time", 0.1, 60.0, "s"),
+            ("gain_error", 0.0, 1.0, "of the tension"),
             ("pay_out", 0.0, 0.1, "m"),
             ("slack_max", 1e-4, 1.0, "m"),
             ("travel_max", 1e-3, 10.0, "m"),
@@ -68,6 +73,8 @@ class InitialiseConfig:
                 raise ValueError(f"{name}: must be {least:g} to {most:g} {unit}")
         if not 1 <= self.loops <= 10:
             raise ValueError("loops: must be 1 to 10")
+        if self.drags not in (1, 2):
+            raise ValueError("drags: must be 1 or 2")
         if self.range is not None and not 1e-3 <= self.range <= 10.0:
             raise ValueError("range: must be 0.001 to 10 m, or left out")
         if not max(self.low, self.take_up, self.keep) <= 0.25 * self.tension:
@@ -78,8 +85,10 @@ class InitialiseConfig:
         return replace(
             self,
             loops=1,
+            drags=1,
             stretch_speed=1.5 * self.stretch_speed,
             stretch_time=0.5 * self.stretch_time,
+            drag_time=0.5 * self.drag_time,
         )
 
 

@@ -7,7 +7,8 @@ from typing import Protocol
 import yaml
 
 from slave.tendon_config import TendonConfig
-from teleop import config
+from teleop import config, strict_yaml
+from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS
 from teleop.process import write_whole
 
@@ -31,7 +32,7 @@ class Direction:
 
     joint: int  # from 1
     tendon: str  # a or b
-    K: Value  # by the whole loop: the one to use
+    K: Value  # by the whole loop, and by the drags if there are two tendons: the one to use
     K_slopes: Value  # ln(M_rel / M_pull)
     M_pull: Value  # [m/N]
     M_rel: Value  # [m/N]
@@ -83,6 +84,12 @@ class Named(Protocol):
 
 def load(path: Path) -> Calibration:
     """Read a calibration file; `UsageError` if it is none."""
+    strange = set(strict_yaml.read(path, "calibration")) & {*config.SHARED, *config.SECTIONS}
+    if strange:
+        raise UsageError(
+            f"{path}: is no calibration but a session's config (it has {min(strange)!r}); give the "
+            "file that `teleop calibrate`, or `teleop estimate --fit --save`, has written"
+        )
     return config.load(path, Calibration, None)
 
 

@@ -30,11 +30,12 @@ class Phase(IntEnum):
     SLACKEN = 3, "loosening the other tendon"
     RELEASE = 4, "releasing"
     PULL = 5, "pulling"
-    RETURN = 6, "going to the middle"
-    SETTLE = 7, "settling"
-    DONE = 8, "done"
-    RELAX = 9, "letting go"
-    REFUSED = 10, "refused"
+    DRAG = 6, "dragging"
+    RETURN = 7, "going back"
+    SETTLE = 8, "settling"
+    DONE = 9, "done"
+    RELAX = 10, "letting go"
+    REFUSED = 11, "refused"
 
 
 class Seen(NamedTuple):
@@ -66,7 +67,7 @@ class Memory(NamedTuple):
     """All that the procedure of a joint remembers from one tick to the next."""
 
     phase: Phase = Phase.TAKE_UP
-    side: int = 0  # the tendon that is pulled
+    side: int = 0  # the tendon that is pulled; of a pair, 2 and 3 are a and b again, in drags
     releases: int = 0  # ended on this side
     elapsed: float = 0.0  # [s] in this phase
     origin: Tendons = ()  # [m] travel when the phase began
@@ -74,6 +75,8 @@ class Memory(NamedTuple):
     trend: Trend | None = None
     contact: Contact | None = None  # where the pulled tendon was soft last
     stops: tuple[Contact, ...] = ()  # found so far, one a side
+    lane: float = 0.0  # [m] that the motor shall pull in this drag
+    easing: bool = False  # in a drag: the other tendon is paid out faster than it is drawn
     home: Tendons = ()  # [m] travel when all tendons were taut for the first time
     lowest: float = math.inf  # [m] travel of the other tendon in this phase
     highest: float = 0.0  # [N] smoothed tension of the pulled tendon in this phase
@@ -123,10 +126,12 @@ def progress(config: InitialiseConfig, memory: Memory) -> float:
         Phase.SLACKEN: 2,
         Phase.RELEASE: 3,
         Phase.PULL: 2,
+        Phase.DRAG: memory.side - 1,
         Phase.RETURN: 1,
+        Phase.SETTLE: 3,
     }
     done = within.get(memory.phase, 0)
     if memory.phase in (Phase.RELEASE, Phase.PULL):
         done += 2 * memory.releases
     sides = 2  # at most
-    return (memory.side * a_side + done) / (sides * a_side + 3)
+    return (min(memory.side, sides) * a_side + done) / (sides * a_side + 4)

@@ -8,10 +8,15 @@ evenly bent sheath, and T_out is wrong by a factor e^(K(f - 1)). What the other 
 out may be in another state than the model has it, so only a pull that went on well beyond where
 it should have reached the tip counts.
 
+The tip rests only while nothing else moves the joint. A joint that comes to rest by itself lets
+both tendons relax while the motor still goes on, and one that is let go by the other tendon gives
+way: T_out is then not what it was at the end of the pull, and 20 % of it look like 10 % of K. So a
+transition must begin where the motor turns, and is followed no further than what the other tendon
+holds against it stays the same. One in which the environment moved the tip is no straight line of
+travel over elongation, and is left out too.
+
 A change at the tip alone does not show in the travel, and on a sheath bent there alone nothing is
-watched. One transition is measured to a few percent; one in which the tip did move, as when the
-environment pushed, is no straight line of travel over elongation and is left out. The median of
-the latest ones decides.
+watched. One transition is measured to a few percent; the median of the latest ones decides.
 """
 
 import math
@@ -35,11 +40,16 @@ APART, APART_SHARE = 0.04, 0.2  # by which they may contradict each other; the s
 SPACING = 2e-6  # [m] of elongation between points of a line
 POINTS = 5  # that a line needs
 SPAN = 3e-5  # [m] of elongation that it needs
-SLOWLY = 8.0  # times the lag that it must last; an average of what is curved would tilt the line
+SLOWLY = 5.0  # times the lag that it must last; an average of what is curved would tilt the line
 CROOKED = 0.03  # of the span: scatter about the line, above which the tip has moved
+CURVED = 0.06  # of what the line is tilted by, and so much more: uneven friction curves it, too
+AHEAD = 0.05  # of the span that the motor may still go on once the tension falls
+STEADY = 0.04  # of T_out, by which what holds against it may change meanwhile
 
-RESOLVED = 0.015  # of the travel, to which one transition is measured
-DOUBT = 0.04  # of T_out: the error by one transition that its median can be trusted with
+RESOLVED = 0.02  # of the travel, to which one transition is measured: the tip gives way so much
+APART_IN_TIME = 0.5  # of the lag, by which tension and travel may be apart: a motor speeds up
+SURE = 2.0  # times the doubt, from where an error counts
+BLIND = 8.0 / 3.0  # of T_out by one of the travel: the most that an error may be amplified
 PIECES = 200  # of each section, for its integrals
 FACTORS = np.linspace(0.5, 2.0, 61)  # of all friction, that are told apart
 
@@ -81,6 +91,7 @@ class Watched(NamedTuple):
     lag: float  # [s] by which the estimator averages the tension
     shares: tuple[float, ...]  # of the travel predicted, rising
     factors: tuple[float, ...]  # of all friction that belong to them
+    amplified: float  # relative error of T_out for one of the travel
     blind: bool  # whether such changes hardly show, as where all bends are at the tip
 
 
@@ -96,6 +107,10 @@ class Line(NamedTuple):
     first: float = math.nan  # [m] elongation
     last: float = math.nan  # [m]
     lasted: float = 0.0  # [s] since the second point
+    ahead: float = 0.0  # [m] furthest that the motor has gone on from the first point
+    tip: float = 0.0  # [N] T_out at the first point
+    against: float = 0.0  # [N] T_out of the other tendon then
+    begun: float = math.nan  # [m] travel then
 
 
 class Watch(NamedTuple):
@@ -106,6 +121,7 @@ class Watch(NamedTuple):
     travel: float = math.nan  # [m] averaged as the estimator averages the tension
     line: Line = Line()
     errors: tuple[float, ...] = ()  # of T_out, relative, by each of the latest transitions
+    doubts: tuple[float, ...] = ()  # how far off each of them may be
 
 
 def prepare(model: TendonModel) -> Watched:
@@ -125,9 +141,10 @@ def prepare(model: TendonModel) -> Watched:
         mobilised=MOBILISED * sheath.length,
         depth=float(np.cumsum(dx)[np.searchsorted(s, front)]),
         lag=model.treatment.time_constant if model.tension_noise > 0.0 else 0.0,
+        amplified=sheath.K / shown if shown > 0.0 else math.inf,
         shares=tuple(shares[order].tolist()),
         factors=tuple(FACTORS[order].tolist()),
-        blind=DOUBT * shown < sheath.K * RESOLVED,
+        blind=BLIND * shown < sheath.K,
     )
 
 
@@ -149,6 +166,7 @@ def step(
     estimate: TendonEstimate,
     tension: float,
     travel: float,
+    against: float,
     dt: float,
 ) -> Watch:
     """Take in one sample of one tendon.
@@ -163,11 +181,13 @@ def step(
         Of this sample.
     tension, travel : float
         T_in [N] and q_p [m] of this sample.
+    against : float
+        T_out [N] of the tendon that pulls the joint the other way; 0 where a spring does.
     dt : float
         Time since the last one [s].
     """
     if watched.blind or estimate.status & _UNUSABLE or not math.isfinite(travel):
-        return Watch(errors=watch.errors)
+        return Watch(errors=watch.errors, doubts=watch.doubts)
     share = -math.expm1(-dt / watched.lag) if watched.lag > 0.0 else 1.0
     before = travel if math.isnan(watch.travel) else watch.travel
     averaged = before + share * (travel - before)
@@ -180,19 +200,25 @@ def step(
         return watch._replace(travel=averaged, reached=math.nan)
     if estimate.phase is Phase.PULL or estimate.front > watched.depth:
         return _closed(config, watched, watch)._replace(travel=averaged)
-    line = _with(watch.line, estimate.elongation, averaged, dt)
+    line = watch.line
+    if line.points and abs(against - line.against) > STEADY * line.tip:
+        return _closed(config, watched, watch)._replace(travel=averaged)
+    line = _with(line, estimate, averaged, against, dt)
     return watch._replace(travel=averaged, line=line)
 
 
 def force_error(watch: Watch) -> float:
     """Return by how much T_out is wrong while pulling, relative; 0 while too little is known.
 
-    Positive where the estimate is too high. Transitions that contradict each other say nothing: an
-    environment that moves the tip by itself has many ways to do so, a sheath has one shape.
+    Positive where the estimate is too high. An error within its doubt says nothing, nor do
+    transitions that contradict each other: an environment that moves the tip by itself has many
+    ways to do so, a sheath has one shape.
     """
     if len(watch.errors) < LEAST:
         return 0.0
     middle = median(watch.errors)
+    if abs(middle) < SURE * median(watch.doubts):
+        return 0.0
     apart = median(abs(error - middle) for error in watch.errors)
     return middle if apart < APART + APART_SHARE * abs(middle) else 0.0
 
@@ -205,31 +231,40 @@ def advice(config: MonitorConfig, watches: Sequence[Watch]) -> Advice:
     return Advice.ADVISED if worst >= config.advise else Advice.NONE
 
 
-def _with(line: Line, elongation: float, travel: float, dt: float) -> Line:
+def _with(line: Line, estimate: TendonEstimate, travel: float, against: float, dt: float) -> Line:
     """Add a point, unless it is too near to the last one."""
-    lasted = line.lasted + dt if line.points > 1 else 0.0
+    elongation = estimate.elongation
+    if not line.points:
+        line = Line(first=elongation, begun=travel, tip=estimate.distal_tension, against=against)
+    line = line._replace(
+        lasted=line.lasted + dt if line.points > 1 else 0.0,
+        ahead=max(line.ahead, travel - line.begun),
+    )
     if line.points and abs(elongation - line.last) < SPACING:
-        return line._replace(lasted=lasted)
+        return line
     n = line.points + 1
     de, dq = elongation - line.elongation, travel - line.travel
-    return Line(
-        n,
-        line.elongation + de / n,
-        line.travel + dq / n,
-        line.ee + de * de * (n - 1) / n,
-        line.eq + de * dq * (n - 1) / n,
-        line.qq + dq * dq * (n - 1) / n,
-        line.first if line.points else elongation,
-        elongation,
-        lasted,
+    return line._replace(
+        points=n,
+        elongation=line.elongation + de / n,
+        travel=line.travel + dq / n,
+        ee=line.ee + de * de * (n - 1) / n,
+        eq=line.eq + de * dq * (n - 1) / n,
+        qq=line.qq + dq * dq * (n - 1) / n,
+        last=elongation,
     )
 
 
 def _closed(config: MonitorConfig, watched: Watched, watch: Watch) -> Watch:
     """Take what the transition says, if it says anything, and wait for the next."""
     error = _error(watched, watch.line)
-    errors = watch.errors if error is None else (*watch.errors, error)[-config.transitions :]
-    return Watch(errors=errors)
+    if error is None:
+        return Watch(errors=watch.errors, doubts=watch.doubts)
+    doubt = RESOLVED + APART_IN_TIME * watched.lag / max(watch.line.lasted, watched.lag)
+    return Watch(
+        errors=(*watch.errors, error)[-config.transitions :],
+        doubts=(*watch.doubts, watched.amplified * doubt)[-config.transitions :],
+    )
 
 
 def _error(watched: Watched, line: Line) -> float | None:
@@ -237,11 +272,11 @@ def _error(watched: Watched, line: Line) -> float | None:
     span = line.first - line.last
     if line.points < POINTS or not span > SPAN or line.lasted < SLOWLY * watched.lag:
         return None
+    if line.ahead > AHEAD * span:
+        return None
     slope = line.eq / line.ee
     scatter = math.sqrt(max(line.qq - slope * line.eq, 0.0) / line.points)
-    if scatter > CROOKED * span:
-        return None
-    if not watched.shares[0] < slope < watched.shares[-1]:
+    if scatter > (CROOKED + CURVED * abs(slope - 1.0)) * span:
         return None
     factor = float(np.interp(slope, watched.shares, watched.factors))
     return math.expm1(watched.K * (factor - 1.0))

@@ -28,6 +28,11 @@ PROBE = 1e-5  # [m] to go back for that
 PROBE_S = 0.2  # [s] in which the cell must see it
 OVER = 1.5  # times the travel expected of a pull or release
 RUN_ON = 5e-4  # [m] and so much more
+BEYOND = 0.4  # of the range behind the middle, to where the first of two drags goes
+LEAD = 0.15  # of a drag, until both tendons surely slide
+PEAK = 0.9  # of the tension pulled to: where a drag eases
+STRETCH = 1.5  # times the stretch of the pulled tendon at the peak: about what both together take
+MOST_SHARE = 0.8  # of the speed by which a tendon is paid out more slowly or faster than drawn
 
 Step = tuple[Tendons, Memory]
 
@@ -40,6 +45,8 @@ def _take_up(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen)
             return _still(seen), begin(memory, Phase.DONE, seen)
         if not memory.home:
             memory = memory._replace(home=seen.travel)
+        if memory.side == count:
+            memory = memory._replace(lane=_lane(config, memory, seen))
         return _still(seen), begin(memory, _after_take_up(memory, count), seen)
     wound = [q - q0 for q, q0 in zip(seen.travel, memory.origin, strict=True)]
     allowed = config.slack_max + (config.pay_out + WINDOW if memory.stops else 0.0)
@@ -59,7 +66,7 @@ def _take_up(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen)
 
 
 def _after_take_up(memory: Memory, count: int) -> Phase:
-    return Phase.SEEK if memory.side < count else Phase.RETURN
+    return Phase.SEEK if memory.side < count else Phase.DRAG
 
 
 def _seek(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
@@ -162,22 +169,45 @@ def _pull(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) ->
     return _only(seen, k, _stretch_speed(config, memory)), memory
 
 
-def _return(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
-    """Go to the middle between the stops; with a return spring, to where the joint came from."""
-    if len(seen.tension) == 1:
-        if seen.travel[0] <= memory.home[0]:
-            return _still(seen), begin(memory, Phase.SETTLE, seen)
-        return _only(seen, 0, -config.seek_speed), memory
-    if seen.travel[0] >= 0.5 * (memory.stops[0].travel + memory.origin[0]):
+def _drag(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Pull one tendon at one speed while the tension of the other one rises, and falls again.
+
+    It is paid out more slowly than it is drawn, then faster: both slide towards the same end all
+    along, and what the joint itself takes is the same on the way up and on the way down.
+    """
+    k = memory.side % 2
+    tension, gone = memory.tension[k], seen.travel[k] - memory.origin[k]
+    if tension >= config.tension:
+        return _refused(memory, seen, refusals.in_the_way(joint.number, tension))
+    if gone >= memory.lane:
+        if memory.side + 1 < 2 + config.drags:
+            lane = memory.lane * BEYOND / (0.5 + BEYOND)
+            memory = memory._replace(side=memory.side + 1, lane=lane, easing=False)
+            return _still(seen), begin(memory, Phase.DRAG, seen)
         return _still(seen), begin(memory, Phase.SETTLE, seen)
-    if memory.tension[0] >= memory.stops[0].tension + LEAST_RISE * config.tension:
-        why = refusals.in_the_way(joint.number, memory.tension[0], memory.stops[0].tension)
-        return _refused(memory, seen, why)
-    line = _line(memory, seen, 0, 1.0)
-    memory = memory._replace(trend=line)
-    stretching = trend.stiffness(line, WINDOW) * joint.compliance[0] >= 1.0
-    speed = config.stretch_speed if stretching else config.seek_speed
-    return _drawn(config, joint, memory, seen, 0, speed)
+    speed = min(config.seek_speed, memory.lane / config.drag_time)
+    if gone < LEAD * memory.lane or (memory.easing and memory.tension[1 - k] <= config.keep):
+        return _drawn(config, joint, memory, seen, k, speed)
+    peak = PEAK * config.tension
+    if tension >= peak or gone > (0.5 + 0.5 * LEAD) * memory.lane:
+        memory = memory._replace(easing=True)
+    stretch = STRETCH * memory.stops[k].compliance * peak
+    share = min(stretch / (0.5 * (1.0 - LEAD) * memory.lane), MOST_SHARE)
+    drawn = speed * (1.0 + share if memory.easing else 1.0 - share)
+    return ((speed, -drawn) if k == 0 else (-drawn, speed)), memory
+
+
+def _lane(config: InitialiseConfig, memory: Memory, seen: Seen) -> float:
+    """Return how far [m] the first drag goes: to the middle, or so far that the next ends there."""
+    reach = memory.stops[0].travel - seen.travel[0]
+    return reach * (0.5 + (BEYOND if config.drags > 1 else 0.0))
+
+
+def _return(config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen) -> Step:
+    """Let a return spring take the joint back to where it came from."""
+    if seen.travel[0] <= memory.home[0]:
+        return _still(seen), begin(memory, Phase.SETTLE, seen)
+    return _only(seen, 0, -config.seek_speed), memory
 
 
 def _relax(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
@@ -292,6 +322,7 @@ HANDLERS: dict[Phase, Callable[[InitialiseConfig, Joint, Memory, Seen], Step]] =
     Phase.SLACKEN: _slacken,
     Phase.RELEASE: _release,
     Phase.PULL: _pull,
+    Phase.DRAG: _drag,
     Phase.RETURN: _return,
     Phase.SETTLE: _take_up,
     Phase.DONE: _rest,

@@ -4,7 +4,9 @@ After Phee et al. 2009, section III, for each tendon of the joint in turn: take 
 one at constant speed while the other is paid out at a small tension of its own, feel the end stop
 by the slope of the tension, go on to a chosen tension, make the other tendon loose, release to a
 low tension, and pull and release again. The joint rests against its stop all the while, so what
-the motor travels is elongation. Then the other tendon; then back to the middle of the range.
+the motor travels is elongation. Then the other tendon. On the way back to the middle of the
+range comes what the paper does not have, the drags: one tendon draws the other one out while both
+tensions rise and fall.
 
 `step` says where the motors shall be next. It measures by tension and motor travel alone, and
 whatever it does not understand it refuses: the tendons are then let down to a low tension, and
@@ -91,8 +93,8 @@ def _blocked(memory: Memory, seen: Seen, dt: float) -> Tendons:
 
 
 def _pulled(memory: Memory, seen: Seen) -> int:
-    """Return the tendon that is pulled; on the way back it is the first one again."""
-    return memory.side if memory.side < len(seen.tension) else 0
+    """Return the tendon that is pulled."""
+    return memory.side % len(seen.tension)
 
 
 def _common_refusal(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> str:

@@ -77,6 +77,12 @@ class Pulled(NamedTuple):
         return np.asarray(mine & np.isin(self.record.phase[:, self.joint], codes))
 
     @property
+    def dragging(self) -> Rows:
+        """Where it drew out the other tendon of its joint."""
+        codes = self.record.phase[:, self.joint], self.record.side[:, self.joint]
+        return np.asarray((codes[0] == Phase.DRAG) & (codes[1] == 2 + self.side))
+
+    @property
     def first_pull(self) -> Rows:
         """Where it was pulled on when it had met its stop.
 

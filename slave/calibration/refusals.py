@@ -58,11 +58,32 @@ def slack(name: str, wound: float, tension: float, taut: float, config: Initiali
     )
 
 
+def no_loop(name: str, why: str) -> str:
+    """Return what is said of pulls and releases that are none of a tendon against its stop."""
+    return (
+        f"{name}: {why}; does the joint rest against its stop? Its tip may press on something "
+        "soft, or another tendon that is jammed in its sheath may have held it"
+    )
+
+
+def undecided(name: str, K: float, peak: float, lowest: float, reach: float, again: bool) -> str:
+    """Return what is said of friction at the end of what a loop between two tensions [N] shows.
+
+    `again`, if more than one loop was pulled.
+    """
+    more = "" if again else ", or do the full form"
+    return (
+        f"{name}: K = {K:.2f} is at the end of what a loop from {peak:.1f} N to {lowest:.2f} N "
+        f"reaches ({reach:.2f}), and it may be more; is the tendon jammed in its sheath? "
+        f"Else raise slave.initialise.tension, lower slave.initialise.low{more}"
+    )
+
+
 def tight(name: str, paid_out: float, tension: float) -> str:
     """Return what is said of a tension [N] that stays after paying out so much [m]."""
     return (
         f"{name}: still {tension:.2f} N after paying out {paid_out * 1e3:.1f} mm; something pulls "
-        "on the joint, or its load cell is stuck or not tared"
+        "on the joint, or a load cell of the joint is stuck or not tared"
     )
 
 
@@ -92,10 +113,11 @@ def soft_stop(name: str, contact: float, compliance: float, softest: float) -> s
 
 
 def saturated(name: str, tension: float) -> str:
-    """Return what is said of a load cell at the end of its range."""
+    """Return what is said of a load cell that does not see the motor pull; it says not why."""
     return (
         f"{name}: the load cell reads {tension:.2f} N and not the least bit else while the motor "
-        "pulls on: it is saturated; lower slave.initialise.tension, or fit a larger one"
+        "pulls on: it is stuck, or saturated; look at its cable and amplifier, or lower "
+        "slave.initialise.tension"
     )
 
 
@@ -115,9 +137,9 @@ def not_again(name: str, tension: float, config: InitialiseConfig) -> str:
     )
 
 
-def in_the_way(joint: int, tension: float, before: float) -> str:
-    """Return what is said of more tension on the way back than on the way there."""
+def in_the_way(joint: int, tension: float) -> str:
+    """Return what is said of a tension that no joint takes that moves freely."""
     return (
-        f"joint {joint}: {tension:.1f} N on the way back from the stop, more than on the way there "
-        f"({before:.1f} N): something is in its way"
+        f"joint {joint}: {tension:.1f} N on the way back from the stop, where it moved freely "
+        "before: something is in its way"
     )

@@ -72,7 +72,7 @@ class Record:
     tension: Array  # [N] shape (n, t)
     travel: Array  # [m] shape (n, t)
     phase: Codes  # shape (n, j)
-    side: Codes  # shape (n, j): which tendon of the joint was pulled
+    side: Codes  # shape (n, j): which tendon of the joint was pulled, 2 and 3 in drags
     releases: Codes  # shape (n, j): ended on that side
     stops: tuple[tuple[Contact, ...], ...]  # of each joint, one a tendon
 

@@ -97,10 +97,11 @@ def run(sheaths: int, seed: int, jobs: int) -> tuple[Demonstration, list[Outcome
 
 def text(shown: Demonstration, outcomes: list[Outcome], seed: int) -> str:
     """Return all tables as Markdown."""
-    parts = [f"# {TITLE}", UNITS, f"## A sheath as the paper's: {SPECIMEN.describe()}"]
+    parts = [f"# {TITLE}", report.summary(outcomes), UNITS]
+    parts += [f"## A sheath as the paper's: {SPECIMEN.describe()}"]
     parts += ["Largest / average.", report.by_phase(shown.outcome).markdown()]
     parts += [f"## {len(outcomes)} random sheaths, seed {seed}"]
-    parts += [report.over_sheaths(outcomes).markdown(), report.summary(outcomes)]
+    parts += [report.over_sheaths(outcomes).markdown()]
     for method in METHODS:
         worst = "\n".join(f"- {line}" for line in report.worst(outcomes, method, seed))
         parts += [f"### Worst of {method}, by the largest error of force", worst]
@@ -116,7 +117,8 @@ def page_of(
 ) -> str:
     """Return the page; the figures, by file name in `folder`, have captions."""
     page = Page(TITLE)
-    page.text(f"{UNITS} {report.summary(outcomes)}.")
+    page.text(report.summary(outcomes))
+    page.text(UNITS)
     page.heading(f"A sheath as the paper's: {SPECIMEN.describe()}")
     page.text("Largest / average.")
     page.table(report.by_phase(shown.outcome), mark="")
@@ -170,5 +172,9 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         destination(str(folder / "index.html"))
-    except (OSError, argparse.ArgumentTypeError) as error:
+    except (FileExistsError, NotADirectoryError) as error:
+        raise UsageError(f"--out {folder}: is a file, or in one; name a folder") from error
+    except OSError as error:
+        raise UsageError(f"--out {folder}: cannot be made: {error.strerror}") from error
+    except argparse.ArgumentTypeError as error:
         raise UsageError(f"--out {folder}: {error}") from error

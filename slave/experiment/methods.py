@@ -55,7 +55,7 @@ class Figure(NamedTuple):
 
 
 class Calibrated(NamedTuple):
-    """What `teleop calibrate` makes of tendon a's initialisation."""
+    """What `teleop calibrate` makes of tendon a, by the initialisation of both."""
 
     direction: Direction
     tendon: TendonConfig
@@ -96,13 +96,14 @@ def initialise(specimen: Specimen, seed: int) -> Initialisation:
     rig = build(specimen, seed, loaded=False)
     limits = initialisation.Limits(config, GATE)
     driven = initialisation.drive(rig, limits, initialisation.fast_ticks(1.0 / PERIOD), 0, [0])
-    pulled = Pulled(driven.record, joint=0, side=0)
+    both = [Pulled(driven.record, joint=0, side=side) for side in (0, 1)]
     ours: Calibrated | Refused
     try:
-        ours = Calibrated(*evaluate(pulled, known, config.low))
+        directions, tendons = evaluate(both, config)
+        ours = Calibrated(directions[0], tendons[0])
     except Refused as refused:
         ours = refused
-    return Initialisation(pulled, ours, read_figure(pulled))
+    return Initialisation(both[0], ours, read_figure(both[0]))
 
 
 def fitted(method: str, specimen: Specimen, initialised: Initialisation) -> Fitted:

@@ -100,12 +100,16 @@ def worst(outcomes: list[Outcome], method: str, seed: int) -> list[str]:
 
 
 def summary(outcomes: list[Outcome]) -> str:
-    """Return in one line whether ours is within what is asked, on how many sheaths."""
+    """Return in one line on how many sheaths ours is within what is asked, and what that is."""
     kept = sum(meets(outcome) for outcome in outcomes)
     refused = sum(not outcome.results[OURS].scores for outcome in outcomes)
+    asked = "; ".join(
+        f"{signal}, largest {100.0 * largest:g} %, average {100.0 * average:g} %"
+        for signal, (largest, average) in TARGETS.items()
+    )
     return (
-        f"ours: {kept} of {len(outcomes)} sheaths within all that is asked, in both motions; "
-        f"{refused} refused"
+        f"Ours: {kept} of {len(outcomes)} sheaths within all that is asked, in both motions "
+        f"({asked}); {refused} refused."
     )
 
 

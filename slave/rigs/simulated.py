@@ -1,6 +1,7 @@
 """A simulated rig: motors, elastic tendons in their sheaths, joints, noisy sensors."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from slave.plant.body import BodyConfig, build_body
 from slave.plant.effects import EffectConfig
+from slave.plant.effects.ends import AntagonistTension
 from slave.plant.effects.schedule import JointSchedule, SampleSchedule, SensorSchedule
 from slave.plant.environment import EnvironmentConfig, TissueConfig, build_environment
 from slave.plant.joint import Joint, Tendon, Winding, joint_at_rest
@@ -83,16 +85,41 @@ class SimulatedRigConfig:
                     f"period: must be at most {longest:.2g} s for a rotor as light as in joint "
                     f"{number} (motor.rotor_inertia, motor.gear)"
                 )
-        for i, effect in enumerate(self.effects):
-            if effect.joint is not None and effect.joint > len(self.joints):
-                raise ValueError(f"effects[{i}].joint: must be 1 to {len(self.joints)}")
-            single = all(
-                len(joint.tendons) == 1
-                for index, joint in enumerate(self.joints, 1)
-                if effect.joint in (None, index)
-            )
-            if single and getattr(effect, "tendon", "a") == "b":
-                raise ValueError(f"effects[{i}].tendon: must be a, there is no joint with a b")
+        require_room(self.effects, [len(joint.tendons) for joint in self.joints])
+
+
+def require_room(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:
+    """Refuse effects that would act nowhere, or not beside another, on joints of `counts` tendons.
+
+    Raises `ValueError`.
+    """
+    for i, effect in enumerate(effects):
+        if effect.joint is not None and effect.joint > len(counts):
+            raise ValueError(f"effects[{i}].joint: must be 1 to {len(counts)}")
+        chosen = counts if effect.joint is None else counts[effect.joint - 1 : effect.joint]
+        if isinstance(effect, AntagonistTension) and 2 not in chosen:
+            raise ValueError(f"effects[{i}].joint: must be one of two tendons")
+        sides = places(effect, counts)
+        if not sides:
+            raise ValueError(f"effects[{i}].tendon: must be a, there is no joint with a b")
+        for k, other in enumerate(effects[:i]):
+            alike = other.type == effect.type and not effect.adds_up
+            if alike and sides & places(other, counts):
+                raise ValueError(
+                    f"effects[{i}]: must be on another tendon than effects[{k}], two of type "
+                    f"{effect.type} do not add up"
+                )
+
+
+def places(effect: EffectConfig, counts: Sequence[int]) -> set[tuple[int, str]]:
+    """Return where an effect acts: joints, counted from 0, and sides; of `counts` tendons each."""
+    wanted = getattr(effect, "tendon", "both")
+    return {
+        (j, side)
+        for j, count in enumerate(counts)
+        for side in "ab"[:count]
+        if effect.joint in (None, j + 1) and wanted in (side, "both")
+    }
 
 
 def longest_step(config: TendonPlantConfig) -> float:

@@ -1,9 +1,12 @@
 """Whether a load cell still measures: readings that stay the same to the last bit.
 
 A cell with noise repeats itself with a probability p that its noise and its steps tell; n readings
-alike come about with p^n. The cell is stuck when that is out of the question, the motor moved
-meanwhile, and nothing like it was seen before. If the motor pulled and no reading was ever higher,
-the cell is more likely saturated than stuck there by chance; at its known range it surely is.
+alike come about with p^n. Where the model has no noise, the readings tell whether there is: one
+that differs from the last more often than a cell's steps alone allow, and as often as not turns
+back, is noisy. The cell is stuck when p^n is out of the question, the motor moved meanwhile, and
+nothing like it was seen before. If the motor pulled and no reading was ever higher, it is more
+likely saturated than stuck there by chance; at its known range it surely is. One that has never
+shown a second reading is stuck once the motor has gone further than a taut tendon's backlash.
 """
 
 from math import erf, inf, log, sqrt
@@ -17,6 +20,13 @@ SUSPECT = log(1e-4)
 LONGER = 5  # times the longest run of like readings before
 AT_RANGE = 0.99  # of the cell's range
 AT_RANGE_TIME = 0.010  # [s]
+
+# where the model has no noise
+REPEATS = 0.4  # of readings at most in a cell with noise; one that hovers at a step has a half
+TURNS = 0.3  # of readings at least; noise has a half, a load that changes hardly any
+ENOUGH = 100  # readings to tell
+
+NEVER = 0.002  # [m] of motor in which a taut tendon changes its tension: above its backlash
 
 
 class Run(NamedTuple):
@@ -39,6 +49,10 @@ class Cell(NamedTuple):
     longest: int = 1  # readings in the longest run that ended
     run: Run | None = None  # none while the newest reading differs from the one before
     at_range: float = 0.0  # [s] for which the reading stands at the cell's range
+    readings: int = 0  # until the newest that differs
+    changes: int = 0  # of them that differ from the one before
+    turns: int = 0  # of them that do so the other way than the one before that
+    rise: float = 0.0  # [N] newest difference
 
 
 def watch_cell(
@@ -57,27 +71,41 @@ def watch_cell(
     dt : float
         Time since the last sample [s].
     """
-    last, before, peak, step, longest, run, at_range = cell
-    at_range = at_range + dt if tension >= AT_RANGE * config.cell_range else 0.0
+    last, before, run = cell.reading, cell.displacement, cell.run
+    at_range = cell.at_range + dt if tension >= AT_RANGE * config.cell_range else 0.0
     saturated = at_range >= AT_RANGE_TIME
     if tension != last:
-        step = min(step, abs(tension - last))
-        longest = max(longest, run.readings) if run else longest
-        cell = Cell(tension, displacement, max(peak, last), step, longest, None, at_range)
+        rise = tension - last
+        alike = run.readings if run else 1
+        cell = Cell(
+            tension,
+            displacement,
+            max(cell.peak, last),
+            min(cell.step, abs(rise)),
+            max(cell.longest, alike),
+            None,
+            at_range,
+            cell.readings + alike,
+            cell.changes + 1,
+            cell.turns + (rise * cell.rise < 0.0),
+            rise,
+        )
         return Reason.CELL_SATURATED if saturated else Reason.NONE, cell
     if run is None:
         run = Run(1, 0.0, before, before, before)
     low, high = min(run.low, displacement), max(run.high, displacement)
     run = Run(run.readings + 1, run.time + dt, run.begin, low, high)
-    cell = Cell(tension, displacement, peak, step, longest, run, at_range)
+    cell = cell._replace(displacement=displacement, run=run, at_range=at_range)
     if saturated:
         return Reason.CELL_SATURATED, cell
     moved = run.high - run.low >= config.stuck_travel
-    if not (moved and run.time >= config.stuck_time and run.readings > LONGER * longest):
+    if cell.step == inf and tension > config.slack and run.high - run.low > NEVER:
+        return Reason.CELL_STUCK, cell
+    if not (moved and run.time >= config.stuck_time and run.readings > LONGER * cell.longest):
         return Reason.NONE, cell
     if chance(cell, noise) > SURE:
         return Reason.NONE, cell
-    flat_top = tension >= peak and displacement > run.begin
+    flat_top = tension >= cell.peak and displacement > run.begin
     return Reason.CELL_SATURATED if flat_top else Reason.CELL_STUCK, cell
 
 
@@ -87,9 +115,25 @@ def suspect(cell: Cell, noise: float) -> bool:
 
 
 def chance(cell: Cell, noise: float) -> float:
-    """Return the logarithm of p^n for the run that lasts; 0 for a cell without noise [N]."""
+    """Return the logarithm of p^n for the run that lasts; 0 for a cell without noise.
+
+    `noise` [N] is that of the model; 0 where it has none.
+    """
+    if cell.run is None or cell.step == inf:
+        return 0.0
+    if noise == 0.0:
+        return cell.run.readings * log(REPEATS) if noisy(cell) else 0.0
     variance = noise * noise - cell.step * cell.step / 12.0
-    if cell.run is None or cell.step == inf or variance <= 0.0:
+    if variance <= 0.0:
         return 0.0
     repeats = erf(cell.step / sqrt(8.0 * variance))
     return cell.run.readings * log(repeats) if repeats > 0.0 else -inf
+
+
+def noisy(cell: Cell) -> bool:
+    """Return whether the readings up to the run that lasts show noise of their own."""
+    return (
+        cell.readings >= ENOUGH
+        and cell.changes >= (1.0 - REPEATS) * cell.readings
+        and cell.turns >= TURNS * cell.readings
+    )

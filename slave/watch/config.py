@@ -17,7 +17,9 @@ class WatchConfig:
     lag: float = 0.010  # [s] by which a load cell may lag its encoder
     cell_range: float = field(default=inf, metadata=MAY_BE_INFINITE)  # [N] of the load cells
     stuck_time: float = 0.1  # [s] of identical readings; well above the period of a slow cell
-    stuck_travel: float = 1e-4  # [m] that the motor went meanwhile
+    stuck_travel: float = 1e-4  # [m] that the motor went, or was sent, meanwhile
+    motor_lag: float = 0.003  # [m] from where a motor was sent to where its encoder has it
+    motor_lag_time: float = 0.1  # [s] for which it may be further
 
     def __post_init__(self) -> None:
         """Refuse what would never, or always, be a fault."""
@@ -30,6 +32,8 @@ class WatchConfig:
             ("cell_range", 0.1, inf, "N"),
             ("stuck_time", 0.01, 10.0, "s"),
             ("stuck_travel", 1e-6, 0.1, "m"),
+            ("motor_lag", 1e-4, 0.1, "m"),
+            ("motor_lag_time", 0.01, 10.0, "s"),
         ):
             if not least <= getattr(self, name) <= most:
                 raise ValueError(f"{name}: must be {least:g} to {most:g} {unit}".rstrip())

@@ -37,6 +37,6 @@ def watch_slack(
     """
     if tension > config.slack:
         return False, TAUT
-    if slack is TAUT:
+    if slack.time < 0.0:
         return False, Slack(0.0, before, wound)
     return slack.wound + config.take_up < wound, slack._replace(time=slack.time + dt)

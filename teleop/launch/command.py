@@ -89,17 +89,17 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free(link)  # before anything is started that would leave a trace
-        listener = link.listen((EVENT, REPORT))
+        listener, hearing = link.listen((EVENT, REPORT)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
         family.start("slave", shared)
         if view != "none":
             family.start("view", [*shared, "--view", view])
         try:
-            ended = watch.wait_for_slave(link, family, stop)
+            ended = watch.wait_for_slave(link, listener, hearing, family, status, stop)
             if not ended and not stop():
                 family.start("master", shared)
-                ended = watch.watch(link, listener, family, status, stop, args.duration)
+                ended = watch.watch(link, listener, hearing, family, status, stop, args.duration)
         finally:
             status.clear()
             family.stop(ENDING)
@@ -150,4 +150,7 @@ def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, 
         if ended.exit_code == UsageError.exit_code:
             raise UsageError(out["reason"])
         out["exit_code"] = TeleopError.exit_code if ended.exit_code else 0
+    trouble = "" if out["exit_code"] else summaries.trouble(out)
+    if trouble:
+        out |= {"reason": trouble, "exit_code": TeleopError.exit_code}
     return out

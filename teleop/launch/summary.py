@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from teleop.session import Reason
+
 
 def read_child(path: Path) -> dict[str, Any] | None:
     """Return what a child left, or None if it was killed before it could."""
@@ -18,6 +20,39 @@ def read_child(path: Path) -> dict[str, Any] | None:
 def ran(loop: Mapping[str, Any] | None) -> bool:
     """Return whether a loop's summary tells of a loop that ran."""
     return bool(loop and loop["ticks"])
+
+
+# of the other side: what a fault that began there looks like from here
+FROM_AFAR = (
+    Reason.PEER_SILENT.text,
+    Reason.PEER_FAULT.text,
+    Reason.PEER_LEFT.text,
+    Reason.PEER_DECLINED.text,
+)
+
+
+def trouble(summary: Mapping[str, Any]) -> str:
+    """Return what was wrong with a session to its end, empty if nothing was.
+
+    Either its slave was never usable, or a fault ended it: one after which nobody engaged again.
+    """
+    loops = {role: summary.get(role) for role in ("slave", "master")}
+    slave = loops["slave"]
+    if (
+        slave is not None
+        and ran(slave)
+        and not any(slave["ticks_in"][state] for state in ("ready", "engaged", "fault"))
+    ):
+        return f"the slave was never usable: {slave['not_usable']}"
+    faults = [
+        (role, loop["ended_in"])
+        for role, loop in loops.items()
+        if loop is not None and ran(loop) and loop["ended_in"]
+    ]
+    first_hand = [fault for fault in faults if fault[1] not in FROM_AFAR]
+    for role, fault in (first_hand or faults)[:1]:
+        return f"a fault of the {role} ended the session: {fault}"
+    return ""
 
 
 # what a gate says of a session that is not engaged, or that needs nothing from it
@@ -63,7 +98,11 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
         f"work p50 {loop['work_us']['p50'] or 0:.0f} us, p99 {loop['work_us']['p99'] or 0:.0f} us",
         f"{'':9} received {loop['received']}, lost {loop['lost']}, rejected {rejected}; "
         f"engaged {engaged:.1f} s, "
-        + (f"{len(faults)} faults, first: {faults[0]}" if faults else "no fault"),
+        + (
+            f"{len(faults)} fault{'s' * (len(faults) > 1)}, last: {faults[-1]}"
+            if faults
+            else "no fault"
+        ),
     ]
     if limits:
         told = ", ".join(
@@ -80,9 +119,19 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
 
 
 def force_line(error: Mapping[str, Any] | None) -> str:
-    """Return one line on the force error, or on its absence."""
+    """Return one line on the force error, or on its absence.
+
+    Of a full scale not far above the sensors' noise a percentage would say nothing of the estimate.
+    """
     if error is None:
         return "no distal tension measured to compare the estimate with"
+    if not error["pulled"]:
+        return (
+            f"nothing was pulled: largest true force {error['full_scale_N']:.1f} N; "
+            f"RMSE {error['rmse_N']:.3f} N, mean {error['mean_N']:.3f} N, "
+            f"max {error['max_N']:.3f} N; "
+            f"inside its interval {100 * error['inside_interval']:.1f} % of the time"
+        )
     return (
         f"RMSE {error['rmse_N']:.3f} N ({error['rmse_percent']:.1f} %), "
         f"mean {error['mean_N']:.3f} N, max {error['max_N']:.3f} N ({error['max_percent']:.1f} %) "

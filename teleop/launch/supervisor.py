@@ -15,7 +15,9 @@ from teleop.process import SUPERVISED
 
 VITAL = ("master", "slave")  # a session does without the others
 COMPLAINT = "teleop: "  # what the command line begins the one line of an error with
-_PATIENCE_S = 5.0  # a child that has not ended by then is killed
+_PATIENCE_S = 5.0  # a child that has not ended by then, nor said a word since, is killed
+_LONGEST_S = 90.0  # and so is one that goes on talking
+_POLL_S = 0.02
 _READ_S = 1.0  # what a child that has ended still had to say is there by then
 
 
@@ -28,6 +30,7 @@ class Child:
     summary: Path
     complaint: str = ""  # the one line of an error, which the launcher says at the end
     threads: list[threading.Thread] = field(default_factory=list)
+    heard_s: float = field(default_factory=time.monotonic)  # when it was started, or spoke last
 
     @property
     def exit_code(self) -> int | None:
@@ -103,16 +106,17 @@ class Supervisor:
         return None
 
     def stop(self, order: Sequence[str]) -> None:
-        """End the children in `order`, each given time to finish its work."""
+        """End the children in `order`, each given time to finish its work.
+
+        One that still has something to say has more of it: a slave lets tensions down first.
+        """
         for name in order:
             child = self.children.get(name)
             if child is None:
                 continue
             if child.exit_code is None:
                 child.process.terminate()
-            try:
-                child.process.wait(_PATIENCE_S)
-            except subprocess.TimeoutExpired:
+            if not ends(child):
                 self._say(name, f"did not end within {_PATIENCE_S:g} s and was killed")
                 child.process.kill()
                 child.process.wait()
@@ -122,10 +126,22 @@ class Supervisor:
         assert child.process.stdout is not None  # noqa: S101 - given as PIPE above
         with child.process.stdout as lines:
             for line in map(str.rstrip, lines):
+                child.heard_s = time.monotonic()
                 if line.startswith(COMPLAINT):
                     child.complaint = line.removeprefix(COMPLAINT)
                 else:
                     self._say(child.name, line)
+
+
+def ends(child: Child) -> bool:
+    """Return whether a child that was asked to end does, before patience with it is lost."""
+    asked_s = time.monotonic()
+    while child.exit_code is None:
+        patience_s = max(asked_s, child.heard_s) + _PATIENCE_S
+        if time.monotonic() > min(patience_s, asked_s + _LONGEST_S):
+            return False
+        time.sleep(_POLL_S)
+    return True
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:

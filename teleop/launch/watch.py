@@ -5,14 +5,13 @@ from collections.abc import Iterable
 
 from teleop.errors import PeerError, TeleopError
 from teleop.launch.status import StatusLine, status_text
-from teleop.launch.supervisor import Child, Supervisor, wait_for
+from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Heard, Link, Listener
 from teleop.messages import Event, LoopReport, text_of
 from teleop.process import Stop
-from teleop.session import State
 from teleop.topics import REPORT, STATE, TENDONS, Role, role_name
 
-START_S = 120.0  # the first start compiles the estimator and the plant
+START_S = 120.0  # without a word of the slave; the first start compiles estimator and plant
 _LOOK_S = 0.1
 
 
@@ -21,7 +20,7 @@ class Hearing:
 
     def __init__(self) -> None:
         self.reports: dict[Role, LoopReport] = {}
-        self._heard_of: set[int] = set()
+        self._said: dict[int, str] = {}  # last, by each role
 
     @property
     def running(self) -> bool:
@@ -38,10 +37,10 @@ class Hearing:
                     self.reports[Role(report.role)] = report
             else:
                 event = Event.unpack(item.data)
-                first = event.role not in self._heard_of
-                self._heard_of.add(event.role)
-                if not first or event.state != State.OFF:  # all begin with it
-                    lines.append(f"[{role_name(event.role)}] {text_of(event.text)}")
+                text = text_of(event.text)
+                if text != self._said.get(event.role):
+                    lines.append(f"[{role_name(event.role)}] {text}")
+                self._said[event.role] = text
         return lines
 
 
@@ -55,25 +54,35 @@ def require_free(link: Link) -> None:
             )
 
 
-def wait_for_slave(link: Link, family: Supervisor, stop: Stop) -> Child | None:
-    """Wait for the slave to answer; return a child whose end came first, if one's did."""
-    link.subscribe_latest(STATE)
-    ended: list[Child] = []
+def wait_for_slave(
+    link: Link,
+    listener: Listener,
+    hearing: Hearing,
+    family: Supervisor,
+    status: StatusLine,
+    stop: Stop,
+) -> Child | None:
+    """Wait for the slave to answer; return a child whose end came first, if one's did.
 
-    def settled() -> bool:
+    A slave that calibrates its rig first answers late, and says how far it is meanwhile.
+    """
+    link.subscribe_latest(STATE)
+    while not stop() and link.latest(STATE).message is None:
+        for line in hearing.take(listener.drain()):
+            status.say(line)
         child = family.casualty()
         if child is not None:
-            ended.append(child)
-        return bool(ended) or stop() or link.latest(STATE).message is not None
-
-    if not wait_for(settled, START_S):
-        raise TeleopError(f"the slave did not start within {START_S:g} s")
-    return ended[0] if ended else None
+            return child
+        if time.monotonic() > family.children["slave"].heard_s + START_S:
+            raise TeleopError(f"the slave did not start within {START_S:g} s")
+        time.sleep(_LOOK_S)
+    return None
 
 
 def watch(
     link: Link,
     listener: Listener,
+    hearing: Hearing,
     family: Supervisor,
     status: StatusLine,
     stop: Stop,
@@ -85,11 +94,12 @@ def watch(
     ----------
     listener : Listener
         Of events and reports, since before the first child was started.
+    hearing : Hearing
+        What has been heard so far.
     duration_s : float or None
         [s] of running, counted from when both loops have reported; None for ever.
     """
     link.subscribe_latest(TENDONS)
-    hearing = Hearing()
     patience = time.monotonic() + START_S
     end = float("inf")
     while not stop():

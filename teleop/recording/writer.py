@@ -20,6 +20,7 @@ from mcap.writer import CompressionType, Writer
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Heard
 from teleop.messages import LAYOUT
+from teleop.process import supervised
 from teleop.recording.config import RecordConfig
 from teleop.recording.gaps import Gaps
 from teleop.recording.names import (
@@ -192,7 +193,7 @@ class RecordingWriter:
             self._file.close()
             raise TeleopError(
                 f"{self.path}: cannot write on: {error.strerror}; what was in the file is kept, "
-                "free some space or choose another --out"
+                f"free some space or choose another {option()}"
             ) from error
         self.messages = dict(self._taken)
         self.first_ns, self.last_ns = self._span_ns
@@ -252,8 +253,13 @@ def _create(directory: Path, session: str, started_ns: int) -> tuple[Path, io.Fi
                 attempt += 1
     except OSError as error:
         raise UsageError(
-            f"{directory}: cannot record here: {error.strerror}; choose another --out"
+            f"{directory}: cannot record here: {error.strerror}; choose another {option()}"
         ) from error
+
+
+def option() -> str:
+    """Return the option that says where to record, as the command that the user gave has it."""
+    return "--record" if supervised() else "--out"
 
 
 def _version(distribution: str) -> str:

@@ -6,8 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from slave.calibration.analysis import analyse, evaluate
+from slave.calibration.analysis import analyse
 from slave.calibration.config import KnownSheathConfig
+from slave.calibration.direction import calibrated as calibrated_by_loop
+from slave.calibration.direction import described
 from slave.calibration.memory import Phase
 from slave.calibration.pulled import Pulled, loops
 from slave.calibration.run import Refused
@@ -35,8 +37,9 @@ def record(bent, initialise=QUICK):
 
 
 def direction_a(bent, known=KNOWN):
-    """Return what is found of tendon a, and the model that the estimator gets."""
-    return evaluate(Pulled(record(bent), 0, 0), known, QUICK.low)
+    """Return what tendon a's loop says, and the model that the estimator gets of it."""
+    pulled = Pulled(record(bent), 0, 0)
+    return described(pulled, known, calibrated_by_loop(pulled, known, QUICK.low))
 
 
 def integral(sections, friction, sign):
@@ -154,8 +157,8 @@ def test_a_cell_to_be_tared_is_refused():
 
 def test_too_little_range_is_refused():
     found = record(joint(2.0), but(QUICK, low=0.5))
-    with pytest.raises(Refused, match=r"joint 1, tendon a: .*pull higher"):
-        evaluate(Pulled(found, 0, 0), KnownSheathConfig(LENGTH, EA), 0.5)
+    with pytest.raises(Refused, match=r"joint 1, tendon a: .*raise slave.initialise.tension"):
+        calibrated_by_loop(Pulled(found, 0, 0), KnownSheathConfig(LENGTH, EA), 0.5)
 
 
 def test_a_stop_that_comes_too_early_is_refused_where_the_range_is_known():

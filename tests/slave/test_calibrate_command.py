@@ -1,12 +1,16 @@
 """`teleop calibrate`, from the command line to the file."""
 
+import dataclasses
+import re
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
 from slave.calibration import command, file, run
+from slave.calibration.config import InitialiseConfig
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, hindrance_of, tendon_configs
 from slave.rigs import open_rig
@@ -77,9 +81,42 @@ def test_one_joint_alone_renews_its_part_of_the_file(done, capsys):
     assert after.tendons[2:] != before.tendons[2:]
     assert len(after.directions) == 4
     assert "joint 1 as of" in after.method
-    printed = capsys.readouterr().out
+    printed, noted = capsys.readouterr()
     assert "K" in printed
-    assert f"--set slave.calibration={out}" in printed
+    assert f"{out}: replaces the calibration of {before.time}" in printed
+    assert f"teleop run --calibration {out}" in printed
+    assert {"tendon a", "tendon b"} == set(re.findall(r"joint 2, (tendon [ab]): ", noted))
+    assert len(noted.splitlines()) < 8
+
+
+def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(command, "initialise", lambda *_, **__: pytest.fail("work was done"))
+    config, other = config_file(tmp_path, rig_config(SHORT)), tmp_path / "notes.yaml"
+    other.write_text("of: mine")
+    before = config.read_bytes()
+    new = tmp_path / "new.yaml"
+    for words, said in [
+        (["--out", config], "is the config"),
+        (["--out", other], "is no calibration"),
+        (["--out", new, "--figure", config], "is the config or"),
+        (["--out", new, "--figure", new], "is the config or"),
+    ]:
+        assert teleop("--config", config, *words) == 2
+        line = capsys.readouterr().err
+        assert said in line
+        assert len(line.splitlines()) == 1
+    assert (config.read_bytes(), other.read_text()) == (before, "of: mine")
+    assert not new.exists()
+
+
+def test_every_setting_of_the_procedure_is_in_the_document_with_its_default():
+    text = (Path(__file__).parents[2] / "docs" / "calibration.md").read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", text, re.MULTILINE))
+    defaults = {
+        field.name: as_tree(getattr(InitialiseConfig(), field.name))
+        for field in dataclasses.fields(InitialiseConfig)
+    }
+    assert {name: yaml.safe_load(value) for name, value in rows.items()} == defaults
 
 
 def test_one_joint_alone_needs_to_know_the_others(done, tmp_path, capsys):
@@ -99,9 +136,9 @@ def test_a_joint_that_is_not_there_is_refused(done, tmp_path, capsys, number):
 def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, capsys):
     path = config_file(tmp_path, rig_config(joint(range=12.0)))
     assert teleop("--config", path, "--quick", "--out", tmp_path / "new.yaml") == 1
-    said = capsys.readouterr().err
+    *under_way, said = capsys.readouterr().err.splitlines()
     assert said.startswith("teleop: joint 1, tendon a: the load cell reads 12.00 N")
-    assert len(said.splitlines()) == 1
+    assert all(re.match(r" +[\d.]+ s +\d+%  joint 1, tendon [ab]: \w", line) for line in under_way)
     assert list(tmp_path.iterdir()) == [path]
 
 

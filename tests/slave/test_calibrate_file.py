@@ -179,3 +179,19 @@ def test_as_built_in_a_config_file_is_no_path(tmp_path):
     assert load(path, SlaveConfig, "slave").calibration == "as-built"
     path.write_text("slave: {calibration: arm.yaml}")
     assert load(path, SlaveConfig, "slave").calibration == tmp_path / "arm.yaml"
+
+
+def test_a_config_or_no_file_in_place_of_a_calibration_is_called_what_it_is(tmp_path):
+    path = tmp_path / "demo.yaml"
+    with pytest.raises(UsageError, match=r"demo\.yaml: cannot read the calibration"):
+        file.load(path)
+    path.write_text("session: demo\nslave: {}\n")
+    with pytest.raises(UsageError, match=r"demo\.yaml: is no calibration but a session's config"):
+        file.load(path)
+
+
+def test_a_calibration_of_too_many_tendons_says_what_it_is_of(tmp_path):
+    path = tmp_path / "arm.yaml"
+    file.save(path, Calibration(rig="arm", tendons=(TendonConfig(effective_friction=1.0),) * 8))
+    with pytest.raises(UsageError, match=r"arm\.yaml: .*'arm': 8 tendons described, the rig has 2"):
+        tendon_configs(SlaveConfig(calibration=path), 2)

@@ -49,11 +49,14 @@ class Use:
         rig, motor, dt = SimulatedRig(config), np.zeros(2), 1.0 / RATE
         for k in range(round(seconds * RATE)):
             for sample in rig.read(k * dt):
+                T, q = sample.proximal_tension, sample.proximal_displacement
+                estimates = [None, None]
                 for i in range(2):
-                    T, q = sample.proximal_tension[i], sample.proximal_displacement[i]
-                    estimate, states[i] = online.step(prepared[i], states[i], T, q, dt)
+                    estimates[i], states[i] = online.step(prepared[i], states[i], T[i], q[i], dt)
+                for i in range(2):
+                    against = estimates[1 - i].distal_tension
                     self.watches[i] = monitor.step(
-                        CONFIG, watched[i], self.watches[i], estimate, T, q, dt
+                        CONFIG, watched[i], self.watches[i], estimates[i], T[i], q[i], against, dt
                     )
             self.time.append(k * dt)
             self.advice.append(monitor.advice(CONFIG, self.watches))
@@ -117,15 +120,24 @@ def test_a_tip_that_is_moved_by_its_environment_is_no_change_of_shape(swing):
     assert set(use.advice) == {Advice.NONE}
 
 
+def watch(*errors, doubt=0.01):
+    return Watch(errors=errors, doubts=(doubt,) * len(errors))
+
+
 def test_nothing_is_said_before_three_transitions():
-    assert monitor.force_error(Watch(errors=(0.5, 0.5))) == 0.0
-    assert monitor.force_error(Watch(errors=(0.5, 0.5, 0.5))) == 0.5
-    assert monitor.force_error(Watch(errors=(0.5, 0.0, 0.0, 0.01))) < 0.01
+    assert monitor.force_error(watch(0.5, 0.5)) == 0.0
+    assert monitor.force_error(watch(0.5, 0.5, 0.5)) == 0.5
+    assert monitor.force_error(watch(0.5, 0.0, 0.0, 0.01)) < 0.01
 
 
 def test_transitions_that_contradict_each_other_say_nothing():
-    assert monitor.force_error(Watch(errors=(0.3, 0.9, 0.35, 0.88, -0.3))) == 0.0
-    assert monitor.force_error(Watch(errors=(0.0, 0.01, 0.28, 0.29, 0.27))) == 0.27
+    assert monitor.force_error(watch(0.3, 0.9, 0.35, 0.88, -0.3)) == 0.0
+    assert monitor.force_error(watch(0.0, 0.01, 0.28, 0.29, 0.27)) == 0.27
+
+
+def test_an_error_within_its_doubt_says_nothing():
+    assert monitor.force_error(watch(0.12, 0.11, 0.13, doubt=0.07)) == 0.0
+    assert monitor.force_error(watch(-0.12, -0.11, -0.13, doubt=0.05)) == -0.12
 
 
 def test_what_the_estimator_does_not_trust_does_not_count():
@@ -133,9 +145,10 @@ def test_what_the_estimator_does_not_trust_does_not_count():
     prepared = online.prepare(model)
     estimate, _ = online.step(prepared, online.initial(prepared), 5.0, 0.0, 0.0)
     assert estimate.status & online.Status.UNINITIALISED
-    watch = Watch(pulled=True, errors=(0.1,))
-    after = monitor.step(CONFIG, monitor.prepare(model), watch, estimate, 5.0, 0.0, 0.001)
-    assert after == Watch(errors=(0.1,))
+    known = watch(0.1)
+    before = known._replace(pulled=True)
+    after = monitor.step(CONFIG, monitor.prepare(model), before, estimate, 5.0, 0.0, 0.0, 0.001)
+    assert after == known
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from slave.calibration.run import Refused
 from slave.plant.environment import TissueConfig, WallConfig
 from tests.slave.calibration_bench import (
     GATE,
+    KNOWN,
     QUICK,
     RANGE,
     HousingOnly,
@@ -51,7 +52,33 @@ def phases(record, j=0):
 
 def test_it_does_for_both_directions_what_the_paper_does_for_each(run):
     one = [Phase.TAKE_UP, Phase.SEEK, Phase.SLACKEN, *(Phase.RELEASE, Phase.PULL, Phase.RELEASE)]
-    assert phases(run.record) == [*one, *one, Phase.TAKE_UP, Phase.RETURN, Phase.SETTLE]
+    assert phases(run.record) == [*one, *one, Phase.TAKE_UP, Phase.DRAG, Phase.SETTLE]
+
+
+@pytest.fixture(scope="module")
+def full():
+    return Run(joint(), initialise=but(KNOWN, loops=1))
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_in_a_drag_both_tendons_slide_one_way_while_their_tensions_rise_and_fall(full, side):
+    rows = np.flatnonzero(full.rows(2 + side, Phase.DRAG))
+    rows = rows[len(rows) // 4 :]
+    housing = full.record.travel[rows]
+    for way in (housing, full.tip[rows]):
+        steps = way[50:] - way[:-50]
+        assert steps[:, side].min() > 0.0
+        assert steps[:, 1 - side].max() < 0.0
+    tension = full.record.tension[rows]
+    assert 0.8 * KNOWN.tension < tension[:, side].max() < KNOWN.tension
+    assert tension[:, 1 - side].max() > 10.0 * KNOWN.keep
+    assert tension[-1, side] < 0.3 * tension[:, side].max()
+
+
+def test_the_full_form_drags_both_ways_and_ends_in_the_middle_too(full):
+    assert phases(full.record)[-3:] == [Phase.TAKE_UP, Phase.DRAG, Phase.SETTLE]
+    assert full.record.side[full.record.phase == Phase.DRAG].max() == 3
+    assert full.tip[-1, 0] == pytest.approx(0.0, abs=0.05 * RANGE)
 
 
 @pytest.mark.parametrize("side", [0, 1])

@@ -167,6 +167,102 @@ def test_a_drift_is_even_and_ends_at_its_limit(healthy):
     assert error == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("proximal_tension_gain", lambda reading: 1.06 * reading),
+        ("distal_tension_gain", lambda reading: 1.06 * reading),
+        ("proximal_tension_bias", lambda reading: reading + 0.4),
+        ("distal_tension_bias", lambda reading: reading + 0.4),
+        ("encoder_scale", lambda reading: 1.04 * reading),
+        ("encoder_slip", lambda reading: reading + 8e-5),
+    ],
+)
+def test_a_sensor_reads_too_much_by_what_is_said_from_its_start_on(name, expected, healthy):
+    rows, channel = run(SINGLE, made(name, start=0.5)), SENSORS[name]
+    after = rows["time_s"] > 0.5 - 1e-9
+    reading = healthy[SINGLE][channel]
+    assert rows[channel][after] == pytest.approx(expected(reading[after]), rel=1e-9, abs=1e-12)
+    assert np.array_equal(rows[channel][~after], reading[~after])
+
+
+@pytest.mark.parametrize(
+    ("sensor", "channel"), [("proximal_displacement", Q_IN), ("distal_displacement", Q_OUT)]
+)
+def test_a_late_sensor_comes_nearer_by_63_percent_in_its_time_constant(sensor, channel):
+    def step(*effects):
+        return run(SINGLE, *effects, seconds=1.0, path=lambda _: 5e-3)[channel][:, 0]
+
+    behind = step() - step(made("sensor_lag", time_constant=0.06, sensor=sensor))
+    assert behind[360] / behind[300] == pytest.approx(np.exp(-1.0), rel=0.01)
+    assert behind.sum() * 1e-3 == pytest.approx(0.06 * step()[-1], rel=0.02)
+
+
+@pytest.mark.parametrize("joint", [SINGLE, PAIR])
+def test_a_pretension_is_added_to_that_of_the_body_and_moves_nothing(joint):
+    rows = run(joint, made("pretension", tension=3.0), stroke=0.0, seconds=0.3)
+    for channel in (T_IN, T_OUT):
+        assert rows[channel] == pytest.approx(joint.body.pretension + 3.0, abs=1e-9)
+    assert np.abs(rows[Q_OUT]).max() < 1e-9
+
+
+def test_an_antagonist_tension_is_what_a_blocked_tendon_without_friction_gets():
+    straight = replace(QUIET, sheath=SheathConfig(friction=0.0))
+    held = JointConfig((straight,) * 2, BodyConfig(pretension=2.0, friction=100.0), FreeConfig())
+    for tendon, expected in (("a", (3.5, 2.0)), ("b", (2.0, 3.5))):
+        tight = made("antagonist_tension", tension=1.5, tendon=tendon, start=0.1)
+        rows = run(held, tight, stroke=0.0, seconds=0.3)
+        assert rows[T_IN][-1] == pytest.approx(expected, abs=0.005)
+        assert np.abs(rows[Q_IN]).max() < 1e-6  # no encoder knows
+
+
+@pytest.mark.parametrize("ratio", [4.5, 0.25])
+def test_a_sheath_bent_more_at_its_tip_stretches_its_tendon_as_its_tensions_say(ratio):
+    """Curvature grows by equal ratios along x; de = T dx/EA, dT = -mu T ds/R: summed up."""
+    held = JointConfig((QUIET,), BodyConfig(pretension=0.2, friction=100.0), FreeConfig())
+    rows = run(held, made("nonuniform_curvature", ratio=ratio), stroke=3e-3, seconds=0.5)
+    n = 4000
+    curvature = ratio ** ((np.arange(n) + 0.5) / n)
+    bend = 0.15 * 1.5 / 0.225 * curvature / curvature.sum()
+    share = np.cumprod(1.0 - bend)  # of the tension at the housing
+    elongation = rows[Q_IN][-1] + 0.2 * 1.5 / 9000.0
+    assert rows[T_IN][-1] == pytest.approx(elongation * 9000.0 / 1.5 / share.mean(), rel=0.01)
+    assert rows[T_OUT][-1] / rows[T_IN][-1] == pytest.approx(share[-1], rel=0.01)
+
+
+def resistance(*effects):
+    """Return the force [N] on a free joint but for spring and damping, its speed, acceleration."""
+    rows = run(JointConfig((QUIET,), BodyConfig(), FreeConfig()), *effects)
+    travel = rows[Q_OUT][:, 0]
+    speed = np.diff(travel, prepend=0.0) / 1e-3
+    left = rows[T_OUT][:, 0] - 1.0 - 200.0 * travel - 2.0 * speed
+    return left[1:], speed[1:], np.diff(speed) / 1e-3
+
+
+def test_a_heavy_tip_takes_mass_times_acceleration():
+    force, _, acceleration = resistance(made("tip_inertia", mass=0.5))
+    assert np.ptp(acceleration) > 0.3
+    mass = force @ acceleration / (acceleration @ acceleration)
+    assert mass == pytest.approx(0.02 + 0.5, rel=0.01)
+
+
+def test_joint_friction_is_a_force_against_the_speed():
+    force, speed, acceleration = resistance(made("joint_friction", friction=0.5))
+    moving = np.abs(speed) > 1e-3
+    assert moving.sum() > 1000
+    dry = (force - 0.02 * acceleration)[moving]
+    assert dry == pytest.approx(0.5 * np.sign(speed[moving]), abs=0.01)
+
+
+def test_backlash_of_the_joint_is_all_that_a_small_force_moves_it_by():
+    nudge = LoadMotorConfig(profile=((0.0, 0.1), (0.5, 0.1), (0.6, -0.1)))
+    joint = replace(PAIR, body=BodyConfig(pretension=2.0, spring=0.0), environment=nudge)
+    play = np.ptp(run(joint, made("joint_backlash", play=1e-3), stroke=0.0)[Q_OUT][:, 0])
+    tight = np.ptp(run(joint, stroke=0.0)[Q_OUT][:, 0])
+    assert play - tight == pytest.approx(1e-3, rel=0.01)
+    assert tight < 2e-4
+
+
 def test_wear_goes_with_the_distance_that_the_tendon_slid():
     rows = run(SINGLE, made("friction_drift", per_second=0.0, per_metre=10.0, limit=5.0))
     slid = np.cumsum(np.abs(np.diff(rows[Q_IN][:, 0], prepend=0.0)))
@@ -283,7 +379,11 @@ def test_all_effects_can_be_written_in_a_config_file(tmp_path):
         ("{type: joint_friction, joint: 3}", r"effects\.0\.joint: 3: must be 1 to 2"),
         ("{type: joint_friction, friction: -1}", r"effects\.0\.friction: -1"),
         ("{type: slack, joint: 1, tendon: b}", r"effects\.0\.tendon: .*no joint with a b"),
-        ("{type: antagonist_tension, joint: 1}", r"effects\.0\.tendon: .*no joint with a b"),
+        ("{type: antagonist_tension, joint: 1}", r"effects\.0\.joint: .*must be one of two"),
+        ("{type: antagonist_tension, joint: 1, tendon: a}", r"effects\.0\.joint: .*one of two"),
+        ("{type: creep}, {type: creep, joint: 2, tendon: b}", r"two of type creep do not add up"),
+        ("{type: lost_samples, share: 0.6}", r"share: 0\.6: must be at most 0\.5 in bursts of 1"),
+        ("{type: repeated_samples, share: 0.8, burst: 3}", r"share: 0\.8: must be at most 0\.75"),
         ("{type: pretension, start: 1}", r"effects\.0\.start: 1.0: must be 0 s"),
         ("{type: joint_frictoin}", r"did you mean 'joint_friction'"),
         ("{type: lost_samples, share: 0.95}", r"effects\.0\.share: 0.95"),
@@ -297,12 +397,38 @@ def test_an_effect_that_cannot_be_is_refused_in_one_line(effect, message, tmp_pa
     assert "\n" not in str(refused.value)
 
 
+ONE_ALONE = {name for name, effect in BY_NAME.items() if not effect.adds_up}
+
+
 def test_effects_add_up():
-    fields = [f.name for f in dataclasses.fields(BY_NAME["joint_friction"])]
-    assert {"joint", "start", "friction"} <= set(fields)
     once = run(SINGLE, made("proximal_tension_bias", bias=0.2), seconds=0.01)
     twice = run(SINGLE, *[made("proximal_tension_bias", bias=0.2)] * 2, seconds=0.01)
     assert twice[T_IN] - once[T_IN] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("name", sorted({*PHYSICS, *SENSORS} - ONE_ALONE - {"stuck_cell"}))
+def test_two_that_are_accepted_do_more_than_one(name):
+    """Parted, jammed or saturated twice is more only where or how it differs."""
+    other = {
+        "broken_tendon": {"share": 0.1},
+        "jammed_tendon": {"share": 0.1},
+        "saturation": {"limit": 4.0},
+        "tip_moved": {"travel": -1e-3},
+    }.get(name, {})
+    of_both = [made(name), made(name, **other)]
+    if name == "broken_tendon":  # its pieces differ in what drags
+        of_both.append(made("constant_drag"))
+    one, two = run(SINGLE, of_both[0], *of_both[2:]), run(SINGLE, *of_both)
+    assert any(np.abs(two[c] - one[c]).max() > 0.1 * VISIBLE[c] for c in CHANNELS)
+
+
+@pytest.mark.parametrize("name", sorted(ONE_ALONE))
+def test_two_that_would_act_as_one_are_refused_on_the_same_tendon(name):
+    refused = rf"effects\[1\]: .*two of type {name} do not add up"
+    with pytest.raises(ValueError, match=refused):
+        SimulatedRigConfig(joints=(PAIR,), effects=(made(name, tendon="a"), made(name)))
+    apart = made(name, tendon="a"), made(name, tendon="b"), made("slack")
+    assert SimulatedRigConfig(joints=(PAIR,), effects=apart).effects == apart
 
 
 RIGS_PAGE = Path(__file__).parents[2] / "docs" / "rigs.md"

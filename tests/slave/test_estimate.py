@@ -8,7 +8,7 @@ import yaml
 
 from slave.calibration.file import Calibration
 from slave.plant.environment import STIFFNESS_MAX
-from slave.table import read_table, write_table
+from slave.table import Columns, read_table, write_table
 from teleop import cli
 from teleop.config import load
 
@@ -151,3 +151,50 @@ def test_a_calibration_file_of_another_kind_is_refused(bench, tmp_path, capsys):
     path = tmp_path / "wrong.yaml"
     path.write_text(yaml.safe_dump({"tendons": [{"effective_friction": -1.0}]}))
     assert "sheath K" in one_line([bench, "--calibration", path], capsys)
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """Return the config of a joint of two tendons that differ, and data of it."""
+    folder = tmp_path_factory.mktemp("pair")
+    config, data = folder / "pair.yaml", folder / "pair.csv"
+    sheath = "{{sheath: {{sections: [{{length: 1.5, radius: {}}}]}}}}"
+    config.write_text(
+        f"slave: {{calibration: as-built, rig: {{type: simulated, joints: [{{tendons: "
+        f"[{sheath.format(0.225)}, {sheath.format(0.45)}], environment: {{type: free}}}}]}}}}"
+    )
+    assert cli.main(["simulate", str(config), "--out", str(data), "--duration", "8"]) == 0
+    return config, data
+
+
+@pytest.mark.parametrize(
+    ("words", "tendon", "bend"),
+    [
+        ([], "1a", 0.225),
+        (["--tendon", "1a"], "1a", 0.225),
+        (["--tendon", "1b"], "1b", 0.45),
+        (["--tendon", "2"], "1b", 0.45),
+    ],
+)
+def test_of_several_tendons_one_is_estimated_and_named(pair, words, tendon, bend, tmp_path, capsys):
+    config, data = pair
+    summary = summary_of(tmp_path, data, "--config", config, *words)
+    assert summary["tendon"] == tendon
+    assert summary["model"]["sections"][0]["radius"] == bend
+    assert f"tendon    {tendon}" in capsys.readouterr().out
+    error = summary["force_error"]
+    assert error["rmse_N"] < 0.1  # data and model are of the same one
+    measured = read_table(data, Columns.of_tendon(1 + (tendon == "1b"))).distal_tension
+    assert error["full_scale_N"] == measured.max()
+
+
+def test_a_tendon_that_is_not_there_is_one_line(pair, capsys):
+    config, data = pair
+    said = one_line([data, "--config", config, "--tendon", "2a"], capsys)
+    assert "1a, 1b, 1, 2" in said
+
+
+def test_the_length_a_fit_assumes_is_said(bench, capsys):
+    assert cli.main(["estimate", str(bench), "--fit", "--length", "1.2"]) == 0
+    printed = capsys.readouterr().out
+    assert "for a length of 1.2 m (--length): EA and L only enter as EA/L = 6" in printed

@@ -89,6 +89,7 @@ def test_the_folder_has_tables_figures_and_a_page_that_needs_no_other_file(ran):
     assert page.count("data:image/png;base64,") == len(figures)
     assert not re.search(r'(src|href)="(?!data:)', page)
     text = (folder / "table.md").read_text()
+    assert f"{SHEATHS} of {SHEATHS} sheaths within" in text.partition("|")[0]
     for phase in (*PHASES, WHOLE, "published", *METHODS, *MOTIONS):
         assert phase in text
         assert phase in page
@@ -110,6 +111,7 @@ def test_the_same_seed_gives_the_same_numbers_in_any_process(ran):
         ["--seed", "-1"],
         ["--jobs", "0"],
         ["--out", "/proc/nowhere"],
+        ["--out", __file__],
         ["--json", "/no/where.json"],
         ["--fly"],
     ],
@@ -119,4 +121,5 @@ def test_wrong_words_are_refused_in_one_line_before_the_work(words, monkeypatch,
     assert cli.main(["bench", "paper", *words]) == 2
     said = capsys.readouterr().err
     assert words[0] in said
+    assert "Errno" not in said
     assert len(said.splitlines()) == 1

@@ -28,7 +28,8 @@ LONG = 3 * round(CONFIG.silence_max / DT)  # ticks
 
 def sample(time_s, tension=5.0, displacement=0.01):
     travel = None if displacement is None else np.array([displacement])
-    return RigSample(time_s, np.array([tension]), travel)
+    flicker = 1e-9 * (round(time_s / DT) % 7)  # [N] the cell lives
+    return RigSample(time_s, np.array([tension + flicker]), travel)
 
 
 def command(state, position=0.0):
@@ -242,7 +243,7 @@ def test_engaging_on_a_command_that_is_no_number_does_not_spoil_what_follows():
     ):
         output, memory = tick(memory, [sample(k * DT)], command(state, position))
     assert memory.session.state == State.ENGAGED
-    assert output.motor == pytest.approx((0.01,), abs=1e-15)
+    assert output.motor == pytest.approx((0.01,), abs=1e-12)
 
 
 @pytest.mark.parametrize("why", ["stale", "released", "fault", "silent"])
@@ -257,7 +258,7 @@ def test_the_motor_holds_as_soon_as(why):
             fresh=why != "stale",
             fault=Reason.RIG_FAULT if why == "fault" else Reason.NONE,
         )
-        assert output.motor == held
+        assert output.motor == pytest.approx(held, abs=1e-12)
     assert memory.session.state != State.ENGAGED
     if why == "silent":
         assert memory.session.reason == Reason.SAMPLES_STALE

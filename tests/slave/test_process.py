@@ -95,7 +95,8 @@ class Bench:
         if self.reads == self.read_fails_at:
             self.fail()
         encoder = None if self.encoder is None else np.array([self.encoder])
-        return (RigSample(time_s, np.array([5.0]), encoder),)
+        flicker = 1e-9 * (self.reads % 7)  # [N] the cell lives
+        return (RigSample(time_s, np.array([5.0 + flicker]), encoder),)
 
     def write(self, proximal_displacement):
         self.after_fault += self.failed
@@ -317,3 +318,11 @@ def test_the_command_closes_its_rig_and_tells_what_failed(monkeypatch, tmp_path,
         summary = json.loads(path.read_text())
         assert (summary["final_state"], summary["reason"]) == ("fault", Reason.RIG_FAULT.text)
         assert summary["stopped"] == "rig: the amplifier has tripped"
+
+
+@pytest.mark.usefixtures("quiet_process")
+def test_an_effect_that_never_came_on_is_warned_of_at_the_end(capsys):
+    effects = "slave.rig.effects=[{type: friction_step, start: 100}, {type: slack}]"
+    assert process.main(arguments("--duration", "0.5", "--set", effects)) == 0
+    (warning,) = (line for line in capsys.readouterr().out.splitlines() if "WARNING" in line)
+    assert "friction_step starts at 100 s" in warning

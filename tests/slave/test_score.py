@@ -28,3 +28,10 @@ def test_without_a_bench_sensor_there_is_nothing_to_say():
     score = Score()
     score.add(1.0, 0.0, 2.0, math.nan)
     assert score.summary() is None
+
+
+@pytest.mark.parametrize(("noise", "pulled"), [(0.0, True), (0.004, True), (0.01, False)])
+def test_a_force_that_hardly_stands_out_of_the_noise_is_no_full_scale(noise, pulled):
+    score = Score(noise)
+    score.add(1.2, 0.0, 2.0, 1.1)
+    assert score.summary()["pulled"] is pulled

@@ -164,3 +164,20 @@ def test_a_replayed_rig_cannot_be_simulated(tmp_path):
     config.write_text("slave: {rig: {type: replayed, file: x.csv}}\n")
     with pytest.raises(UsageError, match="simulated"):
         run(config, "--out", tmp_path / "x.csv")
+
+
+def test_an_effect_that_the_run_was_too_short_for_is_warned_of(tmp_path, capsys):
+    effects = "slave.rig.effects=[{type: slack, start: 100}, {type: joint_friction, start: 0.1}]"
+    run("--out", tmp_path / "x.csv", "--duration", 0.2, "--set", effects)
+    (warning,) = (line for line in capsys.readouterr().out.splitlines() if "WARNING" in line)
+    assert "slave.rig.effects.0: slack starts at 100 s" in warning
+
+
+@pytest.mark.parametrize(("end", "clipped"), [(8, True), (100, False)])
+def test_a_load_cell_that_was_at_its_end_is_warned_of(tmp_path, capsys, end, clipped):
+    words = ["--out", tmp_path / "x.csv", "--duration", 4, "--peak", 12]
+    cell = f"slave.rig.joints=[{{tendons: [{{load_cell: {{range: {end}}}}}]}}]"
+    run(*words, "--set", cell)
+    printed = capsys.readouterr().out
+    warning = f"readings end at {end} N (load_cell.range), --peak 12 N is never read"
+    assert (warning in printed) == clipped

@@ -53,6 +53,7 @@ AT_REST = np.zeros(N)
 TO_AND_FRO = 5e-3 * np.sin(np.arange(N) * DT * 5.0)
 RISING = 1.0 + np.arange(N) * 2e-3
 CONSTANT = np.full(N, 3.0)
+CONSTANT[0] = 2.0  # a cell that has ever shown something else
 
 
 @pytest.mark.parametrize("tension", [CONSTANT, RISING])
@@ -84,6 +85,37 @@ def test_a_stuck_cell_is_found_once_the_motor_moves(at):
     assert not found[: at + 90].any()
     assert (found[at + 110 :] == STUCK).all()
     assert not judged(values, AT_REST, total(0.01, 0.002)).any()
+
+
+@pytest.mark.parametrize(("noise", "resolution"), [(0.01, 0.002), (0.03, 0.0), (0.01, 0.01)])
+@pytest.mark.parametrize("at", [150, 1300])
+def test_a_stuck_cell_is_found_too_where_the_model_has_no_noise(at, noise, resolution):
+    values = readings(3.0 + 0.1 * np.sin(np.arange(N) * 0.003), noise, resolution)
+    values[at:] = values[at]
+    found = judged(values, TO_AND_FRO, 0.0)
+    assert not found[: at + 90].any()
+    assert np.isin(found[at + 110 :], [STUCK, SATURATED]).all()
+    assert not judged(values, AT_REST, 0.0).any()
+
+
+@pytest.mark.parametrize("resolution", [0.0, 0.002, 0.1])
+def test_where_the_model_has_no_noise_a_load_that_changed_is_not_taken_for_noise(resolution):
+    """Rising, swinging, hovering between two steps; then the same for as long while it moves."""
+    hovering = 3.0 + 0.1 * np.random.default_rng(3).integers(2, size=N)
+    for tension in (RISING, 3.0 + 2.0 * np.sin(np.arange(N) * 0.02), hovering):
+        values = readings(np.append(tension, np.full(N, tension[-1])), 0.0, resolution)
+        assert not judged(values, np.append(TO_AND_FRO, TO_AND_FRO), 0.0).any()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_cell_that_has_shown_one_reading_only_is_stuck_once_a_taut_tendons_motor_has_gone_2_mm(
+    noise,
+):
+    motor = np.arange(N) * 5e-6
+    found = judged(np.full(N, 3.0), motor, noise)
+    assert not found[motor < 2e-3].any()
+    assert (found[motor > 2.01e-3] == STUCK).all()
+    assert not judged(np.zeros(N), motor, noise).any()  # a slack tendon has no tension at all
 
 
 def test_a_flat_top_while_the_motor_pulls_is_a_saturated_cell():
@@ -163,6 +195,14 @@ def test_where_both_are_slack_the_first_or_tighter_of_them_is_broken():
     assert found[-1] == Finding(BROKEN, 1)
     found, _ = wound(before + [(0.0, 5.0, *drove)] + [(0.0, 0.0, *drove)] * 20)
     assert found[-1] == Finding(BROKEN, 0)
+
+
+def test_a_tendon_that_is_taut_by_value_goes_slack_from_where_it_is():
+    """Memory that was written out and read in is no longer the same object."""
+    copied = type(TAUT)(*TAUT)
+    for taut in (TAUT, copied):
+        broken, after = watch_slack(CONFIG, taut, 0.0, 5.0, 0.012, DT)
+        assert (broken, after.time, after.lost, after.wound) == (False, 0.0, 5.0, 0.012)
 
 
 def healthy(T_a, T_b, travel=0.0):

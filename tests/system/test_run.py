@@ -203,3 +203,54 @@ def command_of(pid):
         ["ps", "-o", "args=", "-p", str(pid)], capture_output=True, text=True, check=False
     )
     return out.stdout
+
+
+def test_a_slave_that_is_never_usable_is_told_why_and_exit_code_1(demo_config, tmp_path):
+    calibration = tmp_path / "c.yaml"
+    calibration.write_text("{rig: another, tendons: [{effective_friction: 0.8}]}\n")
+    code, out, err = run(
+        demo_config,
+        tmp_path,
+        "--duration",
+        "1",
+        "--view",
+        "none",
+        "--calibration",
+        str(calibration),
+    )
+    assert code == 1
+    why = "c.yaml does not fit: it is of the rig 'another', this one is 'demo'"
+    assert out.count(why) == 1
+    (line,) = err.splitlines()
+    assert why in line
+    summary = json.loads((tmp_path / "run.json").read_text())
+    assert why in summary["reason"]
+    assert summary["exit_code"] == 1
+
+
+def test_a_fault_that_ends_the_session_is_named_and_exit_code_1(demo_config, tmp_path):
+    effects = "slave.rig.effects=[{type: stuck_cell, start: 1.5}]"
+    code, out, err = run(
+        demo_config, tmp_path, "--duration", "4", "--view", "none", "--set", effects
+    )
+    assert code == 1
+    fault = "a load cell repeats the same reading: joint 1, tendon a"
+    assert out.count(f"[slave] fault: {fault}") == 1
+    assert f"last: {fault}" in out
+    assert err == f"teleop: a fault of the slave ended the session: {fault}\n"
+
+
+def test_a_calibration_at_the_start_is_seen_and_interrupted_in_order(demo_config, tmp_path):
+    words = ("slave.initialise.at_start=true", "slave.rig.joints.0.environment={type: free}")
+    options = [word for text in words for word in ("--set", text)]
+    process = run(demo_config, tmp_path, "--view", "none", *options, wait=False)
+    line = ""
+    while "seeking" not in line and "pulling" not in line:
+        line = process.stdout.readline()
+        assert line, process.communicate()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "killed" not in out + err
+    assert "Traceback" not in out + err
+    assert not descendants_of(process.pid)

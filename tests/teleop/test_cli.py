@@ -87,7 +87,8 @@ from teleop import __main__
 def interrupt(*_):
     os.kill(os.getpid(), signal.SIGINT)
 
-if sys.argv.pop(1) == "importing":
+moment = sys.argv.pop(1)
+if moment == "importing":
     class Finder:
         def find_spec(name, *_):
             if name == "teleop.compile_cache":
@@ -95,20 +96,27 @@ if sys.argv.pop(1) == "importing":
     sys.meta_path.insert(0, Finder)
 else:
     import teleop.doctor
-    teleop.doctor.main = interrupt
+
+    def compiled(*_):
+        try:
+            interrupt()
+        except KeyboardInterrupt:
+            raise RuntimeError("no compiled object yet") from None
+
+    teleop.doctor.main = compiled if moment == "compiling" else interrupt
 sys.exit(__main__.main())
 """
 
 
-@pytest.mark.parametrize("moment", ["importing", "running"])
-def test_an_interrupted_command_ends_without_a_word(moment):
+@pytest.mark.parametrize("moment", ["importing", "running", "compiling"])
+def test_an_interrupted_command_says_so_in_one_line(moment):
     ended = subprocess.run(
         [sys.executable, "-c", INTERRUPTED, moment, "doctor"],
         capture_output=True,
         text=True,
         check=False,
     )
-    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "teleop: interrupted\n")
 
 
 def test_help_needs_no_device_transport_or_viewer_library():

@@ -190,7 +190,9 @@ def test_a_union_without_a_type_is_its_default_s(tmp_path: Path) -> None:
         ("rig: {type: replayed}", "slave.rig.file", "is missing; it is a path"),
         ("rig: {type: replayed, seed: 1}", "slave.rig.seed", "unknown key"),
         ("rig: {noise: -1}", "slave.rig.noise", "-1.0: is below 0; allowed is 0 or more"),
-        ("rig: 3", "slave.rig", "3 is not"),
+        ("rig: 3", "slave.rig", "3 is not {type: ..., ...}"),
+        ("rig: replayed", "slave.rig", "{type: replayed, ...} is wanted"),
+        ("sections: {type: bent}", "slave.sections", "[{type: bent, ...}] is wanted"),
         ("optional: 3", "slave.optional", "3 is not a mapping"),
     ],
 )

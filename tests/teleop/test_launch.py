@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from teleop import cli, process
-from teleop.errors import PeerError
+from teleop.errors import PeerError, TeleopError
 from teleop.launch import command, watch
 from teleop.launch import summary as summaries
 from teleop.launch.status import StatusLine, status_text
@@ -26,7 +26,9 @@ def loop(ticks=1000, latencies=0):
         "ticks": ticks, "rate_hz": 1000.0, "seconds": 1.0, "overruns": 3, "lateness_max_ms": 0.5,
         "work_us": some if ticks else none, "latency_ms": some if latencies else none,
         "role": "slave", "faults": ["the rig failed"] if ticks else [],
-        "ticks_in": {"engaged": ticks // 2}, "gate": {"PASSED": 1, "SPEED": ticks // 4},
+        "ticks_in": {"off": ticks - ticks // 2, "ready": 0, "engaged": ticks // 2, "fault": 0},
+        "not_usable": "no calibration", "reason": "", "ended_in": "",
+        "gate": {"PASSED": 1, "SPEED": ticks // 4},
         "received": 999, "lost": 7, "rejected": {"corrupted": 1, "foreign": 2},
     }  # fmt: skip
 
@@ -42,7 +44,7 @@ def test_the_summary_of_a_session_in_words():
     text = "\n".join(summaries.lines(whole))
     for words in (
         "received 999, lost 7, rejected 3",
-        "1 faults, first: the rig failed",
+        "1 fault, last: the rig failed",
         "speed 25.0 % of the ticks",
         "command to force p50 2.00 ms",
         "ping-pong, same sizes: p50 0.10 ms",
@@ -50,6 +52,35 @@ def test_the_summary_of_a_session_in_words():
         "a.mcap: 11 messages, 1 gaps",
     ):
         assert words in text
+
+
+def ended_in(fault):
+    return loop() | {"ended_in": fault}
+
+
+def test_a_session_that_was_never_usable_or_ended_in_a_fault_is_told_from_a_good_one():
+    never = loop() | {"ticks_in": dict.fromkeys(("ready", "engaged", "fault"), 0) | {"off": 9}}
+    assert summaries.trouble({"slave": loop(), "master": loop()}) == ""
+    assert summaries.trouble({"slave": loop(ticks=0), "master": None}) == ""
+    assert summaries.trouble({"slave": never}) == "the slave was never usable: no calibration"
+    afar = ended_in("the other side is at fault")
+    broken = ended_in("a tendon is broken: joint 1, tendon a")
+    said = "ended the session: a tendon is broken: joint 1, tendon a"
+    assert summaries.trouble({"slave": broken, "master": afar}) == f"a fault of the slave {said}"
+    assert summaries.trouble({"slave": afar, "master": broken}) == f"a fault of the master {said}"
+    assert "other side" in summaries.trouble({"slave": loop(), "master": afar})
+
+
+def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():
+    error = {
+        "full_scale_N": 1.1, "rmse_N": 0.13, "mean_N": 0.1, "max_N": 0.6, "inside_interval": 1.0,
+        "rmse_percent": 11.6, "mean_percent": 9.0, "max_percent": 55.0, "pulled": False,
+    }  # fmt: skip
+    line = summaries.force_line(error)
+    assert "nothing was pulled: largest true force 1.1 N" in line
+    assert "max 0.600 N" in line
+    assert "55" not in line
+    assert "max 0.600 N (55.0 %) of 1.1 N" in summaries.force_line(error | {"pulled": True})
 
 
 def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
@@ -103,17 +134,18 @@ def event(role, state, text):
     return heard(EVENT, Event(role=role, state=state, text=text_bytes(text)))
 
 
-def test_events_become_lines_but_for_the_state_all_begin_in():
+def test_events_become_lines_and_a_side_that_says_the_same_again_is_heard_once():
     hearing = watch.Hearing()
     events = [
-        event(Role.MASTER, State.OFF, "off: at the start"),
+        event(Role.SLAVE, State.OFF, "off: no calibration fits"),
         event(Role.MASTER, State.READY, "ready"),
-        event(Role.SLAVE, State.FAULT, "fault: at the start"),
-        event(Role.MASTER, State.OFF, "off: its device is gone"),
+        event(Role.SLAVE, State.OFF, "off: no calibration fits"),
+        event(Role.SLAVE, State.FAULT, "fault"),
     ]
-    assert hearing.take(events) == [
-        "[master] ready", "[slave] fault: at the start", "[master] off: its device is gone",
-    ]  # fmt: skip
+    lines = ["[slave] off: no calibration fits", "[master] ready", "[slave] fault"]
+    assert hearing.take(events) == lines
+    again = event(Role.MASTER, State.READY, "ready")
+    assert hearing.take([event(Role.SLAVE, State.READY, "ready"), again]) == ["[slave] ready"]
 
 
 def test_what_is_not_understood_neither_steers_the_terminal_nor_ends_the_session():
@@ -185,6 +217,78 @@ def test_children_are_ended_in_order_and_know_their_launcher(family):
     assert wait_for(lambda: len(family.said) == 3, 20.0)
     family.stop(command.ENDING)
     assert family.said[3:] == [("master", "bye"), ("slave", "bye"), ("record", "bye")]
+
+
+SAY_AND_END = (
+    "import signal, sys, time\n"
+    "def end(*_):\n"
+    "    for _ in range({}):\n"
+    "        time.sleep(0.2)\n"
+    "        print('letting go', flush=True)\n"
+    "    {}\n"
+    "signal.signal(signal.SIGTERM, end)\n"
+    "print('here', flush=True)\n"
+    "while True: signal.pause()\n"
+)
+
+
+@pytest.mark.parametrize(("after", "killed"), [("sys.exit(0)", False), ("time.sleep(60)", True)])
+def test_a_child_that_still_speaks_is_given_time_and_a_silent_one_is_killed(
+    family, monkeypatch, after, killed
+):
+    monkeypatch.setattr("teleop.launch.supervisor._PATIENCE_S", 1.0)
+    child = family.start("slave", [SAY_AND_END.format(10, after)])
+    assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
+    family.stop(["slave"])
+    assert family.said.count(("slave", "letting go")) == 10
+    assert (child.exit_code != 0) == killed
+    assert any("was killed" in line for _, line in family.said) == killed
+
+
+def test_a_child_that_only_speaks_is_killed_in_the_end(family, monkeypatch):
+    monkeypatch.setattr("teleop.launch.supervisor._LONGEST_S", 1.0)
+    family.start("slave", [SAY_AND_END.format(1000, "pass")])
+    assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
+    family.stop(["slave"])
+    assert any("was killed" in line for _, line in family.said)
+
+
+class Mute:
+    """A link on which no slave has answered yet, and a listener that hears of its calibration."""
+
+    def subscribe_latest(self, _topic):
+        pass
+
+    def latest(self, _topic):
+        return self
+
+    message = None
+
+    def drain(self):
+        return [event(Role.SLAVE, State.OFF, "off: calibrating")]
+
+
+class StopAt:
+    def __init__(self, asked):
+        self.left = asked
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0
+
+
+def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(family, monkeypatch):
+    stream = io.StringIO()
+    child = family.start("slave", ["import signal; signal.pause()"])
+    monkeypatch.setattr(watch, "START_S", 0.5)
+    waiting = (Mute(), Mute(), watch.Hearing(), family, StatusLine(stream))
+    assert watch.wait_for_slave(*waiting, StopAt(2)) is None
+    assert stream.getvalue() == "[slave] off: calibrating\n"
+    child.heard_s += 1.0
+    assert watch.wait_for_slave(*waiting, StopAt(7)) is None
+    child.heard_s -= 2.0
+    with pytest.raises(TeleopError, match="did not start"):
+        watch.wait_for_slave(*waiting, StopAt(7))
 
 
 # the order of events

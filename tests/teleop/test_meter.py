@@ -1,9 +1,11 @@
 """When a loop reports, and what."""
 
+import pytest
+
 from teleop.clock import Grid
 from teleop.link import Counts
 from teleop.meter import REPORT_PERIOD_NS, LoopMeter
-from teleop.session import Session
+from teleop.session import Reason, Session, State
 from teleop.topics import Role
 
 MS = 1_000_000
@@ -35,3 +37,40 @@ def test_the_rate_is_that_of_the_span_reported():
         report = loop.report(start + seconds * 1000 * MS, Session(), Counts())
         rates.append(report.rate_hz)
     assert rates == [250.0, 500.0]
+
+
+ENGAGED = Session(State.ENGAGED, Reason.NONE)
+READY = Session(State.READY, Reason.RELEASED)
+BROKEN = Session(State.FAULT, Reason.TENDON_BROKEN)
+WHERE = "joint 2, tendon b"
+
+
+@pytest.mark.parametrize(
+    ("sides", "ended"),
+    [
+        ([ENGAGED, READY], False),
+        ([READY, BROKEN], True),  # it stands
+        ([ENGAGED, BROKEN, BROKEN, READY], True),  # let go of, and nobody went on
+        ([ENGAGED, BROKEN, READY, BROKEN, READY], True),
+        ([ENGAGED, BROKEN, READY, ENGAGED, READY], False),
+        ([READY, BROKEN, READY], False),  # it took nothing away, and is over
+    ],
+)
+def test_a_fault_ends_a_session_unless_somebody_engages_again(sides, ended):
+    loop = LoopMeter(Role.SLAVE, Grid(1000, lambda: True))
+    for side in sides:
+        loop.tick(side, 0, WHERE if side is BROKEN else "")
+    summary = loop.summary(sides[-1], Counts(), {})
+    named = f"{Reason.TENDON_BROKEN.text}: {WHERE}"
+    assert summary["ended_in"] == (named if ended else "")
+    assert set(summary["faults"]) == ({named} if BROKEN in sides else set())
+
+
+def test_why_a_side_was_not_usable_is_remembered():
+    loop = LoopMeter(Role.SLAVE, Grid(1000, lambda: True))
+    loop.tick(Session(), 0, "no calibration fits")
+    finished = Session(State.OFF, Reason.RIG_FINISHED)
+    loop.tick(finished, 0)
+    summary = loop.summary(finished, Counts(), {})
+    assert summary["not_usable"] == f"{Reason.NOT_USABLE.text}: no calibration fits"
+    assert summary["reason"] == Reason.RIG_FINISHED.text

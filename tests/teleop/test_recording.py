@@ -18,6 +18,7 @@ from mcap_ros2.writer import Writer as Ros2Writer
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Heard
 from teleop.messages import LAYOUT, MESSAGES
+from teleop.process import SUPERVISED
 from teleop.recording.config import RecordConfig
 from teleop.recording.definition import dtype_of
 from teleop.recording.gaps import Gaps
@@ -315,6 +316,18 @@ def test_a_directory_that_cannot_be_written_is_a_usage_error(tmp_path):
         with pytest.raises(UsageError, match="cannot record here") as caught:
             RecordingWriter(RecordConfig(directory=str(directory)), "demo", START_NS)
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("launcher", "option"), [(None, "--out"), ("1", "--record")])
+def test_the_remedy_is_an_option_of_the_command_that_was_given(
+    tmp_path, monkeypatch, launcher, option
+):
+    monkeypatch.delenv(SUPERVISED, raising=False)
+    if launcher is not None:
+        monkeypatch.setenv(SUPERVISED, launcher)
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match=f"choose another {option}$"):
+        RecordingWriter(RecordConfig(directory=str(tmp_path / "file")), "demo", START_NS)
 
 
 def test_a_full_disk_ends_the_recording_and_keeps_what_is_there(tmp_path):

@@ -22,6 +22,8 @@ class Effect:
     joint: int | None = None  # counted from 1; null = every joint
     start: float = 0.0  # [s]
 
+    adds_up: ClassVar[bool] = True  # whether two of them on one tendon do more than the second
+
     def __post_init__(self) -> None:
         """Refuse a place or time that cannot be, and parameters out of their range."""
         if self.joint is not None and self.joint < 1:

@@ -15,6 +15,7 @@ class NonlinearStiffness(TendonEffect):
     type: Literal["nonlinear_stiffness"] = "nonlinear_stiffness"
     strain: float = ranged(1e-3, 0.0, 0.02)
     tension: float = ranged(2.0, 0.1, 100.0, "N")
+    adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect on top."""
@@ -28,6 +29,7 @@ class Creep(TendonEffect):
     type: Literal["creep"] = "creep"
     share: float = ranged(0.1, 0.0, 2.0)  # of the elastic elongation, in the end
     time_constant: float = ranged(8.0, 0.01, 1e4, "s")
+    adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect on top."""
@@ -46,6 +48,7 @@ class SheathCompression(TendonEffect):
     compression: float = ranged(1e-6, 0.0, 1e-4, "m/N^2")
     threshold: float = ranged(5.0, 0.0, 100.0, "N")
     friction_rise: float = ranged(0.0, 0.0, 0.1, "1/N")
+    adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect on top."""

@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 from slave.plant.effects.effect import Effect, ranged
 from slave.plant.environment import LoadMotorConfig, both_environments, build_environment
@@ -160,6 +160,7 @@ class PulleyEccentricity(SideEffect):
     type: Literal["pulley_eccentricity"] = "pulley_eccentricity"
     amplitude: float = ranged(1e-4, 0.0, 0.01, "m")
     phase: float = ranged(0.0, -math.tau, math.tau, "rad")  # at the start
+    adds_up: ClassVar[bool] = False
 
     def change(self, tendon: Tendon, /) -> Tendon:
         """Return the tendon with this effect on top."""

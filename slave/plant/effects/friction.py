@@ -78,6 +78,7 @@ class StribeckFriction(TendonEffect):
     ratio: float = ranged(0.25, 0.0, 2.0)
     speed: float = ranged(1e-3, 1e-5, 1.0, "m/s")
     memory: float = ranged(0.2, 1e-3, 10.0, "s")
+    adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect on top."""
@@ -93,6 +94,7 @@ class Presliding(TendonEffect):
     type: Literal["presliding"] = "presliding"
     distance: float = ranged(5e-5, 1e-6, 1e-3, "m")
     tension: float = ranged(10.0, 0.1, 100.0, "N")  # at which a contact gives that much
+    adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect on top."""
@@ -118,6 +120,7 @@ class TensionDependentFriction(TendonEffect):
     type: Literal["tension_dependent_friction"] = "tension_dependent_friction"
     exponent: float = ranged(0.85, 0.5, 1.5)
     reference: float = ranged(10.0, 0.1, 100.0, "N")
+    adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect on top."""
@@ -135,6 +138,7 @@ class StickSlip(TendonEffect):
     ratio: float = ranged(1.3, 1.0, 3.0)  # friction after long rest over that in motion
     rest_time: float = ranged(0.5, 1e-3, 100.0, "s")
     distance: float = ranged(2e-5, 1e-7, 1e-3, "m")
+    adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
         """Return the knobs with this effect on top."""

@@ -190,6 +190,7 @@ class CoggingRipple(SensorEffect):
     amplitude: float = ranged(0.2, 0.0, 10.0, "N")
     order: float = ranged(30.0, 1.0, 1e4)  # waves in a turn of the pulley
     phase: float = ranged(0.0, -math.tau, math.tau, "rad")
+    adds_up: ClassVar[bool] = False
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
@@ -208,6 +209,7 @@ class SheathRub(SensorEffect):
     type: Literal["sheath_rub"] = "sheath_rub"
     friction: float = ranged(0.3, 0.0, 20.0, "N")
     travel: float = ranged(2e-4, 1e-6, 0.1, "m")
+    adds_up: ClassVar[bool] = False
 
     def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
         """Return the sensors with this effect."""
@@ -233,6 +235,15 @@ class SampleEffect(Effect):
 
     share: float = ranged(0.05, 0.0, 0.9)  # of all samples
     burst: float = ranged(1.0, 1.0, 1e4)  # mean length, in samples
+
+    def __post_init__(self) -> None:
+        """Refuse a share that bursts so short cannot make up."""
+        Effect.__post_init__(self)
+        most = self.burst / (1.0 + self.burst)
+        if self.share > most:
+            raise ValueError(
+                f"share: must be at most {most:.2g} in bursts of {self.burst:g}; make them longer"
+            )
 
     def strikes(self, struck: bool, chance: float) -> bool:
         """Return whether this sample is struck, given the last and an even chance of 0 to 1."""

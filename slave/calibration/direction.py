@@ -1,0 +1,223 @@
+"""What the pulls and releases of one tendon against its stop say: pure functions.
+
+While the joint rests against its stop, what the motor travels is elongation, and
+`estimator.calibration` reads K, M_pull, M_rel and EA/L off the pulls and releases (docs/theory.md
+(T6), (T7)). What does not look like a tendon in a sheath against a stop is refused.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator import calibration as blocked_tip
+from estimator import signals
+from estimator.calibration import CalibrationError, Measured
+from estimator.sheath import Sheath
+from slave.calibration import refusals
+from slave.calibration.config import KnownSheathConfig
+from slave.calibration.file import Direction, Value
+from slave.calibration.memory import Phase
+from slave.calibration.pulled import Pulled, Rows, loops, slope_of
+from slave.calibration.refusals import TENDON_NAMES
+from slave.calibration.run import Refused
+from slave.plant.sheath import SectionConfig
+from slave.tendon_config import TendonConfig
+
+Array = NDArray[np.float64]
+
+BEYOND = 0.15  # of the rise of tension behind the contact: there the tip surely rests at the stop
+SURE = 3.0  # standard uncertainties
+CURVED = 0.06  # of the slope of a pull against a stop, by which its two halves may differ
+SOFTER = 0.15  # of L/EA as it is known, by which the loop may show more
+UNDECIDED = 0.2  # of K before the end of what a loop's range of tensions reaches; it may go on
+BIASED = 0.1  # [N] that a load cell may read while its tendon is slack
+TARE = 0.15  # [N] with which no small tension can be kept
+COVER = 1.96  # standard uncertainties on each side of 95 %
+LEAST_ERROR = 0.02  # of K, that the estimator's interval allows for
+QUICK_RELEASES = 2  # of the quick form, with the one behind the first pull
+DIGITS = 6
+
+
+def calibrated(pulled: Pulled, known: KnownSheathConfig, low: float) -> blocked_tip.Calibration:
+    """Return what one tendon's pulls and releases say; `low` [N] is what it was released to.
+
+    Raises
+    ------
+    Refused
+        If they cannot be a tendon in its sheath against an end stop.
+    """
+    zero = pulled.zero
+    if zero is not None and abs(zero) > TARE:
+        raise Refused(
+            f"{pulled.name}: its load cell reads {zero:.2f} N while the tendon is slack; tare it"
+        )
+    _require_straight(pulled, known)
+    found = _fitted(pulled, known, low)
+    if known.axial_stiffness is not None:
+        _require_stiff(pulled, found, known.length / known.axial_stiffness, known.stiffness_error)
+    return found
+
+
+def described(
+    pulled: Pulled, known: KnownSheathConfig, found: blocked_tip.Calibration, remark: str = ""
+) -> tuple[Direction, TendonConfig]:
+    """Return what was found of a tendon for the file, and what the estimator shall believe.
+
+    `remark` is what is to be said of it already.
+    """
+    zero = pulled.zero
+    remarks = [remark, _disagreement(found, known)]
+    if zero is not None and abs(zero) > BIASED:
+        remarks.append(f"its load cell reads {zero:.2f} N while it is slack: tare it")
+    first = _surely_beyond(pulled)
+    unstretched = pulled.travel[first] - found.M_pull.value * pulled.tension[first]
+    direction = Direction(
+        joint=pulled.joint + 1,
+        tendon=TENDON_NAMES[pulled.side],
+        K=_value(found.K),
+        K_slopes=_value(found.K_loop),
+        K_paper=found.K_paper and _value(found.K_paper),
+        K_paper_ratio=found.K_paper_ratio and _value(found.K_paper_ratio),
+        M_pull=_value(found.M_pull),
+        M_rel=_value(found.M_rel),
+        stiffness_per_length=_value(found.stiffness_per_length),
+        uniform=found.uniform,
+        stop=rounded(float(np.mean(unstretched))),
+        free_tension=rounded(pulled.free_tension),
+        zero=None if zero is None else rounded(zero),
+        remark="; ".join(filter(None, remarks)),
+    )
+    return direction, _tendon_config(pulled, found, known)
+
+
+def _tendon_config(
+    pulled: Pulled, found: blocked_tip.Calibration, known: KnownSheathConfig
+) -> TendonConfig:
+    """Return what the estimator shall believe; sections where curvature is uneven."""
+    model = found.sheath(known.length)
+    even = len(model.sections) == 1
+    moving = pulled.rows(Phase.PULL, Phase.RELEASE)
+    return TendonConfig(
+        effective_friction=rounded(found.K.value) if even else None,
+        length=known.length,
+        friction=None if even else model.friction,
+        sections=() if even else _sections(model, found.K.value),
+        axial_stiffness=rounded(model.axial_stiffness),
+        tension_noise=rounded(signals.noise_sigma(pulled.tension[moving])),
+        displacement_noise=rounded(signals.noise_sigma(pulled.travel[moving])),
+        friction_error=rounded(max(LEAST_ERROR, COVER * found.K.uncertainty / found.K.value)),
+    )
+
+
+def _sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
+    """Return the sections of a model, their bends such that K is the one to use."""
+    scale = model.K / K
+    return tuple(
+        SectionConfig(rounded(section.length), rounded(section.radius * scale))
+        for section in model.sections
+    )
+
+
+def _fitted(pulled: Pulled, known: KnownSheathConfig, low: float) -> blocked_tip.Calibration:
+    there = loops(pulled, low)
+    again = int(pulled.record.releases[:, pulled.joint].max()) > QUICK_RELEASES
+    try:
+        found = [
+            blocked_tip.calibrate(
+                loop.tension,
+                loop.travel,
+                axial_stiffness=known.axial_stiffness,
+                length=None if known.axial_stiffness is None else known.length,
+                stiffness_uncertainty=known.stiffness_error,
+            )
+            for loop in there
+        ]
+    except CalibrationError as error:
+        raise Refused(refusals.no_loop(pulled.name, str(error))) from error
+    best, loop = min(zip(found, there, strict=True), key=lambda one: one[0].K.uncertainty)
+    lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)
+    reach = 0.5 * math.log(best.T_peak.value / lowest)
+    if best.K.value > reach - UNDECIDED:
+        raise Refused(
+            refusals.undecided(pulled.name, best.K.value, best.T_peak.value, lowest, reach, again)
+        )
+    return best
+
+
+def _surely_beyond(pulled: Pulled) -> Rows:
+    """Return the first pull without its beginning, where the joint may still have moved."""
+    top = float(pulled.tension[pulled.first_pull].max())
+    least = pulled.contact.tension + BEYOND * (top - pulled.contact.tension)
+    return pulled.first_pull & (pulled.tension > least)
+
+
+def _require_straight(pulled: Pulled, known: KnownSheathConfig) -> None:
+    """Refuse a pull that is no tendon's: one that is bent, or softer than without friction.
+
+    Tissue grows stiffer as it is pressed, a tendon does not; and m = M_pull EA/L is below 1.
+    """
+    rows = _surely_beyond(pulled)
+    T, q = pulled.tension[rows], pulled.travel[rows]
+    middle = 0.5 * (T.min() + T.max())
+    halves = [slope_of(T[half], q[half]) for half in (middle > T, middle <= T)]
+    change = halves[1].value - halves[0].value
+    doubt = SURE * math.hypot(halves[0].uncertainty, halves[1].uncertainty)
+    if abs(change) > CURVED * abs(halves[1].value) + doubt:
+        first, second = (half.value * 1e3 for half in halves)
+        raise Refused(
+            f"{pulled.name}: the pull against the stop is not straight ({first:.3f} mm/N, then "
+            f"{second:.3f} mm/N): the tip presses on something soft, or the sheath moves; free the "
+            "one, fix the other"
+        )
+    slope = slope_of(T, q)
+    m = slope.value * (known.axial_stiffness or 0.0) / known.length
+    if m >= 1.0:
+        raise Refused(
+            f"{pulled.name}: M_pull EA/L is {m:.2f}, of a tendon it is below 1: the tip gives way, "
+            "as against something soft, or length and axial_stiffness of slave.initialise.sheaths "
+            "are wrong"
+        )
+
+
+def _require_stiff(
+    pulled: Pulled, found: blocked_tip.Calibration, known: float, error: float
+) -> None:
+    """Refuse a loop that is softer than the tendon is without friction, L/EA `known` in m/N."""
+    stiffness = found.stiffness_per_length
+    doubt = SURE * math.hypot(stiffness.uncertainty / stiffness.value, error)
+    if 1.0 / stiffness.value > known * (1.0 + SOFTER + doubt):
+        raise Refused(
+            f"{pulled.name}: tendon and sheath stretch by {1e3 / stiffness.value:.3f} mm/N without "
+            f"friction, by their L/EA it is {known * 1e3:.3f} mm/N: the tip gives way, as against "
+            "something soft, or length and axial_stiffness of slave.initialise.sheaths are wrong"
+        )
+
+
+def _disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> str:
+    """Return what it means where the methods do not agree; empty where they do."""
+    if found.agree:
+        return ""
+    K, paper = found.K.value, found.K_paper
+    if not found.uniform:
+        what = f"the sheath is bent unevenly: K = {K:.3f}, by the whole loop, stands"
+    else:
+        what = (
+            f"EA/L is {found.stiffness_per_length.value * 1e-3:.3f} N/mm by the loop, "
+            f"{(known.axial_stiffness or 0.0) / known.length * 1e-3:.3f} N/mm as it was known"
+        )
+    by, other = ("the paper's", paper) if paper is not None else ("the slopes'", found.K_loop)
+    share = math.expm1(K - other.value)
+    return (
+        f"{what}; with {by} K ({other.value:.3f}) T_out would be {abs(share):.0%} too "
+        f"{'low' if share < 0.0 else 'high'} while pulling"
+    )
+
+
+def _value(measured: Measured) -> Value:
+    return Value(rounded(measured.value), rounded(measured.uncertainty))
+
+
+def rounded(value: float) -> float:
+    """Return a number as short as a file for people should have it."""
+    return float(f"{value:.{DIGITS}g}")

@@ -1,0 +1,78 @@
+"""The configs that come with the project: each rig can be calibrated, as its file says how."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from slave.calibration import file
+from slave.config import SlaveConfig, hindrance_of, tendon_configs
+from slave.rigs import open_rig
+from teleop import cli
+from teleop.config import load
+
+FOLDER = Path(__file__).parents[2] / "configs"
+NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
+SURE = 3.0  # standard uncertainties
+UNCERTAIN = 0.03  # of K: an uncertainty above says nothing
+
+
+def documented(name):
+    """Return the options, behind --config, of the calibration that a config's comment tells of."""
+    text = (FOLDER / f"{name}.yaml").read_text()
+    (line,) = re.findall(rf"^#   teleop calibrate --config configs/{name}\.yaml(.*)$", text, re.M)
+    return shlex.split(re.sub(r"\s{2,}\w.*", "", line))  # what it is for stands beside it
+
+
+def calibrate(name, out, options):
+    words = ["--config", str(FOLDER / f"{name}.yaml"), *options, "--set", "rate_hz=500"]
+    return cli.main(["calibrate", *words, "--quick", "--together", "--out", str(out)])
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def done(request, tmp_path_factory):
+    """Return a config's name, and the file that the command in it has written."""
+    out = tmp_path_factory.mktemp("configs") / "calibration.yaml"
+    assert calibrate(request.param, out, documented(request.param)) == 0
+    return request.param, out
+
+
+def true_sheaths(config):
+    """Return K and EA/L [N/m] of every tendon."""
+    for tendon in (t for joint in config.rig.joints for t in joint.tendons):
+        sections = tendon.sheath.sections
+        bend = sum(s.length / s.radius for s in sections)
+        length = sum(s.length for s in sections)
+        yield tendon.sheath.friction * bend, tendon.sheath.axial_stiffness / length
+
+
+def test_as_its_file_says_a_rig_is_calibrated_and_every_sheath_found(done):
+    name, out = done
+    found = file.load(out).directions
+    true = list(true_sheaths(load(FOLDER / f"{name}.yaml", SlaveConfig, "slave")))
+    assert len(found) == len(true)
+    for direction, (K, stiffness) in zip(found, true, strict=True):
+        assert abs(direction.K.value - K) <= SURE * direction.K.uncertainty
+        assert direction.K.uncertainty < UNCERTAIN * K
+        assert direction.stiffness_per_length.value == pytest.approx(stiffness, rel=0.01)
+
+
+def test_the_slave_of_the_config_as_it_is_takes_the_file(done):
+    name, out = done
+    use_it = [f"slave.calibration={out}"]
+    config = load(FOLDER / f"{name}.yaml", SlaveConfig, "slave", use_it)
+    rig = open_rig(config.rig)
+    assert hindrance_of(config, rig) == ""
+    true = true_sheaths(config)
+    for tendon, (K, _) in zip(tendon_configs(config, rig.tendons), true, strict=True):
+        believed = tendon.model().sheath.K
+        assert abs(believed - K) <= SURE / 2.0 * tendon.friction_error * K  # that is two sigma
+
+
+@pytest.mark.parametrize("name", ["bowden", "demo"])
+def test_a_tip_that_is_not_freed_is_found_out(name, tmp_path, capsys):
+    out = tmp_path / "calibration.yaml"
+    assert calibrate(name, out, []) == 1
+    assert "something soft" in capsys.readouterr().err
+    assert not out.exists()

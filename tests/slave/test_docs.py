@@ -1,0 +1,34 @@
+"""What the pages of docs/ show can be used as it stands."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from teleop import cli
+
+RIGS = Path(__file__).parents[2] / "docs" / "rigs.md"
+FREE = "slave.rig.joints.0.environment={type: free}"
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    """Return the config shown in docs/rigs.md, as a file."""
+    (text,) = re.findall(r"^```yaml\n(.*?)^```", RIGS.read_text(), re.M | re.S)
+    path = tmp_path_factory.mktemp("docs") / "rig.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_the_rig_of_the_page_is_simulated_and_its_model_is_right(config, tmp_path, capsys):
+    data = str(tmp_path / "data.csv")
+    assert cli.main(["simulate", str(config), "--out", data, "--duration", "6"]) == 0
+    capsys.readouterr()
+    assert cli.main(["estimate", data, "--config", str(config)]) == 0
+    assert re.search(r"RMSE 0\.0\d+ N", capsys.readouterr().out)
+
+
+def test_the_rig_of_the_page_is_calibrated_as_the_page_says(config, tmp_path):
+    assert FREE in RIGS.read_text()
+    words = ["calibrate", "--config", str(config), "--set", FREE, "--quick"]
+    assert cli.main([*words, "--out", str(tmp_path / "calibration.yaml")]) == 0
