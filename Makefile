@@ -3,10 +3,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: help demo test check bench clean
+.PHONY: help demo test check bench bench-diagnosis clean
 
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
 
 demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--duration 30 --view none"
 	@$(BIN)/teleop run --config configs/demo.yaml $(ARGS)
@@ -23,6 +23,10 @@ check: .venv/dev.done  ## format, lint, types, import rules
 bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run
 	@export NUMBA_CACHE_DIR="$$($(BIN)/python -c 'from teleop import compile_cache; print(compile_cache.choose())')"; \
 	for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+bench-diagnosis: .venv/dev.done  ## hide effects, diagnose, count what is found (hours); ARGS as in --help
+	@NUMBA_CACHE_DIR="$$($(BIN)/python -c 'from teleop import compile_cache; print(compile_cache.choose())')" \
+	$(BIN)/python -m tests.hidden.campaign $(ARGS)
 
 clean:  ## remove the environment and everything made by running
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

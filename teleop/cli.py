@@ -25,6 +25,7 @@ COMMANDS = {
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
     "calibrate": ("slave.calibration.command", "measure a rig's sheaths: friction and stiffness"),
     "estimate": ("slave.estimate", "estimate the distal tension in measured data"),
+    "diagnose": ("slave.diagnosis.command", "find what the model of a bench gets wrong, and why"),
     "simulate": ("slave.simulate", "write data as a simulated rig would measure it"),
     "bench": ("teleop.bench", "repeat a published experiment and print its figures"),
     "doctor": ("teleop.doctor", "check this machine and name what is missing"),
@@ -32,7 +33,7 @@ COMMANDS = {
 
 
 # commands that import the estimator
-COMPILED = {"run", "slave", "calibrate", "estimate", "simulate", "bench"}
+COMPILED = {"run", "slave", "calibrate", "estimate", "diagnose", "simulate", "bench"}
 
 
 class Parser(argparse.ArgumentParser):

@@ -1,0 +1,99 @@
+"""The fit of the plain law, from so many sides that it is not trapped."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.diagnosis.fit import Bench, Fit, Model, improved, residual, simulated
+from estimator.diagnosis.model import scene_of
+from estimator.diagnosis.record import Record
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Effect,
+    Scene,
+    Values,
+)
+
+Array = NDArray[np.float64]
+
+FRICTIONS = (0.2, 0.45, 0.8, 1.2, 1.8)
+TIP_SHARES = (0.0, 0.35, 0.75)
+"""Of the travel per tension, that the tip may have where nothing at the tip was measured."""
+TRIED = 2  # of the starts, in full
+ROUNDS = 15
+
+
+def baseline(bench: Bench, effects: tuple[tuple[Effect, Values], ...] = ()) -> Fit:
+    """Return the best fit of the plain law, or of one with effects begun at their values."""
+    about = [scene_of(record, None, 1e-4) for record in bench.records]
+    starts = [model._replace(effects=effects) for model in _starts(bench)]
+    costs = [_cost(bench, about, model) for model in starts]
+    order = np.argsort(costs)[:TRIED]
+    fits = [improved(bench, about, starts[k], ROUNDS) for k in order]
+    return min(fits, key=lambda fit: float(np.sum(residual(bench, fit) ** 2)))
+
+
+def by_most(bench: Bench, fit: Fit) -> Fit:
+    """Return a fit that goes by most of the records, begun at one that goes by all.
+
+    Where something happened at one time, what came before it and what came after it are each fitted
+    badly by one model; this one fits the longer part.
+    """
+    about = [scene_of(record, None, 1e-4) for record in bench.records]
+    return improved(bench, about, fit.model, ROUNDS, robust=True)
+
+
+def _cost(bench: Bench, about: list[Scene], model: Model) -> float:
+    return float(np.sum(residual(bench, simulated(bench, about, model)) ** 2))
+
+
+def _starts(bench: Bench) -> list[Model]:
+    first = bench.records[0]
+    if first.driver == PROXIMAL_TENSION:
+        return [Model((K,), ((),) * len(bench.records), ()) for K in FRICTIONS]
+    starts = []
+    for K in FRICTIONS:
+        for share in _tip_shares(first):
+            total = _travel_per_tension(first)
+            tip = share * total * math.exp(K)
+            plain = -math.expm1(-K) / K
+            compliance = max((1.0 - share) * total / plain, 1e-6)
+            own = tuple(_own(bench, record, compliance) for record in bench.records)
+            starts.append(Model((K, compliance, tip), own, ()))
+    return starts
+
+
+def _travel_per_tension(record: Record) -> float:
+    """Return how far the motor goes for a newton while it pulls [m/N]."""
+    T = record.signals[PROXIMAL_TENSION]
+    taut = 0.1 * float(T.max()) < T
+    q = record.signals[PROXIMAL_DISPLACEMENT]
+    pulling = taut & (record.speed > 0.1 * float(np.abs(record.speed).max()))
+    rows = pulling if pulling.sum() > 10 else taut
+    # a line through pulls of which each begins anywhere: steeper than the tendon, never softer
+    slope = float(np.polyfit(T[rows], q[rows], 1)[0])
+    return min(max(slope, 1e-6), 1e-2)
+
+
+def _tip_shares(record: Record) -> tuple[float, ...]:
+    if DISTAL_DISPLACEMENT not in record.signals:
+        return TIP_SHARES
+    tip = float(np.ptp(record.signals[DISTAL_DISPLACEMENT]))
+    motor = float(np.ptp(record.signals[PROXIMAL_DISPLACEMENT]))
+    return (min(max(tip / motor, 0.0), 0.95),)
+
+
+def _own(bench: Bench, record: Record, compliance: float) -> Values:
+    T = float(np.median(record.signals[PROXIMAL_TENSION][:5]))
+    taut = float(record.drive[0]) - compliance * max(T, 0.0)
+    if len(bench.base.own) == 1:
+        return (taut,)
+    loose = record.signals[DISTAL_DISPLACEMENT]
+    if DISTAL_TENSION in record.signals:
+        low = record.signals[DISTAL_TENSION] <= 0.5
+        loose = loose[low] if low.any() else loose
+    return (taut, float(np.min(loose)))

@@ -1,0 +1,323 @@
+"""The diagnosis: from records to a verdict, with what it was worth."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.diagnosis import experiments
+from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis.fit import (
+    Bench,
+    Fit,
+    bench_of,
+    improved,
+    own_only,
+    parameters,
+    rescaled,
+    scenes,
+    scenes_without,
+)
+from estimator.diagnosis.model import Simulated, simulate
+from estimator.diagnosis.outcome import (
+    Diagnosis,
+    Fitness,
+    Fitnesses,
+    Gain,
+    Number,
+    Ranked,
+    Step,
+    Verdict,
+)
+from estimator.diagnosis.record import Record, RecordError, felt, in_full
+from estimator.diagnosis.score import (
+    Errors,
+    better_by,
+    bootstrapped_gain,
+    errors,
+    gain_of,
+    joined,
+    left_of,
+    surely_better,
+)
+from estimator.diagnosis.search import Candidate, Report, candidates
+from estimator.diagnosis.structure import structure
+from estimator.diagnosis.visible import visible
+from estimator.effects import CATALOGUE
+from estimator.effects.effect import Effect
+
+Array = NDArray[np.float64]
+
+MOST = 3  # causes, one after another
+MARGIN = 15.0  # ln of probability that a cause must bring, its parameters paid for
+LEAST_GAIN = 0.04  # of the error, where noise is all that is left
+SURE = 0.98  # of bootstrapped records
+ALIKE = 6.0  # ln of probability within which two causes are not told apart
+ALIKE_LEFT = 0.015  # of what noise does not explain
+UNSURE_LEFT = 0.1  # of it, where the bootstrap is not sure which is better
+RIVALS = 2  # at most, besides the cause
+EXPLAINED = 0.25  # of what noise does not explain, that may be left of a cause that is named
+NOISE = 1.25  # times the noise: an error that is taken to be all noise
+COVER = 1.96
+LAST = 12  # rounds of the fit to all samples
+
+
+def quiet(_what: str, _share: float) -> None:
+    """Report nothing."""
+
+
+def diagnose(
+    records: Sequence[Record],
+    effects: Sequence[Effect] = CATALOGUE,
+    *,
+    validate: Sequence[Record] = (),
+    report: Report = quiet,
+    workers: int = 1,
+) -> Diagnosis:
+    """Say what a model of a bench gets wrong.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        From one bench, with the same channels; they share its physics.
+    effects : sequence of Effect
+        That may be the cause.
+    validate : sequence of Record
+        To be predicted with what was found; only where each record starts is fitted to them.
+    report : callable
+        Told what is being done and which share of it is.
+    workers : int
+        Fits side by side.
+
+    Raises
+    ------
+    RecordError
+        If the records have different channels.
+    """
+    if len({tuple(sorted(record.signals)) for record in [*records, *validate]}) > 1:
+        raise RecordError("the records have different channels: give those of one bench")
+    bench = bench_of(records)
+    report("fitting the plain law", 0.0)
+    plain = baseline(bench)
+    bench = bench_of([felt(record, _again(record, bench, plain)) for record in records])
+    plain = baseline(bench)
+    usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
+    fit, steps = plain, list[Step]()
+    first: tuple[Ranked, ...] = ()
+    for _ in range(MOST):
+        if steps and _is_noise(errors(bench, fit)):
+            break
+        rest = [effect for effect in usable if effect.name not in fit.names]
+        found = candidates(bench, fit, rest, report, workers)
+        step = _step(bench, plain, fit, found)
+        first = first or _ranking(bench, plain, fit, found)
+        if step is None:
+            break
+        steps.append(step)
+        fit = step.fit
+    steps, fit = _needed(bench, steps, fit)
+    return _outcome(bench, plain, fit, steps, first, usable, validate)
+
+
+def _needed(bench: Bench, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
+    """Return the causes without those that later ones have made needless, and the fit of them."""
+    for step in steps[:-1] if len(steps) > 1 else ():
+        rest = tuple(one for one in fit.model.effects if one[0].name != step.effect.name)
+        without = improved(
+            rescaled(bench, fit), scenes(bench, fit), fit.model._replace(effects=rest), LAST
+        )
+        samples = sum(len(record.time) for record in bench.records)
+        price = 0.5 * len(step.effect.parameters) * math.log(samples)
+        if better_by(errors(bench, fit), errors(bench, without)) - price < MARGIN:
+            steps = [one for one in steps if one is not step]
+            fit = without
+    return steps, fit
+
+
+def _again(record: Record, bench: Bench, fit: Fit) -> Callable[[Record], Simulated]:
+    """Return a function that simulates a record again with another drive."""
+    k = next(i for i, other in enumerate(bench.records) if other is record)
+    about = scenes_without(bench, fit)[k]
+
+    def again(other: Record) -> Simulated:
+        return simulate(other, about, fit.model.shared, fit.model.own[k], ())
+
+    return again
+
+
+def _is_noise(found: dict[str, Errors]) -> bool:
+    return all(math.sqrt(one.mean) < NOISE for one in found.values())
+
+
+def _score(bench: Bench, base: dict[str, Errors], one: Candidate) -> float:
+    """Return ln of how much more probable held-out data are, parameters paid for."""
+    samples = sum(len(record.time) for record in bench.records)
+    return better_by(one.held_out, base) - 0.5 * len(one.effect.parameters) * math.log(samples)
+
+
+def _step(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | None:
+    """Return the cause that explains most, with those that cannot be told from it, if any does."""
+    base = errors(bench, fit)
+    order = sorted(found, key=lambda one: -_score(bench, base, one))
+    if not order:
+        return None
+    best = order[0]
+    if (
+        _score(bench, base, best) < MARGIN
+        or gain_of(best.held_out, base) < LEAST_GAIN
+        or surely_better(best.held_out, base) < SURE
+    ):
+        return None
+    most = left_of(best.held_out, errors(bench, plain))
+    rivals: list[str] = []
+    for other in order[1:]:
+        if other.effect.name in (best.effect.name, *rivals) or len(rivals) == RIVALS:
+            continue
+        behind = _score(bench, base, best) - _score(bench, base, other)
+        more = left_of(other.held_out, errors(bench, plain)) - most
+        unsure = surely_better(best.held_out, other.held_out) < SURE and more < UNSURE_LEFT
+        if behind < ALIKE or more < ALIKE_LEFT or unsure:
+            rivals.append(other.effect.name)
+    return Step(best.effect, tuple(rivals), _ranking(bench, plain, fit, found), best.fit)
+
+
+def _ranking(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
+    base, at_first = errors(bench, fit), errors(bench, plain)
+    noise = _mean_noise(bench)
+    ranked = [
+        Ranked(
+            one.effect.name,
+            one.effect.label,
+            _score(bench, base, one),
+            {c: math.sqrt(e.mean) * noise[c] for c, e in one.held_out.items()},
+            left_of(one.held_out, at_first),
+            {
+                p.name: value
+                for p, value in zip(
+                    one.effect.parameters, one.fit.model.effects[-1][1], strict=True
+                )
+            },
+        )
+        for one in found
+    ]
+    return tuple(sorted(ranked, key=lambda one: -one.score))
+
+
+def _mean_noise(bench: Bench) -> dict[str, float]:
+    return {
+        channel: float(np.sqrt(np.mean([record.noise[channel] ** 2 for record in bench.records])))
+        for channel in bench.records[0].compared
+    }
+
+
+def _outcome(
+    bench: Bench,
+    plain: Fit,
+    fit: Fit,
+    steps: list[Step],
+    first: tuple[Ranked, ...],
+    usable: Sequence[Effect],
+    validate: Sequence[Record],
+) -> Diagnosis:
+    whole = rescaled(bench._replace(records=tuple(map(in_full, bench.records))), fit)
+    last = improved(whole, scenes(bench, plain), fit.model, LAST)
+    folds = _folds(bench, plain, last)
+    before, after = (joined([errors(one.bench, one.fits[k]) for one in folds]) for k in (0, 1))
+    left = left_of(after, before)
+    if not steps:
+        verdict = Verdict.CLEAN if _is_noise(before) else Verdict.UNEXPLAINED
+    elif left > EXPLAINED and not _is_noise(after):
+        verdict = Verdict.UNEXPLAINED
+    elif any(step.rivals for step in steps):
+        verdict = Verdict.AMBIGUOUS
+    else:
+        verdict = Verdict.NAMED
+    numbers = {
+        one.name: Number(
+            one.value,
+            max(one.value - COVER * one.uncertainty, one.parameter.low),
+            min(one.value + COVER * one.uncertainty, one.parameter.high),
+            one.parameter.unit,
+        )
+        for one in parameters(whole, scenes(bench, plain), last)
+    }
+    names = [name for step in steps for name in (step.effect.name, *step.rivals) if step.rivals]
+    return Diagnosis(
+        verdict=verdict,
+        steps=tuple(steps),
+        ranking=first,
+        parameters=numbers,
+        bench=bench,
+        baseline=plain,
+        extended=last if steps else plain,
+        before=_fitnesses(folds, 0, validate),
+        after=_fitnesses(folds, 1, validate),
+        gain={
+            channel: Gain(*bootstrapped_gain(after[channel], before[channel])) for channel in before
+        },
+        noise=_mean_noise(bench),
+        left=left,
+        structure=structure(bench, fit),
+        visible=visible(bench, plain, usable) if verdict is Verdict.CLEAN else {},
+        experiments=experiments.settling(names, bench.records[0].signals),
+        troubles=tuple(trouble for record in bench.records for trouble in record.troubles),
+    )
+
+
+class Fold(NamedTuple):
+    """A bench of which one half is fitted, and the plain and the extended model fitted to it."""
+
+    bench: Bench
+    fits: tuple[Fit, Fit]
+
+
+def _folds(bench: Bench, plain: Fit, fit: Fit) -> tuple[Fold, Fold]:
+    """Return both ways to fit one half of the samples and to be judged by the other.
+
+    When something happened, the half without that time cannot know; it is told.
+    """
+
+    def fold(half: Bench) -> Fold:
+        refitted = [
+            improved(rescaled(half, one), scenes(half, plain), one.model, LAST, search=False)
+            for one in (plain, fit)
+        ]
+        return Fold(half, (refitted[0], refitted[1]))
+
+    swapped = tuple(replace(record, train=~record.train) for record in bench.records)
+    return fold(bench), fold(bench._replace(records=swapped))
+
+
+def _fitnesses(folds: tuple[Fold, ...], which: int, validate: Sequence[Record]) -> Fitnesses:
+    return Fitnesses(
+        _fitness(folds, which, fitted=True),
+        _fitness(folds, which, fitted=False),
+        _validated(folds[0].fits[which], validate) if validate else {},
+    )
+
+
+def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fitness]:
+    found = {}
+    for channel in folds[0].bench.records[0].compared:
+        off, full = [], 0.0
+        for fold in folds:
+            for record, one in zip(fold.bench.records, fold.fits[which].simulated, strict=True):
+                rows = record.good[channel] & (record.train == fitted)
+                off.append((record.signals[channel] - one.signals[channel])[rows])
+                full = max(full, float(np.ptp(record.signals[channel])))
+        error = np.concatenate(off)
+        share = np.abs(error) / max(full, 1e-12)
+        found[channel] = Fitness(
+            float(np.sqrt(np.mean(error**2))), float(share.max()), float(share.mean())
+        )
+    return found
+
+
+def _validated(fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
+    """Return how far a model is off in records it was not fitted to, but for where they start."""
+    bench = bench_of([in_full(record) for record in validate])
+    start = own_only(bench, fit)
+    return _fitness([Fold(bench, (start, start))], 0, fitted=True)

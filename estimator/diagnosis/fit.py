@@ -1,0 +1,396 @@
+"""Fits by re-simulation: all of a record is simulated for every trial, so its memory is right."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from estimator.diagnosis.model import (
+    COMPLIANCE,
+    Base,
+    Simulated,
+    base_of,
+    own_bounds,
+    scene_of,
+    simulate,
+)
+from estimator.diagnosis.record import Record, in_full
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Effect,
+    Parameter,
+    Scene,
+    Values,
+)
+
+Array = NDArray[np.float64]
+
+STEP = 0.02  # of a parameter's step: for derivatives
+ROUNDS = 8  # of a fit that is not the last
+QUICK = 4  # of a first one
+SEARCH = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched
+STEPS = 8  # on each of these
+ROUGHLY = 3e-3  # of a channel's range
+LEFT = 0.3  # of the root mean square that a model leaves
+TAKEN_UP = (
+    2.0  # standard uncertainties that a record which starts slack is taut at its start within
+)
+TAUT_LEAST = 1e-6  # [m]
+
+
+class Bench(NamedTuple):
+    """Records of one bench, which share its physics."""
+
+    records: tuple[Record, ...]
+    base: Base
+    scale: tuple[dict[str, float], ...]  # what residuals count in, by record and channel
+
+
+class Model(NamedTuple):
+    """A model with its numbers."""
+
+    shared: Values  # of the bench
+    own: tuple[Values, ...]  # of each record
+    effects: tuple[tuple[Effect, Values], ...]
+
+
+class Fit(NamedTuple):
+    """A fitted model, and what it makes of each record."""
+
+    model: Model
+    simulated: tuple[Simulated, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return tuple(effect.name for effect, _ in self.model.effects)
+
+
+class Expected(NamedTuple):
+    """Where a record that starts slack is expected to be taut [m], and how surely."""
+
+    travel: float
+    uncertainty: float
+
+
+def bench_of(records: Sequence[Record]) -> Bench:
+    """Return a bench whose residuals count in the noise, or in a small share of the range.
+
+    What is not fitted yet is wrong in all channels; one that is measured very finely must not
+    decide alone then.
+    """
+    scale = tuple(
+        {
+            channel: max(noise, ROUGHLY * float(np.ptp(record.signals[channel])))
+            for channel, noise in record.noise.items()
+        }
+        for record in records
+    )
+    return Bench(tuple(records), base_of(records[0]), scale)
+
+
+def rescaled(bench: Bench, fit: Fit) -> Bench:
+    """Return a bench whose residuals count in the noise and in a share of what a model leaves."""
+    scale = []
+    for record, one in zip(bench.records, fit.simulated, strict=True):
+        each = {}
+        for channel in record.compared:
+            off = (one.signals[channel] - record.signals[channel])[record.good[channel]]
+            each[channel] = math.hypot(record.noise[channel], LEFT * float(off.std()))
+        scale.append(each)
+    return bench._replace(scale=tuple(scale))
+
+
+def scenes(bench: Bench, fit: Fit) -> tuple[Scene, ...]:
+    """Return what effects may know of each record beside a model without them."""
+    elastic = fit.model.shared[1] if len(fit.model.shared) > 1 else 0.0
+    return tuple(
+        scene_of(record, simulated, elastic)
+        for record, simulated in zip(bench.records, fit.simulated, strict=True)
+    )
+
+
+def scenes_without(bench: Bench, fit: Fit) -> tuple[Scene, ...]:
+    """Return what effects may know of records that have not been simulated yet."""
+    elastic = fit.model.shared[1] if len(fit.model.shared) > 1 else 0.0
+    return tuple(scene_of(record, None, elastic) for record in bench.records)
+
+
+def simulated(bench: Bench, about: Sequence[Scene], model: Model) -> Fit:
+    """Return a model with what it makes of each record."""
+    done = tuple(
+        simulate(record, scene, model.shared, own, model.effects)
+        for record, scene, own in zip(bench.records, about, model.own, strict=True)
+    )
+    return Fit(model, done)
+
+
+def residual(bench: Bench, fit: Fit) -> Array:
+    """Return what is fitted: simulated less measured where it counts, and what is expected."""
+    parts = []
+    for record, one, scale, own in zip(
+        bench.records, fit.simulated, bench.scale, fit.model.own, strict=True
+    ):
+        for channel in record.compared:
+            counts = record.train & record.good[channel]
+            off = one.signals[channel] - record.signals[channel]
+            parts.append(off[counts] / scale[channel])
+        expected = expected_taut(record, fit.model)
+        if expected is not None:
+            parts.append(np.array([(own[0] - expected.travel) / expected.uncertainty]))
+    return np.concatenate(parts)
+
+
+def expected_taut(record: Record, model: Model) -> Expected | None:
+    """Return where the motor must be for the first tension that was read, in a slack start."""
+    if record.driver == PROXIMAL_TENSION or not record.starts_slack:
+        return None
+    sigma = record.noise[PROXIMAL_TENSION]
+    compliance = model.shared[1]
+    tension = max(0.0, float(record.signals[PROXIMAL_TENSION][:5].mean()))
+    return Expected(
+        float(record.drive[0]) - compliance * tension,
+        max(TAKEN_UP * compliance * sigma, TAUT_LEAST),
+    )
+
+
+def improved(
+    bench: Bench,
+    about: Sequence[Scene],
+    start: Model,
+    rounds: int = ROUNDS,
+    *,
+    robust: bool = False,
+    search: bool = True,
+) -> Fit:
+    """Return the model of least squares that is found from `start`.
+
+    What jumps, as the time at which something begins, is searched in ever smaller steps, or with
+    `search` off left as it is. A `robust`
+    fit goes by most of a record, however far it is off the rest.
+    """
+    layout = _Layout(bench, start)
+    fit = _descended(bench, about, layout, start, rounds, robust=robust)
+    jumping = [i for i, p in enumerate(layout.parameters) if p.jumps and search]
+    reaches = SEARCH if rounds > ROUNDS else SEARCH[:1] if rounds > QUICK else ()
+    for reach in reaches if jumping else ():
+        for i in jumping:
+            fit = _stepped(bench, about, layout, fit, i, reach)
+        fit = _descended(bench, about, layout, fit.model, max(2, rounds // 3))
+    return fit
+
+
+def _stepped(
+    bench: Bench, about: Sequence[Scene], layout: "_Layout", fit: Fit, i: int, reach: float
+) -> Fit:
+    """Return the best of a fit and those with one number up to `reach` [s] more or less.
+
+    Judged by all samples: those that are fitted may have none of the time in question.
+    """
+    bench = bench._replace(records=tuple(map(in_full, bench.records)))
+    x = layout.pack(fit.model)
+    best, least = fit, _cost(bench, fit)
+    for off in np.linspace(-reach, reach, STEPS):
+        moved = x.copy()
+        moved[i] += off / layout.step(i)
+        other = simulated(bench, about, layout.unpack(moved))
+        cost = _cost(bench, other)
+        if cost < least:
+            best, least = other, cost
+    return best
+
+
+def _cost(bench: Bench, fit: Fit) -> float:
+    return float(np.sum(residual(bench, fit) ** 2))
+
+
+def _descended(
+    bench: Bench,
+    about: Sequence[Scene],
+    layout: "_Layout",
+    start: Model,
+    rounds: int,
+    *,
+    robust: bool = False,
+    common: bool = True,
+) -> Fit:
+    low, high = layout.bounds()
+    at_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
+    free = np.array(
+        [
+            not parameter.jumps and (common or i >= layout.common)
+            for i, parameter in enumerate(layout.parameters)
+        ]
+    )
+
+    def whole(x: Array) -> Array:
+        row = at_start.copy()
+        row[free] = x
+        return row
+
+    def off(x: Array) -> Array:
+        return residual(bench, simulated(bench, about, layout.unpack(whole(x))))
+
+    def slopes(x: Array) -> Array:
+        at = off(x)
+        columns = []
+        for i in range(len(x)):
+            h = STEP if x[i] + STEP < high[free][i] else -STEP
+            moved = x.copy()
+            moved[i] += h
+            columns.append((off(moved) - at) / h)
+        return np.column_stack(columns)
+
+    found = least_squares(
+        off,
+        at_start[free],
+        jac=slopes,
+        bounds=(low[free], high[free]),
+        x_scale="jac",
+        loss="cauchy" if robust else "linear",
+        ftol=1e-4,
+        xtol=1e-4,
+        gtol=1e-9,
+        max_nfev=rounds,
+    )
+    return simulated(bench, about, layout.unpack(whole(np.asarray(found.x))))
+
+
+def slopes_of(bench: Bench, about: Sequence[Scene], fit: Fit) -> Array:
+    """Return the derivatives of the residual by all parameters, each in its own step."""
+    layout = _Layout(bench, fit.model)
+    _, high = layout.bounds()
+    x, at = layout.pack(fit.model), residual(bench, fit)
+    columns = []
+    for i in range(len(x)):
+        h = STEP if x[i] + STEP < high[i] else -STEP
+        moved = x.copy()
+        moved[i] += h
+        columns.append((residual(bench, simulated(bench, about, layout.unpack(moved))) - at) / h)
+    return np.column_stack(columns)
+
+
+def own_only(bench: Bench, fit: Fit) -> Fit:
+    """Return a model of other records of the bench: only what each has for itself is fitted."""
+    about = scenes_without(bench, fit)
+    own = tuple(
+        tuple(
+            0.5 * (low + high) if high - low < 1.0 else start
+            for (low, high), start in zip(
+                own_bounds(record), _own_start(record, fit.model), strict=True
+            )
+        )
+        for record in bench.records
+    )
+    model = fit.model._replace(own=own)
+    layout = _Layout(bench, model)
+    if not bench.base.own:
+        return simulated(bench, about, model)
+    return _descended(bench, about, layout, model, ROUNDS, common=False)
+
+
+def _own_start(record: Record, model: Model) -> Values:
+    taut = float(record.drive[0]) - model.shared[1] * float(record.signals[PROXIMAL_TENSION][0])
+    if len(base_of(record).own) < 2:
+        return (taut,)[: len(base_of(record).own)]
+    return (taut, float(record.signals[DISTAL_DISPLACEMENT].min()))
+
+
+def moved(bench: Bench, model: Model, by: Array) -> Model:
+    """Return a model with all its numbers moved, in their own steps, as far as they may be."""
+    layout = _Layout(bench, model)
+    low, high = layout.bounds()
+    return layout.unpack(np.clip(layout.pack(model) + by, low, high))
+
+
+class Named(NamedTuple):
+    """One number of a model, and its standard uncertainty in the model's own terms."""
+
+    name: str
+    parameter: Parameter
+    value: float
+    uncertainty: float
+
+
+def parameters(bench: Bench, about: Sequence[Scene], fit: Fit) -> tuple[Named, ...]:
+    """Return all numbers of a model but those of single records, with their uncertainties.
+
+    From the scatter of the residuals and their correlation from one sample to the next.
+    """
+    layout = _Layout(bench, fit.model)
+    J, r = slopes_of(bench, about, fit), residual(bench, fit)
+    correlation = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-30)
+    correlation = min(max(correlation, 0.0), 0.995)
+    spread = float(r @ r) / max(len(r) - J.shape[1], 1) * (1.0 + correlation) / (1.0 - correlation)
+    covariance = np.linalg.pinv(J.T @ J) * spread
+    sigma = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    return tuple(
+        Named(name, parameter, value, float(s) * layout.step(i))
+        for i, (name, parameter, value, s) in enumerate(
+            zip(layout.names, layout.parameters, layout.values(fit.model), sigma, strict=False)
+        )
+        if i < layout.common
+    )
+
+
+class _Layout:
+    """Where the numbers of a model are in the row that is searched, each in its step."""
+
+    def __init__(self, bench: Bench, model: Model) -> None:
+        base = bench.base
+        effects = [effect for effect, _ in model.effects]
+        self.base, self.effects, self.records = base, effects, len(model.own)
+        self.names = [p.name for p in base.shared]
+        self.parameters = list(base.shared)
+        for effect in effects:
+            self.names += [f"{effect.name}.{p.name}" for p in effect.parameters]
+            self.parameters += effect.parameters
+        self.common = len(self.parameters)
+        for k, record in enumerate(bench.records):
+            self.names += [f"{p.name} ({k + 1})" for p in base.own]
+            self.parameters += [
+                p._replace(low=low, high=high)
+                for p, (low, high) in zip(base.own, own_bounds(record), strict=True)
+            ]
+        self._steps = [p.step for p in self.parameters]
+        if COMPLIANCE in base.shared:  # known to a share of itself, whatever the tendon
+            for i, p in enumerate(base.shared):
+                if p.unit == "m/N":
+                    self._steps[i] = 0.03 * max(model.shared[1], 1e-7)
+
+    def step(self, i: int) -> float:
+        """Return the step of a number."""
+        return self._steps[i]
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the least and the largest of each number."""
+        steps = np.array(self._steps)
+        low = np.array([p.low for p in self.parameters]) / steps
+        return low, np.array([p.high for p in self.parameters]) / steps
+
+    def values(self, model: Model) -> list[float]:
+        """Return the numbers of a model, in a row."""
+        of_effects = [value for _, values in model.effects for value in values]
+        return [*model.shared, *of_effects, *(value for own in model.own for value in own)]
+
+    def pack(self, model: Model) -> Array:
+        """Return them in their steps."""
+        return np.asarray(np.array(self.values(model)) / np.array(self._steps))
+
+    def unpack(self, x: Array) -> Model:
+        """Return the model of a row."""
+        values = [float(a * b) for a, b in zip(x, self._steps, strict=True)]
+        at = len(self.base.shared)
+        shared = tuple(values[:at])
+        effects = []
+        for effect in self.effects:
+            count = len(effect.parameters)
+            effects.append((effect, tuple(values[at : at + count])))
+            at += count
+        size = len(self.base.own)
+        own = tuple(tuple(values[at + k * size : at + (k + 1) * size]) for k in range(self.records))
+        return Model(shared, own, tuple(effects))

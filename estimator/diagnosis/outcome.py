@@ -1,0 +1,118 @@
+"""What a diagnosis says."""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+from estimator.diagnosis.fit import Bench, Fit
+from estimator.diagnosis.record import Trouble
+from estimator.effects.effect import Effect
+
+
+class Verdict(StrEnum):
+    """How a diagnosis ends."""
+
+    CLEAN = "clean"  # nothing wrong beyond noise
+    NAMED = "named"  # one cause, or one after another
+    AMBIGUOUS = "ambiguous"  # one of several that these channels cannot tell apart
+    UNEXPLAINED = "unexplained"  # the model is wrong, and nothing in the catalogue explains it
+
+
+class Number(NamedTuple):
+    """A fitted value with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+class Fitness(NamedTuple):
+    """How far a model is off in one channel, on one set of samples."""
+
+    rmse: float  # [N] or [m]
+    largest: float  # share of full scale
+    mean: float  # share of full scale
+
+
+class Fitnesses(NamedTuple):
+    """The same on what was fitted and on what was held out, by channel."""
+
+    fit: dict[str, Fitness]
+    held_out: dict[str, Fitness]
+    validation: dict[str, Fitness]  # empty without records of its own
+
+
+class Ranked(NamedTuple):
+    """A candidate, as it came out."""
+
+    name: str
+    label: str  # with its variant
+    score: float  # ln of how much more probable held-out data are with it than without
+    rmse: dict[str, float]  # held out, by channel
+    left: float  # share of what noise does not explain that it leaves
+    values: dict[str, float]
+
+
+class Step(NamedTuple):
+    """One cause found on top of those before it."""
+
+    effect: Effect
+    rivals: tuple[str, ...]  # names that these channels do not tell from it
+    ranking: tuple[Ranked, ...]
+    fit: Fit  # all causes so far, fitted to all samples
+
+
+class Gain(NamedTuple):
+    """By which share the held-out RMSE of a channel fell, with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Structure(NamedTuple):
+    """What a residual goes along with, strongest first."""
+
+    what: str
+    channel: str
+    share: float  # of the residual's variance
+
+
+class Visible(NamedTuple):
+    """The smallest size at which an effect would have been seen."""
+
+    parameter: str
+    size: float
+    unit: str
+
+
+class Diagnosis(NamedTuple):
+    """What is wrong with the model of a bench, why, and what mending it is worth."""
+
+    verdict: Verdict
+    steps: tuple[Step, ...]
+    ranking: tuple[Ranked, ...]  # of the first search
+    parameters: dict[str, Number]
+    bench: Bench
+    baseline: Fit
+    extended: Fit  # the baseline again where nothing was found
+    before: Fitnesses
+    after: Fitnesses
+    gain: dict[str, Gain]
+    noise: dict[str, float]
+    left: float  # share of what noise does not explain that the extended model leaves
+    structure: tuple[Structure, ...]  # of what the extended model leaves
+    visible: dict[str, Visible]  # by effect; of a clean bench
+    experiments: tuple[str, ...]  # that would settle what is ambiguous
+    troubles: tuple[Trouble, ...]
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the effects, in the order found."""
+        return tuple(step.effect.name for step in self.steps)
+
+    @property
+    def ambiguous_with(self) -> tuple[str, ...]:
+        """Names that cannot be told from one of the causes."""
+        names = [name for step in self.steps for name in step.rivals]
+        return tuple(dict.fromkeys(name for name in names if name not in self.causes))

@@ -1,0 +1,324 @@
+"""A record of measured data, made ready to be compared with a simulation.
+
+The simulation is driven by the motor's travel where there is one, else by the tension at the
+housing. What drives a hysteresis must not jitter, or the jitter is remembered: between its turning
+points the driving signal is made monotone, which keeps its peaks (docs/theory.md, section 9). All
+other channels are compared as they are, without filters.
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.optimize import isotonic_regression
+
+from estimator.effects.effect import (
+    CHANNELS,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Signals,
+)
+from estimator.signals import noise_sigma
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEAST = 100  # samples
+MOST = 20_000  # samples that are simulated; a longer record is thinned
+BLOCK = 5.0  # [s] that are fitted, and then as long that are not
+BLOCKS = 12  # at least, in a short record
+SPIKE = 8.0  # times what neighbours differ by
+FLOOR = 2e-4  # of a channel's range: nothing is simulated better
+FLOOR_BY = 0.02  # [s] over which speed is taken
+
+
+class Simulation(Protocol):
+    """What a simulation gives."""
+
+    @property
+    def signals(self) -> Signals:
+        """By channel, shape (n,)."""
+
+
+class RecordError(ValueError):
+    """Data that cannot be diagnosed; the message says why and what to do."""
+
+
+class Trouble(NamedTuple):
+    """Samples that are kept out, and why."""
+
+    what: str
+    channel: str
+    samples: int
+    first: float  # [s]
+
+
+@dataclass(frozen=True)
+class Record:
+    """One record, ready.
+
+    Attributes
+    ----------
+    time
+        From the first sample on [s], shape (n,).
+    signals
+        By channel, as measured, shape (n,) each.
+    driver
+        The channel that drives the simulation.
+    drive
+        It, monotone between its turning points, shape (n,).
+    speed
+        Its rate, shape (n,).
+    noise
+        Standard deviation of what a simulation cannot know, by channel.
+    good
+        Which samples count, by channel, shape (n,) each.
+    train
+        Which samples are fitted while others are kept for the test, shape (n,).
+    block
+        Number of the block each sample is in, shape (n,).
+    troubles
+        What was kept out.
+    thinned
+        How many measured samples became one.
+    """
+
+    time: Array
+    signals: Signals
+    driver: str
+    drive: Array
+    speed: Array
+    noise: dict[str, float]
+    good: dict[str, Mask]
+    train: Mask
+    block: NDArray[np.int64]
+    troubles: tuple[Trouble, ...]
+    thinned: int
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Channels that a simulation is compared with."""
+        return tuple(c for c in CHANNELS if c in self.signals and c != self.driver)
+
+    @property
+    def starts_slack(self) -> bool:
+        """Whether there is no tension at the first sample."""
+        T = self.signals[PROXIMAL_TENSION]
+        return bool(np.median(T[:5]) <= 5.0 * self.noise[PROXIMAL_TENSION])
+
+
+def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
+    """Return a record made ready.
+
+    Parameters
+    ----------
+    time : ndarray
+        [s], shape (n,), strictly rising.
+    signals : dict
+        By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, [N] and
+        [m], shape (n,).
+    most : int
+        Samples that are kept of a longer record.
+
+    Raises
+    ------
+    RecordError
+        If nothing can be found out from the data.
+    """
+    if PROXIMAL_TENSION not in signals:
+        raise RecordError("proximal_tension is missing: nothing is known without it")
+    if len(signals) < 2:
+        raise RecordError(
+            "proximal_tension alone: a travel or the tension at the tip is needed beside it"
+        )
+    if len(time) < LEAST:
+        raise RecordError(f"{len(time)} samples, at least {LEAST} are needed: record for longer")
+    for name, signal in signals.items():
+        if name not in CHANNELS:
+            raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
+        if signal.shape != time.shape or not np.isfinite(signal).all():
+            raise RecordError(f"{name}: {time.shape} finite values are needed")
+    if not np.ptp(signals[PROXIMAL_TENSION]) > 0.0:
+        raise RecordError("proximal_tension never changes: pull and release while you record")
+    time = time - time[0]
+    good, troubles = {}, list(_repeated(time, signals))
+    for name, signal in signals.items():
+        good[name], spikes = _without_spikes(time, name, signal)
+        troubles += spikes
+    time, signals, good, thinned = _thinned(time, signals, good, most)
+    driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
+    noise = {
+        name: max(noise_sigma(signal[good[name]]), FLOOR * float(np.ptp(signal)), 1e-9)
+        for name, signal in signals.items()
+    }
+    whole = np.interp(time, time[good[driver]], signals[driver][good[driver]])
+    drive = monotone(whole, 4.0 * noise_sigma(whole))
+    if driver == PROXIMAL_TENSION:
+        drive = np.maximum(drive, 0.0)
+    length = min(BLOCK, (time[-1] - time[0]) / BLOCKS)
+    block = ((time - time[0]) / length).astype(np.int64)
+    return Record(
+        time=time,
+        signals=signals,
+        driver=driver,
+        drive=drive,
+        speed=rate(time, drive),
+        noise=noise,
+        good=good,
+        train=block % 2 == 0,
+        block=block,
+        troubles=tuple(troubles),
+        thinned=thinned,
+    )
+
+
+def in_full(record: Record) -> Record:
+    """Return a record of which all samples are fitted."""
+    return replace(record, train=np.ones_like(record.train))
+
+
+def felt(record: Record, again: Callable[[Record], Simulation]) -> Record:
+    """Return a record whose noise has in it what the driver's own noise does to a simulation.
+
+    `again` simulates a record; here with the driver's noise put on a second time. An encoder has
+    none that would show.
+    """
+    if record.driver != PROXIMAL_TENSION:
+        return record
+    sigma = noise_sigma(record.signals[record.driver])
+    jitter = sigma * np.random.default_rng(0).standard_normal(len(record.time))
+    drive = np.maximum(monotone(record.drive + jitter, 4.0 * sigma), 0.0)
+    other, same = again(replace(record, drive=drive)), again(record)
+    noise = dict(record.noise)
+    for channel in record.compared:
+        off = other.signals[channel] - same.signals[channel]
+        noise[channel] = math.hypot(noise[channel], float(np.sqrt(np.mean(off**2))))
+    return replace(record, noise=noise)
+
+
+def thin(record: Record, most: int) -> Record:
+    """Return a record of about `most` samples, for a first look; the driver's turns all stay."""
+    n = len(record.time)
+    if n <= most:
+        return record
+    kept = np.zeros(n, dtype=np.bool_)
+    kept[:: math.ceil(n / most)] = True
+    kept[_turning_points(record.drive, 1e-3 * float(np.ptp(record.drive)))] = True
+    return replace(
+        record,
+        time=record.time[kept],
+        signals={name: signal[kept] for name, signal in record.signals.items()},
+        drive=record.drive[kept],
+        speed=record.speed[kept],
+        good={name: good[kept] for name, good in record.good.items()},
+        train=record.train[kept],
+        block=record.block[kept],
+    )
+
+
+def monotone(signal: Array, band: float) -> Array:
+    """Return a signal made monotone between turning points that are more than `band` apart."""
+    if band <= 0.0:
+        return signal
+    turns = _turning_points(signal, band)
+    if len(turns) <= 2 and float(np.ptp(signal)) <= band:
+        return np.full_like(signal, float(signal.mean()))
+    out = signal.copy()
+    for begin, end in itertools.pairwise(turns):
+        piece = slice(begin, end + 1)
+        rises = bool(signal[end] >= signal[begin])
+        out[piece] = isotonic_regression(signal[piece], increasing=rises).x
+    # of noise the highest sample is the turn: no further out than its neighbours are, then
+    for turn in turns[1:-1]:
+        beside = out[[turn - 1, turn + 1]]
+        if abs(signal[turn] - beside.mean()) < band:
+            out[turn] = np.clip(signal[turn], beside.min(), beside.max())
+    return out
+
+
+def rate(time: Array, signal: Array) -> Array:
+    """Return the slope of a signal over a few samples [1/s], shape (n,)."""
+    reach = max(1, round(0.5 * FLOOR_BY / float(np.median(np.diff(time)))))
+    ahead = np.minimum(np.arange(len(time)) + reach, len(time) - 1)
+    behind = np.maximum(np.arange(len(time)) - reach, 0)
+    return np.asarray((signal[ahead] - signal[behind]) / (time[ahead] - time[behind]))
+
+
+def _turning_points(signal: Array, band: float) -> list[int]:
+    turns = [0]
+    extreme, rising = 0, None
+    values = signal.tolist()
+    for i, x in enumerate(values):
+        if rising is None:
+            if abs(x - values[0]) > band:
+                rising, extreme = x > values[0], i
+        elif (x >= values[extreme]) == rising:
+            extreme = i
+        elif abs(x - values[extreme]) > band:
+            turns.append(extreme)
+            rising, extreme = not rising, i
+    if turns[-1] != len(values) - 1:
+        turns.append(len(values) - 1)
+    return turns
+
+
+def _without_spikes(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:
+    """Return which samples are no single-sample spikes, and what is said of those that are."""
+    off = np.zeros_like(signal)
+    off[1:-1] = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
+    across = np.zeros_like(signal)
+    across[1:-1] = np.abs(signal[2:] - signal[:-2])
+    usual = 1.4826 * median_filter(np.abs(off), 101, mode="nearest")
+    least = max(noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
+    spike = (np.abs(off) > SPIKE * np.maximum(usual, least)) & (across < 0.5 * np.abs(off))
+    # beside a spike both neighbours are off by half of it, the other way; beside a sharp turn not
+    for beside in (np.roll(off, 1), np.roll(off, -1)):
+        spike &= (off * beside < 0.0) & (np.abs(beside) > 0.25 * np.abs(off))
+        spike &= np.abs(beside) < 0.8 * np.abs(off)
+    if not spike.any():
+        return np.ones(len(signal), dtype=np.bool_), []
+    first = float(time[int(np.argmax(spike))])
+    return ~spike, [Trouble("single-sample spikes", name, int(spike.sum()), first)]
+
+
+def _repeated(time: Array, signals: Signals) -> list[Trouble]:
+    """Say where all channels repeat a sample, or where samples are missing."""
+    found = []
+    same = np.ones(len(time) - 1, dtype=np.bool_)
+    for signal in signals.values():
+        same &= np.diff(signal) == 0.0
+    noisy = any(noise_sigma(signal) > 0.0 for signal in signals.values())
+    if noisy and same.any():
+        first = float(time[1:][same][0])
+        found.append(Trouble("repeated samples", "all channels", int(same.sum()), first))
+    steps = np.diff(time)
+    gaps = steps > 1.75 * np.median(steps)
+    if gaps.any():
+        missing = int(np.rint(steps[gaps] / np.median(steps) - 1.0).sum())
+        found.append(Trouble("missing samples", "all channels", missing, float(time[1:][gaps][0])))
+    return found
+
+
+def _thinned(
+    time: Array, signals: Signals, good: dict[str, Mask], most: int
+) -> tuple[Array, Signals, dict[str, Mask], int]:
+    """Return every k-th sample, the compared channels averaged over the k around it."""
+    k = math.ceil(len(time) / most)
+    if k <= 1:
+        return time, signals, good, 1
+    rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
+    window = rows[:, None] + np.arange(k) - k // 2
+    window = np.clip(window, 0, len(time) - 1)
+    kept, masks = {}, {}
+    for name, signal in signals.items():
+        weight = good[name][window].astype(np.float64)
+        masks[name] = weight.sum(axis=1) > 0.5 * k
+        total = np.maximum(weight.sum(axis=1), 1.0)
+        kept[name] = (signal[window] * weight).sum(axis=1) / total
+        kept[name][~masks[name]] = signal[rows][~masks[name]]
+    return time[window].mean(axis=1), kept, masks, k

@@ -1,0 +1,140 @@
+"""How good a model is on what it was not fitted to, and how surely one is better than another."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.diagnosis.fit import Bench, Fit
+
+Array = NDArray[np.float64]
+
+BIN = 1.0  # [s] that errors are summed over; longer than they remember each other
+DRAWS = 400
+LEAST = 0.5  # squares of the noise: better than this is not better
+LEAST_INDEPENDENT = 0.02  # of the samples, however alike neighbours are
+
+
+class Errors(NamedTuple):
+    """Squared errors of one channel on held-out samples."""
+
+    squares: Array  # sums over bins, (bins,), in squares of the noise
+    counts: Array  # samples of each bin
+    independent: float  # share of the samples that tell something of their own
+
+    @property
+    def mean(self) -> float:
+        """Mean square, in squares of the noise."""
+        return float(self.squares.sum() / max(self.counts.sum(), 1.0))
+
+
+def errors(bench: Bench, fit: Fit, *, held_out: bool = True) -> dict[str, Errors]:
+    """Return the errors of a model by channel, all records together."""
+    parts: dict[str, list[Errors]] = {}
+    for record, one in zip(bench.records, fit.simulated, strict=True):
+        bins = ((record.time - record.time[0]) / BIN).astype(np.int64)
+        for channel in record.compared:
+            rows = record.good[channel] & (record.train != held_out)
+            off = (record.signals[channel] - one.signals[channel])[rows] / record.noise[channel]
+            squares = np.bincount(bins[rows], off**2, bins[-1] + 1).astype(np.float64)
+            counts = np.bincount(bins[rows], minlength=bins[-1] + 1).astype(np.float64)
+            kept = counts > 0
+            found = Errors(squares[kept], counts[kept], _independent(off))
+            parts.setdefault(channel, []).append(found)
+    return {channel: _together(found) for channel, found in parts.items()}
+
+
+def joined(found: Sequence[dict[str, Errors]]) -> dict[str, Errors]:
+    """Return the errors of several halves as those of a whole."""
+    return {channel: _together([one[channel] for one in found]) for channel in found[0]}
+
+
+def _together(found: Sequence[Errors]) -> Errors:
+    return Errors(
+        np.concatenate([part.squares for part in found]),
+        np.concatenate([part.counts for part in found]),
+        min(part.independent for part in found),
+    )
+
+
+def rmse(bench: Bench, fit: Fit, *, held_out: bool) -> float:
+    """Return the root mean square error over all channels, in units of the noise."""
+    return math.sqrt(
+        float(np.mean([e.mean for e in errors(bench, fit, held_out=held_out).values()]))
+    )
+
+
+def better_by(a: dict[str, Errors], b: dict[str, Errors]) -> float:
+    """Return ln of how much more probable held-out data are under `a` than under `b`.
+
+    Each channel's own mean square stands for its variance, so that neither the unit nor a
+    noise that was estimated wrongly decides.
+    """
+    total = 0.0
+    for channel, one in a.items():
+        share = min(one.independent, b[channel].independent)
+        total += (
+            0.5 * share * float(one.counts.sum()) * math.log(_floored(b[channel]) / _floored(one))
+        )
+    return total
+
+
+def surely_better(a: dict[str, Errors], b: dict[str, Errors], seed: int = 0) -> float:
+    """Return the share of bootstrapped records in which `a` is better than `b` (paired bins)."""
+    difference = []
+    for channel, one in a.items():
+        scale = _floored(one)
+        difference.append((b[channel].squares - one.squares) / scale)
+    total = (
+        np.sum(difference, axis=0)
+        if len({len(d) for d in difference}) == 1
+        else np.concatenate(difference)
+    )
+    draws = np.random.default_rng(seed).integers(0, len(total), (DRAWS, len(total)))
+    return float(np.mean(total[draws].sum(axis=1) > 0.0))
+
+
+def gain_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:
+    """Return by which share errors are smaller under `a` than under `b`, over all channels."""
+    samples = sum(one.independent * float(one.counts.sum()) for one in a.values())
+    return -math.expm1(-better_by(a, b) / max(samples / len(a), 1.0))
+
+
+def left_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:
+    """Return how much `a` leaves of what `b` leaves beyond the noise; worse channels weigh more.
+
+    0 where noise is all that is left, 1 where nothing was gained.
+    """
+    left = total = 0.0
+    for channel, one in b.items():
+        excess = max(one.mean - 1.0, 0.0)
+        if excess < 0.1:
+            continue
+        weight = math.sqrt(excess)
+        left += weight * min(max(a[channel].mean - 1.0, 0.0) / excess, 4.0)
+        total += weight
+    return left / total if total else 0.0
+
+
+def bootstrapped_gain(a: Errors, b: Errors, seed: int = 0) -> tuple[float, float, float]:
+    """Return by which share the RMSE is smaller under `a` than under `b`, and its 95 % interval."""
+    value = 1.0 - math.sqrt(a.mean / max(b.mean, 1e-12))
+    n = len(a.squares)
+    draws = np.random.default_rng(seed).integers(0, n, (DRAWS, n))
+    ratio = a.squares[draws].sum(axis=1) / np.maximum(b.squares[draws].sum(axis=1), 1e-12)
+    low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
+    return value, float(low), float(high)
+
+
+def _floored(one: Errors) -> float:
+    return max(one.mean, LEAST)
+
+
+def _independent(off: Array) -> float:
+    centred = off - off.mean()
+    power = float(centred @ centred)
+    r = float(centred[1:] @ centred[:-1]) / power if power > 0.0 else 0.0
+    r = min(max(r, 0.0), 0.9999)
+    return max((1.0 - r) / (1.0 + r), LEAST_INDEPENDENT)

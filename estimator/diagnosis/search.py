@@ -1,0 +1,208 @@
+"""Which effect explains what a model leaves: every candidate fitted together with the model.
+
+A regression on the residual would be wrong, since the model's own parameters have taken up part of
+every effect. So each candidate is first tried by a linear step of all parameters together, from
+each of its starts, and those that promise most are then fitted by re-simulation.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.diagnosis.baseline import by_most
+from estimator.diagnosis.fit import (
+    Bench,
+    Fit,
+    Model,
+    improved,
+    moved,
+    rescaled,
+    residual,
+    scenes,
+    scenes_without,
+    simulated,
+    slopes_of,
+)
+from estimator.diagnosis.record import thin
+from estimator.diagnosis.score import Errors, errors
+from estimator.effects.effect import Effect, Scene, Values
+
+Array = NDArray[np.float64]
+
+THIN = 1200  # samples of a record in a first look
+STARTS = 2  # of each effect
+ROUNDS = (4, 6)  # of the first fits, on thin records
+KEPT = (14, 6)  # effects that go on after each of them
+LONG = 25  # rounds of the last fit, on whole records
+FURTHEST = 6.0  # times a start's amplitude that a linear step may go
+HOPELESS = (40.0, 4.0)  # times the best's cost: not worth going on with
+
+Task = TypeVar("Task")
+Done = TypeVar("Done")
+Report = Callable[[str, float], None]
+
+
+class Candidate(NamedTuple):
+    """A model with one effect more, and its errors on held-out samples."""
+
+    effect: Effect
+    fit: Fit
+    held_out: dict[str, Errors]
+    cost: float  # that was minimised
+
+
+class Promise(NamedTuple):
+    """A model to begin a fit from, and the cost that a linear step foresees."""
+
+    model: Model
+    cost: float
+
+
+def candidates(
+    bench: Bench, fit: Fit, effects: Sequence[Effect], report: Report, workers: int = 1
+) -> list[Candidate]:
+    """Return what came of each effect that promised something, the best first.
+
+    Parameters
+    ----------
+    bench : Bench
+        What was measured.
+    fit : Fit
+        The model without.
+    effects : sequence of Effect
+        To try on top of it.
+    report : callable
+        Told what is done, and which share of it is.
+    workers : int
+        Fits side by side.
+    """
+    bench = rescaled(bench, fit)
+    about = scenes(bench, fit)
+    thin_bench = bench._replace(records=tuple(thin(record, THIN) for record in bench.records))
+    there = simulated(thin_bench, scenes_without(thin_bench, fit), fit.model)
+    around = scenes(thin_bench, there)
+    sudden = [effect for effect in effects if any(p.jumps for p in effect.parameters)]
+    gradual = [effect for effect in effects if effect not in sudden]
+    models = promised(thin_bench, there, around, gradual, report, workers)
+    if sudden:
+        models += promised(thin_bench, by_most(thin_bench, there), around, sudden, report, workers)
+    best: list[Candidate] = []
+    for rounds, kept, hopeless in zip(ROUNDS, KEPT, HOPELESS, strict=True):
+
+        def fitted(model: Model, rounds: int = rounds) -> Candidate:
+            return _candidate(thin_bench, around, model, rounds)
+
+        best = _best_of_each(_each(fitted, models, report, "fitting candidates", workers))[:kept]
+        models = [one.fit.model for one in best if one.cost < hopeless * best[0].cost]
+
+    def finished(model: Model) -> Candidate:
+        return _candidate(bench, about, model, LONG)
+
+    done = list(_each(finished, models, report, "finishing the best", workers))
+    rest = [_scored(bench, simulated(bench, about, one.fit.model)) for one in best[len(models) :]]
+    return sorted(done + rest, key=lambda one: one.cost)
+
+
+def promised(
+    bench: Bench,
+    fit: Fit,
+    about: Sequence[Scene],
+    effects: Sequence[Effect],
+    report: Report,
+    workers: int,
+) -> list[Model]:
+    """Return models to begin fits from: for each effect the starts that promise most.
+
+    Each start is taken as it is, and as far as a linear step of all parameters would go along it;
+    the model's own parameters go along.
+    """
+    r = residual(bench, fit)
+    J = slopes_of(bench, about, fit)
+    solve = np.linalg.pinv(J)
+    starts = [(effect, values) for effect in effects for values in effect.starts(about[0])]
+
+    def promise(one: tuple[Effect, Values]) -> list[Promise]:
+        effect, values = one
+        begun = simulated(bench, about, _with(fit.model, effect, values))
+        change = residual(bench, begun) - r
+        if not np.isfinite(change).all():
+            return []
+        alone = change - J @ (solve @ change)
+        power = float(alone @ alone)
+        if power < 1e-12:
+            return []
+        found = []
+        for share in {1.0, -(float(alone @ r)) / power}:
+            scaled, step = _scaled(effect, values, share)
+            wanted = r + step * change
+            base = -(solve @ wanted)
+            left = wanted + J @ base
+            model = _with(moved(bench, fit.model, base), effect, scaled)
+            found.append(Promise(model, float(left @ left)))
+        return found
+
+    done = [
+        one for found in _each(promise, starts, report, "trying effects", workers) for one in found
+    ]
+    of_effect: dict[str, list[Promise]] = {}
+    for one in sorted(done, key=lambda one: one.cost):
+        kept = of_effect.setdefault(one.model.effects[-1][0].label, [])
+        if len(kept) < STARTS:
+            kept.append(one)
+    return [one.model for kept in of_effect.values() for one in kept]
+
+
+def _scaled(effect: Effect, values: Values, share: float) -> tuple[Values, float]:
+    """Return a start whose amplitudes are `share` times as large, as far as they may be."""
+    amplitudes = [p.neutral is not None for p in effect.parameters]
+    if not any(amplitudes):
+        return values, 1.0
+    share = min(max(share, -FURTHEST), FURTHEST)
+    for value, p in zip(values, effect.parameters, strict=True):
+        if p.neutral is None or value == p.neutral:
+            continue
+        room = (p.high if share * (value - p.neutral) > 0.0 else p.low) - p.neutral
+        most = room / (value - p.neutral)
+        share = min(share, most) if share > 0.0 else max(share, most)
+    scaled = tuple(
+        value if p.neutral is None else p.neutral + share * (value - p.neutral)
+        for value, p in zip(values, effect.parameters, strict=True)
+    )
+    return scaled, share
+
+
+def _with(model: Model, effect: Effect, values: Values) -> Model:
+    return model._replace(effects=(*model.effects, (effect, values)))
+
+
+def _candidate(bench: Bench, about: Sequence[Scene], start: Model, rounds: int) -> Candidate:
+    return _scored(bench, improved(bench, about, start, rounds))
+
+
+def _scored(bench: Bench, fit: Fit) -> Candidate:
+    cost = float(np.sum(residual(bench, fit) ** 2))
+    return Candidate(fit.model.effects[-1][0], fit, errors(bench, fit), cost)
+
+
+def _best_of_each(found: Iterable[Candidate]) -> list[Candidate]:
+    best: dict[str, Candidate] = {}
+    for one in sorted(found, key=lambda one: one.cost):
+        best.setdefault(one.effect.label, one)
+    return list(best.values())
+
+
+def _each(
+    work: Callable[[Task], Done],
+    tasks: Sequence[Task],
+    report: Report,
+    what: str,
+    workers: int,
+) -> Iterator[Done]:
+    """Yield what `work` makes of each task, in their order; compiled code runs side by side."""
+    with ThreadPoolExecutor(workers) as pool:
+        for i, done in enumerate(pool.map(work, tasks), start=1):
+            report(what, i / max(len(tasks), 1))
+            yield done

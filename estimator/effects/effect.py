@@ -1,0 +1,142 @@
+"""What an effect is: something that real transmissions do and the paper's model does not.
+
+An effect changes what is simulated in one of three places, and is neutral where it says nothing:
+
+* `physics` changes the tendon, its sheath or what holds the tip (`estimator.extended.Physics`);
+* `reads` is what its sensor makes of the true signals;
+* `true` takes that away again from the signal that drives the simulation.
+
+Several effects act one after another, in the order in which they are given.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.extended import Physics
+
+Array = NDArray[np.float64]
+Values = tuple[float, ...]
+
+PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT = "proximal_tension", "proximal_displacement"
+DISTAL_TENSION, DISTAL_DISPLACEMENT = "distal_tension", "distal_displacement"
+CHANNELS = (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT, DISTAL_TENSION, DISTAL_DISPLACEMENT)
+
+Signals = dict[str, Array]
+"""By channel, [N] and [m], shape (n,) each."""
+
+
+class Parameter(NamedTuple):
+    """One number of an effect."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    step: float
+    """A change that matters; fits count in it."""
+    neutral: float | None = 0.0
+    """Its value without the effect; None where it only shapes the effect."""
+    jumps: bool = False
+    """Whether it must be searched step by step, since no slope leads to it."""
+
+
+class Scene(NamedTuple):
+    """What is known of a record where an effect begins to be looked for."""
+
+    time: Array  # [s]
+    driver: str  # the channel that drives the simulation
+    drive: Array  # it, fit to drive: [m] or [N]
+    speed: Array  # of it [m/s] or [N/s]
+    measured: Signals
+    simulated: Signals  # by the model without the effect
+    compliance: Array  # dq_p/dT_in [m/N] of that model
+    elongation_per_newton: float  # L/EA [m/N] of that model
+
+    @property
+    def peak(self) -> float:
+        """Largest tension measured at the housing [N]."""
+        return float(self.measured[PROXIMAL_TENSION].max())
+
+    def instants(self, count: int) -> list[float]:
+        """Return times [s] spread over the record, its very ends left out."""
+        shares = (np.arange(count) + 0.5) / count
+        return [float(t) for t in self.time[0] + shares * (self.time[-1] - self.time[0])]
+
+
+def _same_physics(physics: Physics, _values: Values, _scene: Scene) -> Physics:
+    return physics
+
+
+def _same_signals(signals: Signals, _values: Values, _scene: Scene) -> Signals:
+    return signals
+
+
+def _same_drive(drive: Array, _values: Values, _scene: Scene) -> Array:
+    return drive
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One way in which a transmission differs from the paper's model.
+
+    Attributes
+    ----------
+    name
+        In files, reports and on the command line; variants of one cause share it.
+    where
+        Which variant, in words; empty where there is one only.
+    cause
+        What goes on, in a sentence that can follow "because".
+    equation
+        What it adds to the model.
+    parameters
+        Fitted with those of the model.
+    source
+        Where equation and range come from.
+    advice
+        What a person does who has it on their bench.
+    starts
+        Values to begin fits from; one that decides in which valley a fit ends is spread here.
+    shows_in
+        Channels of which one must be there, besides the driving one, for the effect to show.
+    needs
+        Channels without which the effect is not defined.
+    """
+
+    name: str
+    cause: str
+    equation: str
+    parameters: tuple[Parameter, ...]
+    source: str
+    advice: str
+    starts: Callable[[Scene], Iterable[Values]]
+    physics: Callable[[Physics, Values, Scene], Physics] = _same_physics
+    reads: Callable[[Signals, Values, Scene], Signals] = _same_signals
+    true: Callable[[Array, Values, Scene], Array] = _same_drive
+    where: str = ""
+    needs: frozenset[str] = frozenset()
+
+    @property
+    def label(self) -> str:
+        """Name and variant."""
+        return f"{self.name} ({self.where})" if self.where else self.name
+
+
+def since(time: Array, onset: float, over: float = 0.0) -> Array:
+    """Return 0 before `onset` [s] and 1 after, shape (n,), the step taken `over` so long [s].
+
+    No shorter than from one sample to the next, which one in between would be in anyway.
+    """
+    over = max(over, float(np.median(np.diff(time))))
+    return np.clip((time - onset) / over + 0.5, 0.0, 1.0)
+
+
+def changed(signals: Signals, channel: str, change: Callable[[Array], Array]) -> Signals:
+    """Return signals with one of them changed, if it is there."""
+    if channel not in signals:
+        return signals
+    return {**signals, channel: change(signals[channel])}

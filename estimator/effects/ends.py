@@ -1,0 +1,183 @@
+"""Effects at the ends of a tendon: its start, the joint, and what moves the tip."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Array,
+    Effect,
+    Parameter,
+    Scene,
+    Values,
+    changed,
+    since,
+)
+from estimator.extended import Physics
+
+TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
+BOTH_TRAVELS = frozenset({PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT})
+ONSETS = 16
+
+PRETENSION = Effect(
+    name="pretension",
+    cause="the tendon was under tension all along when the record began, not slack",
+    equation="T(s) = tension before the first sample",
+    parameters=(Parameter("tension", "N", 0.0, 60.0, 0.5),),
+    source="docs/theory.md (T15)",
+    advice="Begin each record with a full pull and release; that wipes the start out.",
+    starts=lambda scene: [(float(scene.measured[PROXIMAL_TENSION][:5].mean()),), (2.0,), (6.0,)],
+    physics=lambda physics, values, _: physics._replace(start=values[0]),
+)
+
+
+def play(travel: Array, width: float) -> Array:
+    """Return what a link follows of a travel through a play of `width` [m], from its middle."""
+    half, follower = 0.5 * width, float(travel[0])
+    followed = np.empty_like(travel)
+    for i, x in enumerate(travel.tolist()):
+        follower = min(max(follower, x - half), x + half)
+        followed[i] = follower
+    return followed
+
+
+JOINT_BACKLASH = Effect(
+    name="joint_backlash",
+    cause="there is play between the tendon's pulley and the link",
+    equation="the tip's encoder reads the play of q_d",
+    parameters=(Parameter("width", "m", 0.0, 5e-3, 2e-5),),
+    source="range assumed: 0.1 to 2 degrees",
+    advice="Take the play out, or measure at the pulley and at the link.",
+    starts=lambda _: [(3e-5,), (1.5e-4,)],
+    reads=lambda signals, values, _: changed(
+        signals, DISTAL_DISPLACEMENT, lambda q: play(q, values[0])
+    ),
+    needs=BOTH_TRAVELS,
+)
+
+
+def _held(physics: Physics, values: Values, _scene: Scene) -> Physics:
+    return physics._replace(load_low=-values[0], load_high=values[0])
+
+
+JOINT_FRICTION = Effect(
+    name="joint_friction",
+    cause="the joint itself has dry friction",
+    equation="T_out = k q_d + friction sgn(dq_d/dt)",
+    parameters=(Parameter("friction", "N", 0.0, 20.0, 0.1),),
+    source="range assumed: 0.1 to 3 N",
+    advice="Look at the joint's bearings; the force on the tool is less than the tendon's by it.",
+    starts=lambda _: [(0.15,), (0.6,)],
+    physics=_held,
+    needs=TRAVEL,
+)
+
+
+def _second_tendon(physics: Physics, values: Values, _scene: Scene) -> Physics:
+    low, rise, stiffness = values
+    return physics._replace(load_low=low, load_high=low + rise, load_stiffness=stiffness)
+
+
+ANTAGONIST_TENSION = Effect(
+    name="antagonist_tension",
+    cause="the other tendon of the joint is not slack and pulls against this one",
+    equation="T_out = k q_d + its tension, between least e^-K and most e^K as the joint turns",
+    parameters=(
+        Parameter("least", "N", 0.0, 20.0, 0.1),
+        Parameter("rise", "N", 0.0, 40.0, 0.1),
+        Parameter("stiffness", "N/m", 300.0, 1e6, 1000.0, None),
+    ),
+    source="docs/theory.md, section 7",
+    advice="Read its load cell, and let it out further before you measure.",
+    starts=lambda _: [(0.1, rise, s) for rise in (0.4, 1.5) for s in (2e3, 1e4)],
+    physics=_second_tendon,
+    needs=TRAVEL,
+)
+
+
+def _heavy(physics: Physics, values: Values, _scene: Scene) -> Physics:
+    return physics._replace(mass=values[0], damping=values[1])
+
+
+TIP_INERTIA = Effect(
+    name="tip_inertia",
+    cause="what hangs on the tip is heavy, or is damped",
+    equation="T_out = k q_d + damping dq_d/dt + mass d2q_d/dt2",
+    parameters=(
+        Parameter("mass", "kg", 0.0, 50.0, 0.1),
+        Parameter("damping", "N s/m", 0.0, 1e4, 10.0),
+    ),
+    source="Newton",
+    advice="Move more smoothly, or take the load off the tip.",
+    starts=lambda _: [(0.05, 5.0), (0.5, 10.0), (0.05, 100.0)],
+    physics=_heavy,
+    needs=TRAVEL,
+)
+
+
+def _moved(physics: Physics, values: Values, scene: Scene) -> Physics:
+    size, onset, duration = values
+    offset = size * since(scene.time, onset + 0.5 * duration, max(duration, 0.02))
+    return physics._replace(tip_offset=physics.tip_offset + offset)
+
+
+def _moved_and_back(physics: Physics, values: Values, scene: Scene) -> Physics:
+    size, onset, duration, stay = values
+    over = max(duration, 0.02)
+    there = since(scene.time, onset + 0.5 * duration, over)
+    back = since(scene.time, onset + stay + 1.5 * duration, over)
+    return physics._replace(tip_offset=physics.tip_offset + size * (there - back))
+
+
+def _moved_starts(scene: Scene) -> Iterable[Values]:
+    return [(2e-4, onset, 0.5) for onset in scene.instants(2 * ONSETS)]
+
+
+def _back_starts(scene: Scene) -> Iterable[Values]:
+    return [(2e-4, onset, 0.5, stay) for onset in scene.instants(ONSETS) for stay in (1.0, 4.0)]
+
+
+_MOVED = (
+    Parameter("size", "m", -0.05, 0.05, 5e-5),
+    Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
+    Parameter("duration", "s", 0.02, 10.0, 0.2, None),
+)
+
+TIP_MOVED = Effect(
+    name="tip_moved",
+    cause="something other than the tendon moved the tip",
+    equation="q_d = c T_out + size from the onset on",
+    parameters=_MOVED,
+    source="docs/theory.md (T18)",
+    advice="No fault of the bench; watch what touches the tip at that time.",
+    starts=_moved_starts,
+    physics=_moved,
+    where="and left it there",
+    needs=TRAVEL,
+)
+
+TIP_MOVED_BACK = Effect(
+    name="tip_moved",
+    cause=TIP_MOVED.cause,
+    equation="q_d = c T_out + size between onset and return",
+    parameters=(*_MOVED, Parameter("stay", "s", 0.0, 1e5, 0.5, None)),
+    source=TIP_MOVED.source,
+    advice=TIP_MOVED.advice,
+    starts=_back_starts,
+    physics=_moved_and_back,
+    where="and took it back",
+    needs=TRAVEL,
+)
+
+EFFECTS = (
+    PRETENSION,
+    JOINT_BACKLASH,
+    JOINT_FRICTION,
+    ANTAGONIST_TENSION,
+    TIP_INERTIA,
+    TIP_MOVED,
+    TIP_MOVED_BACK,
+)

@@ -1,0 +1,198 @@
+"""Effects in the friction of a tendon on its sheath (docs/diagnosis.md, friction)."""
+
+from collections.abc import Iterable
+
+from estimator.effects.effect import Effect, Parameter, Scene, Values, since
+from estimator.extended import Physics
+
+ONSETS = 16
+
+
+def _step(physics: Physics, values: Values, scene: Scene) -> Physics:
+    change, onset = values
+    share = 1.0 + change * since(scene.time, onset)
+    return physics._replace(friction=physics.friction * share)
+
+
+def _step_starts(scene: Scene) -> Iterable[Values]:
+    return [(a, onset) for onset in scene.instants(ONSETS) for a in (-0.2, 0.2)]
+
+
+FRICTION_STEP = Effect(
+    name="friction_step",
+    cause="the shape of the sheath changed during the record, and its friction with it",
+    equation="K(t) = K (1 + change) from the onset on",
+    parameters=(
+        Parameter("change", "", -0.8, 3.0, 0.05),
+        Parameter("onset", "s", 1.0, 1e6, 0.5, None, jumps=True),
+    ),
+    source="shape dependence: Wang, Sun, Phee, Robotica 2014; range assumed",
+    advice="Fix the sheath, or calibrate again after it has been moved.",
+    starts=_step_starts,
+    physics=_step,
+)
+
+
+def _drift(physics: Physics, values: Values, scene: Scene) -> Physics:
+    (rate,) = values
+    share = 1.0 + rate * (scene.time - scene.time[0]) / 60.0
+    return physics._replace(friction=physics.friction * share.clip(0.05))
+
+
+FRICTION_DRIFT = Effect(
+    name="friction_drift",
+    cause="friction changes slowly: wear, lubricant or temperature",
+    equation="K(t) = K (1 + rate t)",
+    parameters=(Parameter("rate", "1/min", -0.9, 5.0, 0.05),),
+    source="range assumed: 10 to 30 % in a session",
+    advice="Run the tendon in before you calibrate, and calibrate again within the session.",
+    starts=lambda _: [(0.1,)],
+    physics=_drift,
+)
+
+CONSTANT_DRAG = Effect(
+    name="constant_drag",
+    cause="part of the friction does not depend on tension: seals, or a stiff tendon in bends",
+    equation="dT/ds = -/+ (T + drag)",
+    parameters=(Parameter("drag", "N", 0.0, 5.0, 0.1),),
+    source="docs/theory.md, section 8; range assumed: 0.1 to 2 N",
+    advice="Look at seals and at sharp bends of a stiff tendon; tare both load cells while slack.",
+    starts=lambda _: [(0.4,)],
+    physics=lambda physics, values, _: physics._replace(drag=values[0]),
+)
+
+VISCOUS_FRICTION = Effect(
+    name="viscous_friction",
+    cause="friction grows with speed: grease or a fluid in the sheath",
+    equation="dT/ds = -/+ (T + viscosity |v|)",
+    parameters=(Parameter("viscosity", "N s/m", 0.0, 1e5, 50.0),),
+    source="docs/theory.md, section 8; small on cable drives: Miyasaka et al. 2015",
+    advice="Change the lubricant, or move more slowly.",
+    starts=lambda _: [(100.0,), (500.0,)],
+    physics=lambda physics, values, _: physics._replace(viscosity=values[0]),
+)
+
+_STRIBECK = (
+    Parameter("ratio", "", -0.5, 3.0, 0.05),
+    Parameter("speed", "m/s", 2e-5, 0.05, 2e-4, None),
+)
+
+STRIBECK_FRICTION = Effect(
+    name="stribeck_friction",
+    cause="friction is higher near standstill than in motion",
+    equation="K(v) = K (1 + ratio exp(-(v/speed)^2)), v from the motor's speed",
+    parameters=_STRIBECK,
+    source="Stribeck; range assumed: 5 to 50 %, 0.1 to 10 mm/s",
+    advice="Avoid creeping speeds, or use a lubricant with less stiction.",
+    starts=lambda _: [(0.2, speed) for speed in (1e-4, 4e-4, 1.5e-3)],
+    physics=lambda physics, values, _: physics._replace(
+        stribeck=values[0], stribeck_speed=values[1], stribeck_memory=0.0
+    ),
+    where="by the motor's speed",
+)
+
+STRIBECK_LATE = Effect(
+    name="stribeck_friction",
+    cause=STRIBECK_FRICTION.cause,
+    equation="K(v) = K (1 + ratio exp(-(v/speed)^2)), v the contact's own, late by the memory",
+    parameters=(*_STRIBECK, Parameter("memory", "s", 0.02, 5.0, 0.05, None)),
+    source=STRIBECK_FRICTION.source,
+    advice=STRIBECK_FRICTION.advice,
+    starts=lambda _: [(0.2, speed, 0.15) for speed in (1e-4, 4e-4, 1.5e-3)],
+    physics=lambda physics, values, _: physics._replace(
+        stribeck=values[0], stribeck_speed=values[1], stribeck_memory=values[2]
+    ),
+    where="by each contact's own, with a memory",
+)
+
+PRESLIDING = Effect(
+    name="presliding",
+    cause="contacts give elastically before they slide",
+    equation="friction rises to its limit over the distance, as a spring; the distance is the same "
+    "at any tension",
+    parameters=(Parameter("distance", "m", 1e-6, 5e-4, 1e-5),),
+    source="bristle models: Dahl 1968; 5 to 100 um, after Do et al. 2013",
+    advice="Nothing is broken; the model needs it where small reversals matter.",
+    starts=lambda _: [(8e-6,), (3e-5,), (1e-4,)],
+    physics=lambda physics, values, _: physics._replace(presliding=values[0]),
+    where="the same distance at any tension",
+)
+
+PRESLIDING_STIFF = Effect(
+    name="presliding",
+    cause=PRESLIDING.cause,
+    equation="friction rises to its limit as a spring of constant stiffness, which gives the "
+    "distance where the tension is 10 N",
+    parameters=PRESLIDING.parameters,
+    source=PRESLIDING.source,
+    advice=PRESLIDING.advice,
+    starts=PRESLIDING.starts,
+    physics=lambda physics, values, _: physics._replace(
+        presliding=values[0], presliding_tension=10.0
+    ),
+    where="the same stiffness at any tension",
+)
+
+DIRECTION_ASYMMETRY = Effect(
+    name="direction_asymmetry",
+    cause="friction towards the tip differs from friction towards the housing",
+    equation="slopes of ln T: -1 while pulling, + ratio while releasing",
+    parameters=(Parameter("ratio", "", 0.2, 4.0, 0.05, 1.0),),
+    source="docs/theory.md, section 8; range assumed: 0.8 to 1.2",
+    advice="Check the load cells with weights first: a wrong gain looks the same at the tip.",
+    starts=lambda _: [(1.1,)],
+    physics=lambda physics, values, _: physics._replace(asymmetry=values[0]),
+)
+
+TENSION_DEPENDENT_POWER = Effect(
+    name="tension_dependent_friction",
+    cause="friction is no fixed share of the tension",
+    equation="dT/ds = -/+ T (T / 10 N)^(exponent - 1)",
+    parameters=(Parameter("exponent", "", 0.4, 1.6, 0.03, 1.0),),
+    source="power-law capstan: Jung, Pan, Kang, Tribology Int. 2008; 0.7 to 1",
+    advice="Calibrate over the tensions you use; polymer tendons do this.",
+    starts=lambda _: [(0.95,)],
+    physics=lambda physics, values, _: physics._replace(exponent=values[0]),
+    where="a power of the tension",
+)
+
+TENSION_DEPENDENT_LINEAR = Effect(
+    name="tension_dependent_friction",
+    cause=TENSION_DEPENDENT_POWER.cause,
+    equation="dT/ds = -/+ T (1 + rise T)",
+    parameters=(Parameter("rise", "1/N", -0.03, 0.2, 0.002),),
+    source="a sheath that is pressed closer, or buckles; range assumed",
+    advice=TENSION_DEPENDENT_POWER.advice,
+    starts=lambda _: [(0.005,)],
+    physics=lambda physics, values, _: physics._replace(rise=values[0]),
+    where="linear in the tension",
+)
+
+STICK_SLIP = Effect(
+    name="stick_slip",
+    cause="contacts at rest hold more than sliding ones, so that the tendon jerks when it is slow",
+    equation="K of a contact at rest: K (1 + ratio), gained within the time; K once it slides",
+    parameters=(
+        Parameter("ratio", "", 0.0, 3.0, 0.03),
+        Parameter("time", "s", 1e-3, 30.0, 0.1, None),
+    ),
+    source="Rabinowicz 1951; range assumed: above 10 %, below 1 mm/s",
+    advice="Move faster than it sticks, lubricate, or stiffen the drive.",
+    starts=lambda _: [(0.2, time) for time in (0.02, 0.1, 0.5)],
+    physics=lambda physics, values, _: physics._replace(static=values[0], static_time=values[1]),
+)
+
+EFFECTS = (
+    FRICTION_STEP,
+    FRICTION_DRIFT,
+    CONSTANT_DRAG,
+    VISCOUS_FRICTION,
+    STRIBECK_FRICTION,
+    STRIBECK_LATE,
+    PRESLIDING,
+    PRESLIDING_STIFF,
+    DIRECTION_ASYMMETRY,
+    TENSION_DEPENDENT_POWER,
+    TENSION_DEPENDENT_LINEAR,
+    STICK_SLIP,
+)

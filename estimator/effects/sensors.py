@@ -1,0 +1,381 @@
+"""Effects in the sensors and in how they are read: readings differ, the tendon does not."""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Array,
+    Effect,
+    Parameter,
+    Scene,
+    Signals,
+    Values,
+    changed,
+    since,
+)
+from estimator.effects.ends import play
+
+ONSETS = 12
+WORDS = {
+    PROXIMAL_TENSION: "the load cell at the housing",
+    DISTAL_TENSION: "the load cell at the tip",
+    PROXIMAL_DISPLACEMENT: "the encoder at the motor",
+    DISTAL_DISPLACEMENT: "the encoder at the tip",
+}
+
+Change = Callable[[Array, Values, Scene], Array]
+
+
+def _sensor(
+    name: str,
+    channel: str,
+    cause: str,
+    equation: str,
+    parameters: tuple[Parameter, ...],
+    source: str,
+    advice: str,
+    starts: Callable[[Scene], Iterable[Values]],
+    forward: Change,
+    inverse: Change,
+    where: str = "",
+    needs: frozenset[str] = frozenset(),
+) -> Effect:
+    """Return an effect of one sensor: `forward` makes its reading, `inverse` takes it back."""
+
+    def reads(signals: Signals, values: Values, scene: Scene) -> Signals:
+        if scene.driver == channel:
+            return signals
+        return changed(signals, channel, lambda signal: forward(signal, values, scene))
+
+    def true(drive: Array, values: Values, scene: Scene) -> Array:
+        return inverse(drive, values, scene) if scene.driver == channel else drive
+
+    return Effect(
+        name=name,
+        cause=cause,
+        equation=equation,
+        parameters=parameters,
+        source=source,
+        advice=advice,
+        starts=starts,
+        reads=reads,
+        true=true,
+        where=where,
+        needs=needs | {channel},
+    )
+
+
+def _gain(name: str, channel: str) -> Effect:
+    return _sensor(
+        name,
+        channel,
+        f"{WORDS[channel]} has a wrong gain",
+        "reading = (1 + gain) T",
+        (Parameter("gain", "", -0.8, 4.0, 0.02),),
+        "range assumed: 0.25 to 5 %, more after a repair",
+        f"Hang known weights on {WORDS[channel]}.",
+        lambda _: [(0.03,)],
+        lambda T, values, _: (1.0 + values[0]) * T,
+        lambda T, values, _: T / (1.0 + values[0]),
+    )
+
+
+def _bias(name: str, channel: str) -> Effect:
+    return _sensor(
+        name,
+        channel,
+        f"{WORDS[channel]} does not read zero without tension",
+        "reading = T + bias",
+        (Parameter("bias", "N", -20.0, 20.0, 0.05),),
+        "range assumed: up to 1 % of full scale",
+        f"Tare {WORDS[channel]} while the tendon is slack.",
+        lambda _: [(0.1,)],
+        lambda T, values, _: T + values[0],
+        lambda T, values, _: T - values[0],
+    )
+
+
+def _ramp(values: Values, scene: Scene) -> Array:
+    return np.asarray(values[0] * (scene.time - scene.time[0]) / 60.0)
+
+
+def _drift(name: str, channel: str) -> Effect:
+    return _sensor(
+        name,
+        channel,
+        f"the zero of {WORDS[channel]} wanders",
+        "reading = T + rate t",
+        (Parameter("rate", "N/min", -20.0, 20.0, 0.05),),
+        "range assumed: 0.01 to 0.05 % of full scale per kelvin",
+        f"Let {WORDS[channel]} warm up, and tare it between runs.",
+        lambda _: [(0.2,)],
+        lambda T, values, scene: T + _ramp(values, scene),
+        lambda T, values, scene: T - _ramp(values, scene),
+    )
+
+
+def _delayed(signal: Array, values: Values, scene: Scene) -> Array:
+    return np.interp(scene.time - values[0], scene.time, signal)
+
+
+def _advanced(signal: Array, values: Values, scene: Scene) -> Array:
+    return np.interp(scene.time + values[0], scene.time, signal)
+
+
+def _lagged(signal: Array, values: Values, scene: Scene) -> Array:
+    (tau,) = values
+    steps = np.diff(scene.time, prepend=scene.time[0])
+    if tau < 1e-6:
+        return signal
+    kept = np.exp(-steps / tau)
+    # exact for a signal that is straight between samples
+    late = 1.0 - (1.0 - kept) * tau / np.maximum(steps, 1e-12)
+    out, y, before = np.empty_like(signal), float(signal[0]), float(signal[0])
+    for i, (x, k, f) in enumerate(zip(signal.tolist(), kept.tolist(), late.tolist(), strict=True)):
+        if i:
+            y = y * k + x * f + before * (1.0 - k - f)
+        before = x
+        out[i] = y
+    return out
+
+
+def _led(signal: Array, values: Values, scene: Scene) -> Array:
+    return signal + values[0] * np.gradient(signal, scene.time)
+
+
+def _lag(channel: str, forward: Change, inverse: Change, equation: str, how: str) -> Effect:
+    return _sensor(
+        "sensor_lag",
+        channel,
+        f"{WORDS[channel]} is late",
+        equation,
+        (Parameter("time", "s", 0.0, 2.0, 0.01),),
+        "range assumed: 1 to 100 ms",
+        "Compare the edges of one sharp pull in all channels; look at filters and time stamps.",
+        lambda _: [(0.03,)],
+        forward,
+        inverse,
+        f"{WORDS[channel]}, {how}",
+    )
+
+
+def _limit_starts(channel: str) -> Callable[[Scene], Iterable[Values]]:
+    def starts(scene: Scene) -> Iterable[Values]:
+        measured = scene.measured[channel]
+        return [(float(np.quantile(measured, 0.995)),), (0.9 * float(measured.max()),)]
+
+    return starts
+
+
+def _saturation(channel: str) -> Effect:
+    return _sensor(
+        "saturation",
+        channel,
+        f"{WORDS[channel]} reads no more than a limit",
+        "reading = min(T, limit)",
+        (Parameter("limit", "N", 0.1, 1e4, 0.2, None),),
+        "range of the cell",
+        "Use a cell of a wider range, or pull less.",
+        _limit_starts(channel),
+        lambda T, values, _: np.minimum(T, values[0]),
+        lambda T, _values, _scene: T,
+        WORDS[channel],
+    )
+
+
+def _scale(channel: str) -> Effect:
+    return _sensor(
+        "encoder_scale",
+        channel,
+        f"{WORDS[channel]} counts too much or too little, as on a pulley of another radius",
+        "reading = (1 + gain) q",
+        (Parameter("gain", "", -0.8, 4.0, 0.02),),
+        "range assumed: up to 5 %, by the wrap radius",
+        f"Measure a known travel with {WORDS[channel]}.",
+        lambda _: [(0.03,)],
+        lambda q, values, _: (1.0 + values[0]) * q,
+        lambda q, values, _: q / (1.0 + values[0]),
+        WORDS[channel],
+        frozenset({PROXIMAL_DISPLACEMENT}),
+    )
+
+
+def _slipped(values: Values, scene: Scene) -> Array:
+    slip, onset = values
+    return slip * since(scene.time, onset)
+
+
+def _slip(channel: str) -> Effect:
+    return _sensor(
+        "encoder_slip",
+        channel,
+        f"{WORDS[channel]} slipped at one time",
+        "reading = q + slip from the onset on",
+        (
+            Parameter("slip", "m", -0.05, 0.05, 2e-5),
+            Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
+        ),
+        "range assumed: 0.01 to 1 mm",
+        f"Return to a hard stop and compare; tighten the coupling of {WORDS[channel]}.",
+        lambda scene: [(5e-5, t) for t in scene.instants(2 * ONSETS)],
+        lambda q, values, scene: q + _slipped(values, scene),
+        lambda q, values, scene: q - _slipped(values, scene),
+        WORDS[channel],
+        frozenset({PROXIMAL_DISPLACEMENT}),
+    )
+
+
+def waves(phase: Array, residual: Array, gain: Array, others: Array, wanted: Array) -> list[Values]:
+    """Return (sine, cosine, wave number) of the waves in a residual that explain most of it.
+
+    Parameters
+    ----------
+    phase : ndarray
+        Travel [m], shape (n,).
+    residual, gain : ndarray
+        What is to be explained, and by how much a wave of travel or force shows in it, (n,).
+    others : ndarray
+        What else may be in the residual, shape (n, m).
+    wanted : ndarray
+        Wave numbers to try [rad/m].
+    """
+    basis, _ = np.linalg.qr(others)
+    rest = residual - basis @ (basis.T @ residual)
+    found = []
+    for number in wanted.tolist():
+        pair = np.column_stack([np.sin(number * phase), np.cos(number * phase)]) * gain[:, None]
+        pair -= basis @ (basis.T @ pair)
+        amplitude, *_ = np.linalg.lstsq(pair, rest, rcond=None)
+        left = rest - pair @ amplitude
+        found.append((float(left @ left), float(amplitude[0]), float(amplitude[1]), number))
+    best = sorted(found)[:12]
+    chosen: list[Values] = []
+    for _, sine, cosine, number in best:
+        if all(abs(number / other[2] - 1.0) > 0.1 for other in chosen):
+            chosen.append((sine, cosine, number))
+    return chosen[:3]
+
+
+def _common(scene: Scene) -> tuple[Array, Array, Array]:
+    """Return travel, residual of T_in, and what the model's own parameters could do to it."""
+    q = scene.drive - scene.drive[0]
+    residual = scene.measured[PROXIMAL_TENSION] - scene.simulated[PROXIMAL_TENSION]
+    T = scene.simulated[PROXIMAL_TENSION]
+    taut = 0.02 * scene.peak < T
+    stiffness = np.where(taut, 1.0 / np.maximum(scene.compliance, 1e-6), 0.0)
+    return q, residual, np.column_stack([stiffness, stiffness * q, T])
+
+
+def _eccentric_starts(scene: Scene) -> Iterable[Values]:
+    q, residual, others = _common(scene)
+    return [
+        (-sine, -cosine, 1.0 / number)
+        for sine, cosine, number in waves(
+            q, residual, others[:, 0], others, 1.0 / np.geomspace(2e-3, 5e-2, 24)
+        )
+    ]
+
+
+def _eccentric(travel: Array, values: Values, _scene: Scene) -> Array:
+    sine, cosine, radius = values
+    phase = (travel - travel[0]) / radius
+    return np.asarray(travel - sine * np.sin(phase) - cosine * (np.cos(phase) - 1.0))
+
+
+PULLEY_ECCENTRICITY = Effect(
+    name="pulley_eccentricity",
+    cause="the pulley at the motor runs out of true",
+    equation="reading = q + sine sin(q/radius) + cosine cos(q/radius)",
+    parameters=(
+        Parameter("sine", "m", -2e-3, 2e-3, 1e-5),
+        Parameter("cosine", "m", -2e-3, 2e-3, 1e-5),
+        Parameter("radius", "m", 1e-3, 0.2, 1e-3, None),
+    ),
+    source="range assumed: 10 to 200 um",
+    advice="Turn the pulley twice or more in a record, then true it or keep the table.",
+    starts=_eccentric_starts,
+    true=_eccentric,
+    needs=frozenset({PROXIMAL_DISPLACEMENT}),
+)
+
+
+def _ripple_starts(scene: Scene) -> Iterable[Values]:
+    q, residual, others = _common(scene)
+    span = max(float(np.ptp(q)), 1e-6)
+    numbers = np.arange(12.0 / span, min(2e4, 1500.0 / span), 0.6 / span)
+    step = max(1, len(q) // 3000)
+    return waves(q[::step], residual[::step], np.ones(len(q))[::step], others[::step], numbers)
+
+
+def _ripple(signals: Signals, values: Values, scene: Scene) -> Signals:
+    sine, cosine, number = values
+    phase = number * (scene.drive - scene.drive[0])
+    wave = sine * np.sin(phase) + cosine * np.cos(phase)
+    return changed(signals, PROXIMAL_TENSION, lambda T: T + wave)
+
+
+COGGING_RIPPLE = Effect(
+    name="cogging_ripple",
+    cause="the motor's or the gear's ripple is in the tension at the housing",
+    equation="reading = T + sine sin(number q) + cosine cos(number q)",
+    parameters=(
+        Parameter("sine", "N", -20.0, 20.0, 0.03),
+        Parameter("cosine", "N", -20.0, 20.0, 0.03),
+        Parameter("number", "rad/m", 10.0, 1e5, 5.0, None),
+    ),
+    source="range assumed: 0.5 to 3 % of the stall torque",
+    advice="Nothing at the tip; a table over the motor's angle takes it out of the reading.",
+    starts=_ripple_starts,
+    reads=_ripple,
+    needs=frozenset({PROXIMAL_DISPLACEMENT}),
+)
+
+
+def _rub(signals: Signals, values: Values, scene: Scene) -> Signals:
+    force, width = values
+    lead = (scene.drive - play(scene.drive, width)) / (0.5 * width)
+    return changed(signals, PROXIMAL_TENSION, lambda T: T + force * lead)
+
+
+SHEATH_RUB = Effect(
+    name="sheath_rub",
+    cause="the sheath rubs in its over-tube in front of the load cell at the housing",
+    equation="reading = T + force sgn(dq/dt), the turn taken over the width",
+    parameters=(
+        Parameter("force", "N", -10.0, 10.0, 0.05),
+        Parameter("width", "m", 2e-6, 2e-2, 1e-4, None),
+    ),
+    source="the paper's cell sits under the sheath; range assumed",
+    advice="Measure the tendon's own tension, or fix the sheath behind the cell.",
+    starts=lambda _: [(0.15, width) for width in (1e-5, 1e-4, 6e-4)],
+    reads=_rub,
+    needs=frozenset({PROXIMAL_DISPLACEMENT}),
+)
+
+_TENSIONS = (PROXIMAL_TENSION, DISTAL_TENSION)
+_TRAVELS = (PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT)
+
+EFFECTS = (
+    *(_gain(f"{channel}_gain", channel) for channel in _TENSIONS),
+    *(_bias(f"{channel}_bias", channel) for channel in _TENSIONS),
+    *(_drift(f"{channel}_drift", channel) for channel in _TENSIONS),
+    *(
+        _lag(channel, _delayed, _advanced, "reading(t) = signal(t - time)", "by a delay")
+        for channel in (*_TENSIONS, *_TRAVELS)
+    ),
+    *(
+        _lag(channel, _lagged, _led, "time dr/dt + r = signal", "by a filter")
+        for channel in (*_TENSIONS, *_TRAVELS)
+    ),
+    *(_saturation(channel) for channel in _TENSIONS),
+    *(_scale(channel) for channel in _TRAVELS),
+    *(_slip(channel) for channel in _TRAVELS),
+    PULLEY_ECCENTRICITY,
+    COGGING_RIPPLE,
+    SHEATH_RUB,
+)

@@ -1,0 +1,37 @@
+"""residuals.rrd: what was measured and what both models make of it, to be looked at closely."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from estimator.diagnosis.outcome import Diagnosis
+from estimator.diagnosis.record import Array
+from slave.diagnosis import words
+from teleop.view.series import Curve, Panel, save
+
+MEASURED, BEFORE, AFTER = 0x808080FF, 0xD55E00FF, 0x0072B2FF
+
+
+def write(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
+    """Write the file: for each record a column, for each channel its curves and its residuals."""
+    columns = []
+    for k, file in enumerate(files):
+        record = found.bench.records[k]
+        panels = []
+        for channel in record.compared:
+            measured = record.signals[channel]
+            models = {
+                ("before", BEFORE): found.baseline.simulated[k].signals[channel],
+                ("after", AFTER): found.extended.simulated[k].signals[channel],
+            }
+            title = f"{words.CHANNEL_WORDS[channel]} [{words.unit_of(channel)}]"
+            lines = {("measured", MEASURED): measured} | models
+            off = {key: measured - values for key, values in models.items()}
+            panels.append(_panel(f"{title}, {file}", record.time, lines))
+            panels.append(_panel(f"residual of {title}", record.time, off))
+        columns.append(panels)
+    save(path, words.sentence(found), columns)
+
+
+def _panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> Panel:
+    curves = (Curve(name, colour, time, values) for (name, colour), values in lines.items())
+    return Panel(title, tuple(curves))

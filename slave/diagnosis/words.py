@@ -1,0 +1,255 @@
+"""A diagnosis in words: the verdict in one sentence, tables of text, and what to do next."""
+
+from collections.abc import Iterable, Sequence
+
+from estimator.diagnosis.outcome import (
+    Diagnosis,
+    Fitnesses,
+    Number,
+    Ranked,
+    Step,
+    Verdict,
+    Visible,
+)
+from estimator.effects import CATALOGUE, Effect
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+)
+from slave.experiment.report import Table
+
+CHANNEL_WORDS = {
+    PROXIMAL_TENSION: "tension at the housing",
+    PROXIMAL_DISPLACEMENT: "travel at the housing",
+    DISTAL_TENSION: "tension at the tip",
+    DISTAL_DISPLACEMENT: "travel at the tip",
+}
+SHOWN = 8  # candidates in a table
+STRUCTURES = 2  # named in a sentence
+MOST_DIGITS = 8
+SETS = {"fit": "fitted", "held_out": "held out", "validation": "validation"}
+
+
+def sentence(found: Diagnosis) -> str:
+    """Return the verdict in one sentence."""
+    if found.verdict is Verdict.CLEAN:
+        return f"Nothing is wrong with the model beyond noise{_least_seen(found.visible)}."
+    if found.verdict is Verdict.UNEXPLAINED:
+        labels = " and ".join(step.effect.label for step in found.steps)
+        share = f"{found.left:.0%} of what noise does not explain"
+        still = f"with {labels} in the model {share} is left, and " if found.steps else ""
+        return (
+            f"The model is wrong, and nothing in the catalogue explains it: {still}"
+            f"{_structure(found)}."
+        )
+    causes = " and ".join(f"because {_cause(found, step)}" for step in found.steps)
+    unsure = "; these channels cannot tell which" * (found.verdict is Verdict.AMBIGUOUS)
+    return f"The model is wrong {causes}{unsure}; {_gain(found)}."
+
+
+def candidates(found: Diagnosis) -> Table:
+    """Return how the candidates of the first search came out, the best first."""
+    return ranked(found, found.ranking)
+
+
+def ranked(found: Diagnosis, ranking: Sequence[Ranked]) -> Table:
+    """Return how the candidates of one search came out, the best first."""
+    channels = compared(found)
+    rows = [
+        (
+            one.label,
+            f"{one.score:.0f}",
+            *(quantity(one.rmse.get(c), unit_of(c), 3) for c in channels),
+            f"{one.left:.0%}",
+        )
+        for one in best(ranking, SHOWN)
+    ]
+    head = ("candidate", "score", *(f"RMSE, {CHANNEL_WORDS[c]}" for c in channels), "unexplained")
+    return Table(head, tuple(rows))
+
+
+def parameters(found: Diagnosis) -> Table:
+    """Return the numbers of the extended model."""
+    rows = [
+        (name, quantity(number.value, number.unit, digits(number)), interval(number))
+        for name, number in found.parameters.items()
+    ]
+    return Table(("parameter", "value", "95 % interval"), tuple(rows))
+
+
+def gains(found: Diagnosis) -> Table:
+    """Return by how much held-out errors fell."""
+    rows = [
+        (CHANNEL_WORDS[channel], f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
+        for channel, gain in found.gain.items()
+    ]
+    return Table(("channel", "held-out RMSE falls by", "95 % interval"), tuple(rows))
+
+
+def fitness(found: Diagnosis) -> Table:
+    """Return the errors of both models, by channel and by what they were judged on."""
+    rows = []
+    for name, words in SETS.items():
+        for channel in getattr(found.before, name):
+            pair = [_fitness(model, name, channel) for model in (found.before, found.after)]
+            cells = [cell for both in zip(*pair, strict=True) for cell in both]
+            rows.append((CHANNEL_WORDS[channel], words, *cells))
+    head = tuple(f"{item}, {when}" for item in ("RMSE", "largest", "mean") for when in _WHEN)
+    return Table(("channel", "data", *head), tuple(rows))
+
+
+def next_steps(found: Diagnosis) -> list[str]:
+    """Return what a person does next, most useful first."""
+    steps = [f"To tell the causes apart: {what}." for what in found.experiments]
+    effects = [step.effect for step in found.steps]
+    effects += [effect for name in found.ambiguous_with for effect in _named(name)[:1]]
+    advice = {effect.advice: effect.name for effect in reversed(effects)}
+    steps += [f"{name}: {words}" for words, name in reversed(advice.items())]
+    if found.verdict is Verdict.UNEXPLAINED:
+        steps.append(
+            "Look at what is left against tension, speed and time, and do not trust the estimate "
+            "beyond it; a cause that the catalogue lacks is an effect to add to it."
+        )
+    return steps or ["Use the model as it is."]
+
+
+def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
+    """Return which samples were kept out, averaged, or are odd."""
+    said = []
+    for file, record in zip(files, found.bench.records, strict=True):
+        said += [
+            f"{file}: {trouble.samples} {trouble.what} ({trouble.channel.replace('_', ' ')}), "
+            f"the first at {trouble.first:.4g} s"
+            for trouble in record.troubles
+        ]
+        if record.thinned > 1:
+            said.append(
+                f"{file}: each {record.thinned} samples were averaged to one; what happens "
+                "faster is not seen"
+            )
+    return said
+
+
+def structures(found: Diagnosis) -> list[str]:
+    """Return what the residual of the extended model goes along with."""
+    said = [
+        f"{s.share:.0%} of the variance left in the {CHANNEL_WORDS[s.channel]} goes along with "
+        f"the {s.what}"
+        for s in found.structure
+    ]
+    return said or ["Nothing that goes along with tension, speed, direction, travel or time."]
+
+
+def visible(found: Diagnosis) -> Table:
+    """Return the smallest effects that would have been seen."""
+    rows = [
+        (name, least.parameter, quantity(least.size, least.unit, 2))
+        for name, least in found.visible.items()
+    ]
+    return Table(("effect", "parameter", "would have been seen from"), tuple(rows))
+
+
+def best(ranking: Iterable[Ranked], most: int) -> list[Ranked]:
+    """Return the candidates of highest score, the best first."""
+    return sorted(ranking, key=lambda ranked: -ranked.score)[:most]
+
+
+def compared(found: Diagnosis) -> tuple[str, ...]:
+    """Return the channels that the model was compared with."""
+    return tuple(dict.fromkeys(c for r in found.bench.records for c in r.compared))
+
+
+def unit_of(channel: str) -> str:
+    """Return the unit of a channel."""
+    return "N" if channel in (PROXIMAL_TENSION, DISTAL_TENSION) else "m"
+
+
+def quantity(value: float | None, unit: str, digits: int = 4) -> str:
+    """Return a value as one says it: lengths in mm or µm where metres are too large."""
+    if value is None:
+        return ""
+    if unit.partition("/")[0] == "m" and abs(value) < 0.1:
+        small = abs(value) < 1e-4
+        return f"{value * (1e6 if small else 1e3):.{digits}g} {'µ' if small else 'm'}{unit}"
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def interval(number: Number) -> str:
+    """Return from where to where a value may be."""
+    ends = (quantity(end, number.unit, digits(number)) for end in (number.low, number.high))
+    return " to ".join(ends)
+
+
+def digits(number: Number) -> int:
+    """Return how many digits tell the ends of an interval apart."""
+    for count in range(4, MOST_DIGITS):
+        if f"{number.low:.{count}g}" != f"{number.high:.{count}g}":
+            return count
+    return MOST_DIGITS
+
+
+_WHEN = ("before", "after")
+
+
+def _cause(found: Diagnosis, step: Step) -> str:
+    sizes = ", ".join(
+        f"{p.name} {quantity(number.value, number.unit, 3)}"
+        for p in step.effect.parameters
+        if (number := found.parameters.get(f"{step.effect.name}.{p.name}")) is not None
+    )
+    first = f"{step.effect.cause} ({step.effect.label}: {sizes})"
+    rivals = [
+        f"{effect.cause} ({name})"
+        for name in step.rivals
+        if name not in found.causes
+        for effect in _named(name)[:1]
+    ]
+    return " or ".join([first, *rivals])
+
+
+def _named(name: str) -> list[Effect]:
+    return [effect for effect in CATALOGUE if effect.name == name]
+
+
+def _gain(found: Diagnosis) -> str:
+    """Return the gain of the channel that was furthest off, counted in its noise."""
+
+    def fall(channel: str) -> float:
+        before, after = (model.held_out[channel].rmse for model in (found.before, found.after))
+        return (before - after) / found.noise[channel]
+
+    channel = max(found.gain, key=fall)
+    most = found.gain[channel]
+    causes = "that" if len(found.steps) == 1 else "them"
+    return (
+        f"with {causes} in the model the held-out error of the {CHANNEL_WORDS[channel]} falls by "
+        f"{most.value:.0%} ({most.low:.0%} to {most.high:.0%})"
+    )
+
+
+def _structure(found: Diagnosis) -> str:
+    if not found.structure:
+        return "what is left goes along with nothing that was looked at"
+    parts = [
+        f"{s.what} ({s.share:.0%} of its variance in the {CHANNEL_WORDS[s.channel]})"
+        for s in found.structure[:STRUCTURES]
+    ]
+    return "what is left goes along with " + " and ".join(parts)
+
+
+def _least_seen(sizes: dict[str, Visible]) -> str:
+    if not sizes:
+        return ""
+    name, least = next(iter(sizes.items()))
+    others = f", and {len(sizes) - 1} other effects from sizes listed below" * (len(sizes) > 1)
+    size = quantity(least.size, least.unit, 2)
+    return f"; {name} would have been seen from a {least.parameter} of {size} on{others}"
+
+
+def _fitness(model: Fitnesses, name: str, channel: str) -> tuple[str, str, str]:
+    one = getattr(model, name).get(channel)
+    if one is None:
+        return "", "", ""
+    return quantity(one.rmse, unit_of(channel), 3), f"{one.largest:.2%}", f"{one.mean:.2%}"

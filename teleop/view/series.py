@@ -1,0 +1,91 @@
+"""Curves over time as a Rerun file of their own: results of an analysis, not of a session."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from teleop.errors import UsageError
+
+Array = NDArray[np.float64]
+
+APPLICATION = "teleop"
+TIMELINE = "time"
+WIDTH = 1.5  # [points]
+
+
+class Curve(NamedTuple):
+    """One line of a panel."""
+
+    name: str
+    colour: int  # 0xRRGGBBAA
+    time: Array  # [s], shape (n,)
+    values: Array  # shape (n,)
+
+
+class Panel(NamedTuple):
+    """Curves with one axis."""
+
+    title: str  # with its unit
+    curves: tuple[Curve, ...]
+
+
+def save(path: Path, name: str, columns: Sequence[Sequence[Panel]]) -> None:
+    """Write panels, side by side in columns, as a Rerun file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, .rrd.
+    name : str
+        Of the recording, in the viewer.
+    columns : sequence of sequences of Panel
+        From left to right, and in each from top to bottom.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be written.
+    """
+    try:
+        with path.open("wb"):
+            pass
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
+    views = []
+    with rr.RecordingStream(APPLICATION) as stream:
+        stream.set_sinks(rr.FileSink(path))
+        stream.send_recording_name(name)
+        for i, panels in enumerate(columns):
+            for j, panel in enumerate(panels):
+                views.append((i, rrb.TimeSeriesView(origin=f"{i}/{j}", name=panel.title)))
+                for k, curve in enumerate(panel.curves):
+                    _send(stream, f"{i}/{j}/{k}", curve)
+        stream.send_blueprint(_layout(views, len(columns)))
+        stream.flush()
+        stream.disconnect()
+
+
+def _send(stream: rr.RecordingStream, path: str, curve: Curve) -> None:
+    line = rr.SeriesLines(colors=curve.colour, widths=WIDTH, names=curve.name)
+    stream.log(path, line, static=True)
+    stream.send_columns(
+        path,
+        [rr.TimeColumn(TIMELINE, duration=curve.time)],
+        rr.Scalars.columns(scalars=curve.values),
+    )
+
+
+def _layout(views: list[tuple[int, rrb.TimeSeriesView]], columns: int) -> rrb.Blueprint:
+    stacks = [rrb.Vertical(*(view for i, view in views if i == n)) for n in range(columns)]
+    return rrb.Blueprint(
+        rrb.Horizontal(*stacks),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        auto_views=False,
+    )

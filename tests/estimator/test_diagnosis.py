@@ -1,0 +1,127 @@
+"""The diagnosis finds what is hidden: data by a chain of beads that shares nothing with it."""
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis import record
+from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import RecordError, prepare
+from estimator.effects import CATALOGUE, NAMES
+from tests import hidden
+
+NAMED_IN_THE_ISSUE = 34
+
+# seed, what is hidden, where; short records, so that all of this takes a minute
+HIDDEN = [
+    (3, "creep", "blocked"),
+    (3, "encoder_slip", "spring"),
+    (4, "joint_friction", "spring"),
+    (5, "presliding", "blocked"),
+    (6, "friction_step", "spring"),
+]
+
+
+def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES):
+    print(f"seed {seed}: {hide} on the {bench} bench, {len(channels)} channels")
+    made = hidden.make(seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0)
+    effects = [effect for effect in CATALOGUE if effect.name in among]
+    return made, diagnose([prepare(made.time, dict(made.channels))], effects, workers=2)
+
+
+@pytest.mark.parametrize(("seed", "effect", "bench"), HIDDEN)
+def test_a_hidden_effect_is_named(seed, effect, bench):
+    _, found = diagnosed(seed, effect, bench)
+    assert effect in {*found.causes, *found.ambiguous_with}
+    assert len(found.ambiguous_with) <= 2
+    assert found.verdict in {Verdict.NAMED, Verdict.AMBIGUOUS}
+    for channel, noise in found.noise.items():
+        assert found.after.held_out[channel].rmse < 1.3 * noise
+
+
+@pytest.mark.parametrize("bench", ["blocked", "spring"])
+def test_nothing_is_named_where_nothing_is_wrong(bench):
+    _, found = diagnosed(7, (), bench)
+    assert found.verdict is Verdict.CLEAN
+    assert found.causes == ()
+    assert 0.0 < found.visible["viscous_friction"].size < 500.0
+
+
+def test_what_two_channels_cannot_tell_apart_is_said_to_be_so():
+    few = ("proximal_tension", "distal_tension")
+    asked = {"distal_tension_gain", "proximal_tension_gain", "direction_asymmetry", "creep"}
+    _, found = diagnosed(8, "distal_tension_gain", "blocked", few, asked)
+    said = {*found.causes, *found.ambiguous_with}
+    assert found.verdict is Verdict.AMBIGUOUS
+    assert said == {"distal_tension_gain", "proximal_tension_gain", "direction_asymmetry"}
+    assert any("weight" in what for what in found.experiments)
+
+
+def test_a_parameter_is_found_and_its_interval_is_no_ornament():
+    made, found = diagnosed(9, "viscous_friction", "spring", among={"viscous_friction"})
+    true = made.truth["viscous_friction"]["viscosity"]
+    number = found.parameters["viscous_friction.viscosity"]
+    assert number.value == pytest.approx(true, rel=0.05)
+    assert number.low < number.value < number.high
+    assert number.high - number.low < 0.5 * true
+
+
+def test_a_catalogue_without_the_cause_does_not_explain_it():
+    _, found = diagnosed(3, "creep", "blocked", among={"saturation", "distal_tension_drift"})
+    assert found.verdict is Verdict.UNEXPLAINED
+    assert found.structure
+
+
+def test_every_effect_has_all_that_a_person_wants_to_know():
+    assert len(NAMES) == NAMED_IN_THE_ISSUE
+    assert set(NAMES) == set(hidden.EFFECTS)
+    for effect in CATALOGUE:
+        assert effect.cause
+        assert effect.equation
+        assert effect.source
+        assert effect.advice.endswith(".")
+        for parameter in effect.parameters:
+            assert parameter.low < parameter.high
+            assert parameter.step > 0.0
+
+
+def test_spikes_are_kept_out_and_said_to_be_and_sharp_turns_are_not():
+    time = np.arange(2000) * 0.01
+    T = 5.0 + 4.0 * np.abs((0.4 * time) % 2.0 - 1.0)  # sharp turns
+    T = T + 0.01 * np.random.default_rng(0).standard_normal(len(time))
+    signals = {"proximal_tension": T, "distal_tension": 0.5 * T}
+    assert not prepare(time, signals).troubles
+    spoiled = T.copy()
+    spoiled[[300, 1200]] += (3.0, -2.0)
+    ready = prepare(time, signals | {"proximal_tension": spoiled})
+    (trouble,) = ready.troubles
+    assert trouble.samples == 2
+    assert trouble.first == pytest.approx(3.0)
+    assert np.abs(ready.drive - T).max() < 0.2
+
+
+def test_a_long_record_is_thinned_and_its_turns_stay():
+    time = np.arange(50_000) * 0.001
+    q = 1e-3 * np.sin(time)
+    T = np.clip(8.0 * np.sin(time), 0.0, None)
+    ready = prepare(time, {"proximal_tension": T, "proximal_displacement": q})
+    assert ready.thinned == 3
+    assert len(ready.time) <= record.MOST
+    few = record.thin(ready, 500)
+    assert few.drive.max() == ready.drive.max()
+    assert few.drive.min() == ready.drive.min()
+
+
+@pytest.mark.parametrize(
+    ("signals", "what"),
+    [
+        ({}, "proximal_tension is missing"),
+        ({"proximal_tension": np.ones(200)}, "alone"),
+        ({"proximal_tension": np.ones(200), "distal_tension": np.ones(200)}, "never changes"),
+        ({"proximal_tension": np.ones(200), "distal_tension": np.full(200, np.nan)}, "finite"),
+        ({"proximal_tension": np.ones(200), "tip": np.ones(200)}, "no such channel"),
+    ],
+)
+def test_what_cannot_be_diagnosed_is_refused(signals, what):
+    with pytest.raises(RecordError, match=what):
+        prepare(np.arange(200) * 0.01, signals)

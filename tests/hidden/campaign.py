@@ -1,0 +1,187 @@
+"""Hide effects, diagnose, count: the confusion matrix of the diagnosis (make bench-diagnosis).
+
+Every effect of the catalogue at two sizes on each bench that has it, clean records, records with
+an effect outside the catalogue, and pairs. The diagnosis sees the channels only.
+"""
+
+import argparse
+import itertools
+import time
+from collections import Counter
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare
+from tests import hidden
+
+BENCHES = ("blocked", "spring")
+SIZES = (1.0, 0.5)
+
+
+class Case(NamedTuple):
+    """One record to be made and diagnosed."""
+
+    seed: int
+    effects: tuple[str, ...]
+    size: float
+    bench: str
+    duration: float
+    rate: float
+
+
+class Result(NamedTuple):
+    """What came of it."""
+
+    case: Case
+    verdict: str
+    causes: tuple[str, ...]
+    rivals: tuple[str, ...]
+    left: float
+    seconds: float
+
+    @property
+    def right(self):
+        """Whether the verdict is what was asked for."""
+        said = {*self.causes, *self.rivals}
+        effects = self.case.effects
+        if not effects:
+            return self.verdict == Verdict.CLEAN
+        if effects[0] in hidden.OUTSIDE:
+            return self.verdict in (Verdict.CLEAN, Verdict.UNEXPLAINED)
+        return set(effects) <= said
+
+    @property
+    def wrong_name(self):
+        """Whether it named something else, and surely."""
+        return (
+            not self.right
+            and self.verdict == Verdict.NAMED
+            and not set(self.case.effects) & set(self.causes)
+        )
+
+
+def judge(case):
+    """Make a record, diagnose it, and return what came of it."""
+    made = hidden.make(
+        case.seed,
+        case.effects,
+        size=case.size,
+        bench=case.bench,
+        duration=case.duration,
+        rate=case.rate,
+    )
+    began = time.perf_counter()
+    found = diagnose([prepare(made.time, dict(made.channels))])
+    return Result(
+        case,
+        str(found.verdict),
+        found.causes,
+        found.ambiguous_with,
+        found.left,
+        time.perf_counter() - began,
+    )
+
+
+def cases(seeds, clean, outside, pairs, duration, rate, only=()):
+    """Return the whole campaign."""
+    asked = [name for name in hidden.EFFECTS if not only or name in only]
+    made = [
+        Case(seed, (name,), size, bench, duration, rate)
+        for seed in seeds
+        for name in asked
+        for size in SIZES
+        for bench in hidden.VISIBLE[name]
+    ]
+    made += [Case(1000 + k, (), 1.0, BENCHES[k % 2], duration, rate) for k in range(clean)]
+    made += [
+        Case(2000 + k, (name,), 1.0, BENCHES[k % 2], duration, rate)
+        for k, name in itertools.product(range(outside), hidden.OUTSIDE)
+    ]
+    rng = np.random.default_rng(0)
+    for k in range(pairs):
+        names = [name for name in hidden.EFFECTS if "spring" in hidden.VISIBLE[name]]
+        two = tuple(rng.choice(names, 2, replace=False).tolist())
+        made.append(Case(3000 + k, two, 1.0, "spring", duration, rate))
+    return made
+
+
+def main():
+    """Run the campaign and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--clean", type=int, default=100)
+    parser.add_argument("--outside", type=int, default=5)
+    parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=60.0)
+    parser.add_argument("--rate", type=float, default=100.0)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--only", nargs="*", default=())
+    args = parser.parse_args()
+    todo = cases(
+        range(1, args.seeds + 1),
+        args.clean,
+        args.outside,
+        args.pairs,
+        args.duration,
+        args.rate,
+        args.only,
+    )
+    with get_context("spawn").Pool(args.jobs) as pool:
+        results = []
+        for result in pool.imap_unordered(judge, todo):
+            results.append(result)
+            show(result)
+    summary(results)
+
+
+def show(result):
+    """Print one line of a result."""
+    case = result.case
+    print(
+        "right" if result.right else "WRONG",
+        case.seed,
+        "+".join(case.effects) or "clean",
+        case.size,
+        case.bench,
+        "->",
+        result.verdict,
+        "+".join(result.causes),
+        "| " + ", ".join(result.rivals) if result.rivals else "",
+        f"left {result.left:.3f}, {result.seconds:.0f} s",
+        flush=True,
+    )
+
+
+def summary(results):
+    """Print shares, and what was taken for what."""
+    groups = {
+        "full size": lambda c: len(c.effects) == 1 and c.size == 1.0 and c.seed < 1000,
+        "half size": lambda c: len(c.effects) == 1 and c.size == 0.5,
+        "clean": lambda c: not c.effects,
+        "outside the catalogue": lambda c: 2000 <= c.seed < 3000,
+        "two at once": lambda c: len(c.effects) == 2,
+    }
+    for name, belongs in groups.items():
+        found = [r for r in results if belongs(r.case)]
+        if found:
+            right, wrong = sum(r.right for r in found), sum(r.wrong_name for r in found)
+            print(
+                f"{name}: {right} of {len(found)} right ({right / len(found):.0%}), "
+                f"{wrong} named wrongly ({wrong / len(found):.1%})"
+            )
+    taken = Counter(
+        ("+".join(r.case.effects) or "clean", "+".join(r.causes) or r.verdict)
+        for r in results
+        if not r.right
+    )
+    for (true, said), count in taken.most_common():
+        print(f"  {true} taken for {said}: {count}")
+    print(f"seconds a record: median {np.median([r.seconds for r in results]):.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""A diagnosis in words and on the page, for every verdict and every set of channels."""
+
+import json
+import math
+
+import pytest
+
+from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.outcome import Number, Structure, Verdict, Visible
+from estimator.diagnosis.record import Trouble, prepare
+from slave.diagnosis import page, report_json, words
+from slave.diagnosis.names import chosen
+from tests import hidden
+
+FAULT, RIVAL = "distal_tension_gain", "constant_drag"
+
+
+def found_in(data, channels=hidden.CHANNELS):
+    record = prepare(data.time, {name: data.channels[name] for name in channels})
+    return diagnose([record], chosen(FAULT))
+
+
+@pytest.fixture(scope="module")
+def data():
+    return hidden.make(5, (FAULT,), bench="spring", duration=16.0, rate=50.0)
+
+
+@pytest.fixture(scope="module")
+def found(data):
+    return found_in(data)
+
+
+@pytest.fixture(scope="module")
+def nothing(found):
+    """The same with no cause found."""
+    return found._replace(steps=(), gain={}, structure=())
+
+
+def test_a_named_cause_is_said_with_size_and_gain(found):
+    said = words.sentence(found)
+    assert (
+        "because the load cell at the tip has a wrong gain (distal_tension_gain: gain 0.04" in said
+    )
+    assert said.endswith("%).")
+    assert words.next_steps(found) == [f"{FAULT}: {found.steps[0].effect.advice}"]
+
+
+def test_rivals_are_said_with_what_would_tell_them_apart(found):
+    step = found.steps[0]._replace(rivals=(RIVAL,))
+    unsure = found._replace(verdict=Verdict.AMBIGUOUS, steps=(step,), experiments=("weigh it",))
+    assert f"({RIVAL}); these channels cannot tell which; " in words.sentence(unsure)
+    first, *others = words.next_steps(unsure)
+    assert "weigh it" in first
+    assert [line.partition(":")[0] for line in others] == [FAULT, RIVAL]
+
+
+def test_a_clean_bench_is_said_with_what_would_have_been_seen(nothing):
+    clean = nothing._replace(verdict=Verdict.CLEAN, visible={"slack": Visible("length", 2e-5, "m")})
+    assert words.sentence(clean).endswith("slack would have been seen from a length of 20 µm on.")
+    assert words.visible(clean).rows == (("slack", "length", "20 µm"),)
+    assert words.next_steps(clean) == ["Use the model as it is."]
+
+
+def test_the_unexplained_is_said_with_what_it_looks_like(nothing, found):
+    structure = (Structure("time", "distal_tension", 0.4),)
+    strange = nothing._replace(verdict=Verdict.UNEXPLAINED, structure=structure)
+    assert words.sentence(strange) == (
+        "The model is wrong, and nothing in the catalogue explains it: what is left goes along "
+        "with time (40% of its variance in the tension at the tip)."
+    )
+    partly = found._replace(verdict=Verdict.UNEXPLAINED, structure=(), left=0.5)
+    assert (
+        f"with {FAULT} in the model 50% of what noise does not explain is left"
+        in words.sentence(partly)
+    )
+
+
+@pytest.mark.parametrize("verdict", [Verdict.CLEAN, Verdict.UNEXPLAINED])
+def test_a_bench_without_a_cause_has_a_page_and_json_too(nothing, verdict):
+    one = nothing._replace(verdict=verdict)
+    assert words.sentence(one) in page.render(one, ["a.csv"], {})
+    assert report_json.tree(one, ["a.csv"], 1.0, {})["verdict"] == verdict
+
+
+def test_samples_that_are_kept_out_are_said_by_file(found):
+    (record,) = found.bench.records
+    spikes = Trouble("single-sample spikes", "distal_tension", 3, 1.25)
+    odd = found.bench._replace(
+        records=(type(record)(**vars(record) | {"troubles": (spikes,), "thinned": 5}),)
+    )
+    first, second = words.remarks(found._replace(bench=odd), ["a.csv"])
+    assert first == "a.csv: 3 single-sample spikes (distal tension), the first at 1.25 s"
+    assert "each 5 samples were averaged" in second
+
+
+def test_json_has_null_for_what_is_not_finite(found):
+    endless = {"K": Number(1.0, -math.inf, math.nan, "")}
+    tree = report_json.tree(found._replace(parameters=endless), ["a.csv"], 1.0, {})
+    assert json.loads(json.dumps(tree, allow_nan=False)) == tree
+    assert tree["parameters"]["K"] == {"value": 1.0, "low": None, "high": None, "unit": ""}
+
+
+@pytest.mark.parametrize(
+    "channels",
+    [
+        ("proximal_tension", "distal_tension"),
+        ("proximal_tension", "proximal_displacement"),
+        ("proximal_tension", "distal_displacement", "proximal_displacement"),
+    ],
+)
+def test_any_channels_will_do(data, channels):
+    found = found_in(data, channels)
+    text = page.render(found, ["a.csv"], {})
+    assert words.sentence(found).replace("'", "&#x27;") in text
+    assert text.count("<img") >= 3  # over time, the loop, structure
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "said"),
+    [
+        (1.23456e-4, "m/N", "0.1235 mm/N"),
+        (2e-5, "m", "20 µm"),
+        (-0.25, "", "-0.25"),
+        (12.0, "m", "12 m"),
+        (0.5, "N", "0.5 N"),
+        (60.0, "m/min", "60 m/min"),
+        (0.002, "min", "0.002 min"),
+    ],
+)
+def test_quantities_are_said_in_a_fitting_unit(value, unit, said):
+    assert words.quantity(value, unit) == said
