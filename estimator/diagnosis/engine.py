@@ -59,6 +59,7 @@ ALIKE = 6.0  # ln of probability within which two causes are not told apart
 ALIKE_LEFT = 0.015  # of what noise does not explain
 UNSURE_LEFT = 0.1  # of it, where the bootstrap is not sure which is better
 RIVALS = 2  # at most, besides the cause
+LEAST_LEFT = 0.01  # of it, that is worth looking for another cause
 EXPLAINED = 0.25  # of what noise does not explain, that may be left of a cause that is named
 NOISE = 1.25  # times the noise: an error that is taken to be all noise
 COVER = 1.96
@@ -108,7 +109,7 @@ def diagnose(
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
     for _ in range(MOST):
-        if steps and _is_noise(errors(bench, fit)):
+        if steps and _is_all(errors(bench, fit), errors(bench, plain)):
             break
         rest = [effect for effect in usable if effect.name not in fit.names]
         found = candidates(bench, fit, rest, report, workers)
@@ -146,6 +147,11 @@ def _again(record: Record, bench: Bench, fit: Fit) -> Callable[[Record], Simulat
         return simulate(other, about, fit.model.shared, fit.model.own[k], ())
 
     return again
+
+
+def _is_all(found: dict[str, Errors], plain: dict[str, Errors]) -> bool:
+    """Return whether too little is left for another cause to be told from what a model is not."""
+    return _is_noise(found) or left_of(found, plain) < LEAST_LEFT
 
 
 def _is_noise(found: dict[str, Errors]) -> bool:
