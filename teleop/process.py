@@ -144,6 +144,19 @@ def destination(text: str) -> Path:
     return path
 
 
+def make_folder(folder: Path, first: str) -> None:
+    """Make the folder of an `--out`, and see that the file `first` can be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        destination(str(folder / first))
+    except (FileExistsError, NotADirectoryError) as error:
+        raise UsageError(f"--out {folder}: is a file, or in one; name a folder") from error
+    except OSError as error:
+        raise UsageError(f"--out {folder}: cannot be made: {error.strerror}") from error
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(f"--out {folder}: {error}") from error
+
+
 def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
     """Write `summary` as JSON to `path`, whole or not at all; `UsageError` if that cannot be."""
     if path is not None:

@@ -28,7 +28,7 @@ from slave.diagnosis.believed import Compared
 from slave.diagnosis.progress import Progress
 from slave.table import Columns, MeasuredTable, read_table
 from teleop.errors import UsageError
-from teleop.process import destination, write_summary, write_whole
+from teleop.process import destination, make_folder, write_summary, write_whole
 
 
 def processors() -> int:
@@ -104,7 +104,7 @@ def main(args: argparse.Namespace) -> int:
     """Diagnose, and say what was found; returns the exit code."""
     effects = names.chosen(args.effects)
     if args.out is not None:
-        _make_folder(args.out)
+        make_folder(args.out, "report.html")
     tendon = estimate.chosen(args.tendon, (), 1)
     sheath = None if args.sheath is None else believed.load(args.sheath, tendon)
     columns = estimate.named(args.column, tendon)
@@ -194,15 +194,3 @@ def _write_folder(report: Report, folder: Path) -> None:
     text = page.render(found, files, report.believed)
     write_whole(folder / "report.html", text, "the page")
     residuals.write(folder / "residuals.rrd", found, files)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        destination(str(folder / "report.html"))
-    except (FileExistsError, NotADirectoryError) as error:
-        raise UsageError(f"--out {folder}: is a file, or in one; name a folder") from error
-    except OSError as error:
-        raise UsageError(f"--out {folder}: cannot be made: {error.strerror}") from error
-    except argparse.ArgumentTypeError as error:
-        raise UsageError(f"--out {folder}: {error}") from error

@@ -27,7 +27,7 @@ from slave.experiment.page import Page
 from slave.experiment.sheaths import Specimen, random_sheaths
 from slave.experiment.study import experiment, judge
 from teleop.errors import UsageError
-from teleop.process import destination, write_summary, write_whole
+from teleop.process import destination, make_folder, write_summary, write_whole
 
 MOST_SHEATHS = 1000
 TITLE = "The experiment of Phee et al. 2009, repeated"
@@ -72,7 +72,7 @@ def main(args: argparse.Namespace) -> int:
         if not least <= getattr(args, name) <= most:
             raise UsageError(f"--{name} {getattr(args, name)}: must be {least} to {most}")
     if args.out is not None:
-        _make_folder(args.out)
+        make_folder(args.out, "index.html")
     shown, outcomes = run(args.sheaths, args.seed, args.jobs)
     print(text(shown, outcomes, args.seed))
     tree = report.tree(shown.outcome, outcomes, args.seed)
@@ -166,15 +166,3 @@ def _figures(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dic
     from slave.experiment import figures
 
     return figures.draw(shown, outcomes, folder)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        destination(str(folder / "index.html"))
-    except (FileExistsError, NotADirectoryError) as error:
-        raise UsageError(f"--out {folder}: is a file, or in one; name a folder") from error
-    except OSError as error:
-        raise UsageError(f"--out {folder}: cannot be made: {error.strerror}") from error
-    except argparse.ArgumentTypeError as error:
-        raise UsageError(f"--out {folder}: {error}") from error
