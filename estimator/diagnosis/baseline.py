@@ -5,12 +5,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.fit import Bench, Fit, Model, improved, residual, simulated
+from estimator.diagnosis.fit import Bench, Fit, Model, improved, own_start, residual, simulated
 from estimator.diagnosis.model import scene_of
 from estimator.diagnosis.record import Record
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
-    DISTAL_TENSION,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Effect,
@@ -62,7 +61,7 @@ def _starts(bench: Bench) -> list[Model]:
             tip = share * total * math.exp(K)
             plain = -math.expm1(-K) / K
             compliance = max((1.0 - share) * total / plain, 1e-6)
-            own = tuple(_own(bench, record, compliance) for record in bench.records)
+            own = tuple(own_start(record, compliance) for record in bench.records)
             starts.append(Model((K, compliance, tip), own, ()))
     return starts
 
@@ -85,15 +84,3 @@ def _tip_shares(record: Record) -> tuple[float, ...]:
     tip = float(np.ptp(record.signals[DISTAL_DISPLACEMENT]))
     motor = float(np.ptp(record.signals[PROXIMAL_DISPLACEMENT]))
     return (min(max(tip / motor, 0.0), 0.95),)
-
-
-def _own(bench: Bench, record: Record, compliance: float) -> Values:
-    T = float(np.median(record.signals[PROXIMAL_TENSION][:5]))
-    taut = float(record.drive[0]) - compliance * max(T, 0.0)
-    if len(bench.base.own) == 1:
-        return (taut,)
-    loose = record.signals[DISTAL_DISPLACEMENT]
-    if DISTAL_TENSION in record.signals:
-        low = record.signals[DISTAL_TENSION] <= 0.5
-        loose = loose[low] if low.any() else loose
-    return (taut, float(np.min(loose)))

@@ -1,7 +1,7 @@
 """Fits by re-simulation: all of a record is simulated for every trial, so its memory is right."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from estimator.diagnosis.model import (
 from estimator.diagnosis.record import Record, in_full
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
     PROXIMAL_TENSION,
     Effect,
     Parameter,
@@ -40,6 +41,7 @@ TAKEN_UP = (
     2.0  # standard uncertainties that a record which starts slack is taut at its start within
 )
 TAUT_LEAST = 1e-6  # [m]
+LOOSE = 0.5  # [N] at the tip that hardly moves what it pulls at
 
 
 class Bench(NamedTuple):
@@ -236,14 +238,7 @@ def _descended(
         return residual(bench, simulated(bench, about, layout.unpack(whole(x))))
 
     def slopes(x: Array) -> Array:
-        at = off(x)
-        columns = []
-        for i in range(len(x)):
-            h = STEP if x[i] + STEP < high[free][i] else -STEP
-            moved = x.copy()
-            moved[i] += h
-            columns.append((off(moved) - at) / h)
-        return np.column_stack(columns)
+        return _differences(off, x, off(x), high[free])
 
     found = least_squares(
         off,
@@ -264,40 +259,45 @@ def slopes_of(bench: Bench, about: Sequence[Scene], fit: Fit) -> Array:
     """Return the derivatives of the residual by all parameters, each in its own step."""
     layout = _Layout(bench, fit.model)
     _, high = layout.bounds()
-    x, at = layout.pack(fit.model), residual(bench, fit)
+
+    def off(x: Array) -> Array:
+        return residual(bench, simulated(bench, about, layout.unpack(x)))
+
+    return _differences(off, layout.pack(fit.model), residual(bench, fit), high)
+
+
+def _differences(off: Callable[[Array], Array], x: Array, at: Array, high: Array) -> Array:
+    """Return the derivatives of a residual that is `at` where its numbers are `x`."""
     columns = []
     for i in range(len(x)):
         h = STEP if x[i] + STEP < high[i] else -STEP
         moved = x.copy()
         moved[i] += h
-        columns.append((residual(bench, simulated(bench, about, layout.unpack(moved))) - at) / h)
+        columns.append((off(moved) - at) / h)
     return np.column_stack(columns)
 
 
 def own_only(bench: Bench, fit: Fit) -> Fit:
     """Return a model of other records of the bench: only what each has for itself is fitted."""
     about = scenes_without(bench, fit)
-    own = tuple(
-        tuple(
-            0.5 * (low + high) if high - low < 1.0 else start
-            for (low, high), start in zip(
-                own_bounds(record), _own_start(record, fit.model), strict=True
-            )
-        )
-        for record in bench.records
-    )
-    model = fit.model._replace(own=own)
-    layout = _Layout(bench, model)
     if not bench.base.own:
-        return simulated(bench, about, model)
-    return _descended(bench, about, layout, model, ROUNDS, common=False)
+        return simulated(bench, about, fit.model._replace(own=((),) * len(bench.records)))
+    own = tuple(own_start(record, fit.model.shared[1]) for record in bench.records)
+    model = fit.model._replace(own=own)
+    return _descended(bench, about, _Layout(bench, model), model, ROUNDS, common=False)
 
 
-def _own_start(record: Record, model: Model) -> Values:
-    taut = float(record.drive[0]) - model.shared[1] * float(record.signals[PROXIMAL_TENSION][0])
-    if len(base_of(record).own) < 2:
-        return (taut,)[: len(base_of(record).own)]
-    return (taut, float(record.signals[DISTAL_DISPLACEMENT].min()))
+def own_start(record: Record, compliance: float) -> Values:
+    """Return where to look for what a record has for itself, with L/EA [m/N] about known."""
+    T = float(np.median(record.signals[PROXIMAL_TENSION][:5]))
+    taut = float(record.drive[0]) - compliance * max(T, 0.0)
+    if DISTAL_DISPLACEMENT not in record.signals:
+        return (taut,)
+    loose = record.signals[DISTAL_DISPLACEMENT]
+    if DISTAL_TENSION in record.signals:
+        low = record.signals[DISTAL_TENSION] <= LOOSE
+        loose = loose[low] if low.any() else loose
+    return (taut, float(np.min(loose)))
 
 
 def moved(bench: Bench, model: Model, by: Array) -> Model:

@@ -34,7 +34,7 @@ BLOCK = 5.0  # [s] that are fitted, and then as long that are not
 BLOCKS = 12  # at least, in a short record
 SPIKE = 8.0  # times what neighbours differ by
 FLOOR = 2e-4  # of a channel's range: nothing is simulated better
-FLOOR_BY = 0.02  # [s] over which speed is taken
+SPEED_OVER = 0.02  # [s] over which speed is taken
 
 
 class Simulation(Protocol):
@@ -243,7 +243,7 @@ def monotone(signal: Array, band: float) -> Array:
 
 def rate(time: Array, signal: Array) -> Array:
     """Return the slope of a signal over a few samples [1/s], shape (n,)."""
-    reach = max(1, round(0.5 * FLOOR_BY / float(np.median(np.diff(time)))))
+    reach = max(1, round(0.5 * SPEED_OVER / float(np.median(np.diff(time)))))
     ahead = np.minimum(np.arange(len(time)) + reach, len(time) - 1)
     behind = np.maximum(np.arange(len(time)) - reach, 0)
     return np.asarray((signal[ahead] - signal[behind]) / (time[ahead] - time[behind]))

@@ -59,13 +59,6 @@ def _together(found: Sequence[Errors]) -> Errors:
     )
 
 
-def rmse(bench: Bench, fit: Fit, *, held_out: bool) -> float:
-    """Return the root mean square error over all channels, in units of the noise."""
-    return math.sqrt(
-        float(np.mean([e.mean for e in errors(bench, fit, held_out=held_out).values()]))
-    )
-
-
 def better_by(a: dict[str, Errors], b: dict[str, Errors]) -> float:
     """Return ln of how much more probable held-out data are under `a` than under `b`.
 

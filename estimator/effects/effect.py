@@ -101,8 +101,6 @@ class Effect:
         What a person does who has it on their bench.
     starts
         Values to begin fits from; one that decides in which valley a fit ends is spread here.
-    shows_in
-        Channels of which one must be there, besides the driving one, for the effect to show.
     needs
         Channels without which the effect is not defined.
     """

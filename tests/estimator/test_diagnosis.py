@@ -57,6 +57,21 @@ def test_what_two_channels_cannot_tell_apart_is_said_to_be_so():
     assert any("weight" in what for what in found.experiments)
 
 
+@pytest.mark.parametrize("channels", [hidden.CHANNELS, ("proximal_tension", "distal_tension")])
+def test_another_record_of_the_bench_is_predicted_with_what_was_found(channels):
+    first, second = (
+        prepare(made.time, dict(made.channels))
+        for made in (
+            hidden.make(8, "distal_tension_gain", channels=channels, duration=d, rate=50.0)
+            for d in (30.0, 24.0)
+        )
+    )
+    effects = [effect for effect in CATALOGUE if effect.name == "distal_tension_gain"]
+    found = diagnose([first], effects, validate=[second])
+    before, after = found.before.validation, found.after.validation
+    assert after["distal_tension"].rmse < 0.7 * before["distal_tension"].rmse
+
+
 def test_a_parameter_is_found_and_its_interval_is_no_ornament():
     made, found = diagnosed(9, "viscous_friction", "spring", among={"viscous_friction"})
     true = made.truth["viscous_friction"]["viscosity"]
