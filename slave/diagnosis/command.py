@@ -172,6 +172,7 @@ def in_words(report: Report) -> str:
     if found.visible:
         tables.append(words.visible(found))
     parts = [words.sentence(found), *(table.markdown() for table in tables)]
+    parts.append("What is left:\n" + "\n".join(f"- {what}" for what in words.remains(found)))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in words.next_steps(found)))
     if remarks := words.remarks(found, report.data.files):
         parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in remarks))

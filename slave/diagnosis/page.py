@@ -31,7 +31,7 @@ def render(found: Diagnosis, files: Sequence[str], calibrated: Mapping[str, Comp
         for file, caption in captions.items():
             page.figure(Path(folder) / file, caption)
     page.heading("What is left")
-    page.points(words.structures(found))
+    page.points(words.remains(found))
     page.heading("Errors")
     page.text("Largest and mean error in % of the channel's range.")
     page.table(words.fitness(found), mark="")

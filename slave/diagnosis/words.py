@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
+from estimator.diagnosis.engine import NOISE
 from estimator.diagnosis.outcome import (
     Diagnosis,
     Fitnesses,
@@ -132,14 +133,27 @@ def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
     return said
 
 
-def structures(found: Diagnosis) -> list[str]:
-    """Return what the residual of the extended model goes along with."""
-    said = [
-        f"{s.share:.0%} of the variance left in the {CHANNEL_WORDS[s.channel]} goes along with "
-        f"the {s.what}"
-        for s in found.structure
-    ]
-    return said or ["Nothing that goes along with tension, speed, direction, travel or time."]
+def remains(found: Diagnosis) -> list[str]:
+    """Return what the extended model leaves in each channel, and what that goes along with."""
+    said = []
+    for channel, one in found.after.held_out.items():
+        unit, noise = unit_of(channel), found.noise[channel]
+        along = [
+            f"{s.share:.0%} of its variance with the {s.what}"
+            for s in found.structure
+            if s.channel == channel
+        ]
+        if one.rmse < NOISE * noise:
+            what = "noise"
+        elif along:
+            what = f"it goes along in {', '.join(along)}"
+        else:
+            what = "it goes along with no tension, speed, direction, travel or time"
+        said.append(
+            f"{CHANNEL_WORDS[channel]}: {quantity(one.rmse, unit, 3)} RMSE held out, noise is "
+            f"{quantity(noise, unit, 2)}; {what}."
+        )
+    return said
 
 
 def visible(found: Diagnosis) -> Table:

@@ -16,10 +16,13 @@ import numpy as np
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import prepare
+from estimator.effects import CATALOGUE
 from tests import hidden
+from tests.hidden.numbers import Checked, checked
 
 BENCHES = ("blocked", "spring")
 SIZES = (1.0, 0.5)
+ORACLE = 1.15
 
 
 class Case(NamedTuple):
@@ -41,6 +44,8 @@ class Result(NamedTuple):
     causes: tuple[str, ...]
     rivals: tuple[str, ...]
     left: float
+    numbers: tuple[Checked, ...]
+    oracle: float  # held-out RMSE over that of the true model, fitted; of the worst channel
     seconds: float
 
     @property
@@ -74,15 +79,30 @@ def judge(case):
         duration=case.duration,
         rate=case.rate,
     )
+    record = prepare(made.time, dict(made.channels))
     began = time.perf_counter()
-    found = diagnose([prepare(made.time, dict(made.channels))])
+    found = diagnose([record])
+    seconds = time.perf_counter() - began
     return Result(
         case,
         str(found.verdict),
         found.causes,
         found.ambiguous_with,
         found.left,
-        time.perf_counter() - began,
+        checked(made, found) if set(found.causes) == set(case.effects) else (),
+        _over_oracle(record, found, case.effects),
+        seconds,
+    )
+
+
+def _over_oracle(record, found, effects):
+    """Return by how much the held-out errors are larger than with what was hidden, fitted."""
+    if set(found.causes) == set(effects) or any(name in hidden.OUTSIDE for name in effects):
+        return 1.0
+    true = diagnose([record], [effect for effect in CATALOGUE if effect.name in effects])
+    return max(
+        one.rmse / max(true.after.held_out[channel].rmse, found.noise[channel])
+        for channel, one in found.after.held_out.items()
     )
 
 
@@ -151,7 +171,8 @@ def show(result):
         result.verdict,
         "+".join(result.causes),
         "| " + ", ".join(result.rivals) if result.rivals else "",
-        f"left {result.left:.3f}, {result.seconds:.0f} s",
+        f"left {result.left:.3f}, {result.oracle:.2f} of the oracle, {result.seconds:.0f} s",
+        *(f"{n.name} {n.found:.4g} not {n.true:.4g}" for n in result.numbers if not n.right),
         flush=True,
     )
 
@@ -173,6 +194,11 @@ def summary(results):
                 f"{name}: {right} of {len(found)} right ({right / len(found):.0%}), "
                 f"{wrong} named wrongly ({wrong / len(found):.1%})"
             )
+    numbers = [n for r in results if r.right for n in r.numbers]
+    true = sum(n.right for n in numbers)
+    print(f"numbers within 10 % or their interval: {true} of {len(numbers)}")
+    near = sum(r.oracle <= ORACLE for r in results)
+    print(f"held-out errors up to {ORACLE} of the oracle's: {near} of {len(results)}")
     taken = Counter(
         ("+".join(r.case.effects) or "clean", "+".join(r.causes) or r.verdict)
         for r in results
