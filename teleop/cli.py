@@ -26,6 +26,7 @@ COMMANDS = {
     "calibrate": ("slave.calibration.command", "measure a rig's sheaths: friction and stiffness"),
     "estimate": ("slave.estimate", "estimate the distal tension in measured data"),
     "diagnose": ("slave.diagnosis.command", "find what the model of a bench gets wrong, and why"),
+    "pair": ("slave.pair.command", "measure a pair's friction against the bend of its sheath"),
     "simulate": ("slave.simulate", "write data as a simulated rig would measure it"),
     "bench": ("teleop.bench", "repeat a published experiment and print its figures"),
     "doctor": ("teleop.doctor", "check this machine and name what is missing"),
@@ -33,7 +34,7 @@ COMMANDS = {
 
 
 # commands that import the estimator
-COMPILED = {"run", "slave", "calibrate", "estimate", "diagnose", "simulate", "bench"}
+COMPILED = {"run", "slave", "calibrate", "estimate", "diagnose", "pair", "simulate", "bench"}
 
 
 class Parser(argparse.ArgumentParser):

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from estimator.diagnosis import experiments
 from estimator.diagnosis.baseline import baseline
 from estimator.diagnosis.fit import (
+    ACCURACY,
     Bench,
     Fit,
     bench_of,
     improved,
     own_only,
     parameters,
+    refitted,
     rescaled,
     scenes,
     scenes_without,
@@ -61,8 +63,8 @@ UNSURE_LEFT = 0.1  # of it, where the bootstrap is not sure which is better
 RIVALS = 2  # at most, besides the cause
 LEAST_LEFT = 0.01  # of it, that is worth looking for another cause
 EXPLAINED = 0.25  # of what noise does not explain, that may be left of a cause that is named
+FURTHER = 2.5  # times noise and ACCURACY: an error that is worth another cause
 NOISE = 1.25  # times the noise: an error that is taken to be all noise
-COVER = 1.96
 LAST = 12  # rounds of the fit to all samples
 
 
@@ -109,7 +111,7 @@ def diagnose(
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
     for _ in range(MOST):
-        if steps and _is_all(errors(bench, fit), errors(bench, plain)):
+        if steps and _is_all(bench, fit, plain):
             break
         rest = [effect for effect in usable if effect.name not in fit.names]
         found = candidates(bench, fit, rest, report, workers)
@@ -149,9 +151,16 @@ def _again(record: Record, bench: Bench, fit: Fit) -> Callable[[Record], Simulat
     return again
 
 
-def _is_all(found: dict[str, Errors], plain: dict[str, Errors]) -> bool:
+def _is_all(bench: Bench, fit: Fit, plain: Fit) -> bool:
     """Return whether too little is left for another cause to be told from what a model is not."""
-    return _is_noise(found) or left_of(found, plain) < LEAST_LEFT
+    found = errors(bench, fit)
+    if left_of(found, errors(bench, plain)) < LEAST_LEFT:
+        return True
+    noise, ranges = _mean_noise(bench), _ranges(bench)
+    return all(
+        math.sqrt(one.mean) * noise[c] < FURTHER * math.hypot(noise[c], ACCURACY * ranges[c])
+        for c, one in found.items()
+    )
 
 
 def _is_noise(found: dict[str, Errors]) -> bool:
@@ -219,6 +228,13 @@ def _mean_noise(bench: Bench) -> dict[str, float]:
     }
 
 
+def _ranges(bench: Bench) -> dict[str, float]:
+    return {
+        channel: max(float(np.ptp(record.signals[channel])) for record in bench.records)
+        for channel in bench.records[0].compared
+    }
+
+
 def _outcome(
     bench: Bench,
     plain: Fit,
@@ -242,12 +258,7 @@ def _outcome(
     else:
         verdict = Verdict.NAMED
     numbers = {
-        one.name: Number(
-            one.value,
-            max(one.value - COVER * one.uncertainty, one.parameter.low),
-            min(one.value + COVER * one.uncertainty, one.parameter.high),
-            one.parameter.unit,
-        )
+        one.name: Number(one.value, one.low, one.high, one.parameter.unit)
         for one in parameters(whole, scenes(bench, plain), last)
     }
     names = [name for step in steps for name in (step.effect.name, *step.rivals) if step.rivals]
@@ -281,17 +292,16 @@ class Fold(NamedTuple):
 
 
 def _folds(bench: Bench, plain: Fit, fit: Fit) -> tuple[Fold, Fold]:
-    """Return both ways to fit one half of the samples and to be judged by the other.
-
-    When something happened, the half without that time cannot know; it is told.
-    """
+    """Return both ways to fit one half of the samples and to be judged by the other."""
+    about = scenes(bench, plain)
+    whole = bench._replace(records=tuple(map(in_full, bench.records)))
 
     def fold(half: Bench) -> Fold:
-        refitted = [
-            improved(rescaled(half, one), scenes(half, plain), one.model, LAST, search=False)
+        before, after = (
+            refitted(rescaled(half, one), rescaled(whole, one), about, one, LAST)
             for one in (plain, fit)
-        ]
-        return Fold(half, (refitted[0], refitted[1]))
+        )
+        return Fold(half, (before, after))
 
     swapped = tuple(replace(record, train=~record.train) for record in bench.records)
     return fold(bench), fold(bench._replace(records=swapped))

@@ -29,18 +29,26 @@ from estimator.effects.effect import (
 )
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 STEP = 0.02  # of a parameter's step: for derivatives
 ROUNDS = 8  # of a fit that is not the last
 QUICK = 4  # of a first one
 SEARCH = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched
 STEPS = 8  # on each of these
+EQUAL = 1e-6  # of a cost
+FARTHEST = 60.0  # [s] that a time is tried to be wrong by
+HALVED = 5  # times, the step that is one too far
+COVER = 1.96  # standard uncertainties on each side of a value
 ROUGHLY = 3e-3  # of a channel's range
+ACCURACY = 1e-3  # of it, that a simulation is taken to be off by itself
 LEFT = 0.3  # of the root mean square that a model leaves
 TAKEN_UP = (
     2.0  # standard uncertainties that a record which starts slack is taut at its start within
 )
 TAUT_LEAST = 1e-6  # [m]
+BLIND = 4.0  # times as uncertain as from all samples: a part of them that cannot tell a number
+WEAK = 1e-8  # information on a number about which there is none
 LOOSE = 0.5  # [N] at the tip that hardly moves what it pulls at
 
 
@@ -167,23 +175,41 @@ def improved(
     rounds: int = ROUNDS,
     *,
     robust: bool = False,
-    search: bool = True,
 ) -> Fit:
     """Return the model of least squares that is found from `start`.
 
-    What jumps, as the time at which something begins, is searched in ever smaller steps, or with
-    `search` off left as it is. A `robust`
-    fit goes by most of a record, however far it is off the rest.
+    What jumps, as the time at which something begins, is searched in ever smaller steps. When it
+    was and how long it took is then fitted to all samples: those that count may have none of that
+    time. A `robust` fit goes by most of a record, however far it is off the rest.
     """
     layout = _Layout(bench, start)
-    fit = _descended(bench, about, layout, start, rounds, robust=robust)
-    jumping = [i for i, p in enumerate(layout.parameters) if p.jumps and search]
+    fit = _descended(bench, about, layout, start, rounds, layout.smooth, robust=robust)
+    jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
     reaches = SEARCH if rounds > ROUNDS else SEARCH[:1] if rounds > QUICK else ()
     for reach in reaches if jumping else ():
         for i in jumping:
             fit = _stepped(bench, about, layout, fit, i, reach)
-        fit = _descended(bench, about, layout, fit.model, max(2, rounds // 3))
+        fit = _descended(_whole(bench), about, layout, fit.model, max(2, rounds // 3), layout.when)
+        fit = _descended(bench, about, layout, fit.model, max(2, rounds // 3), ~layout.when)
     return fit
+
+
+def refitted(part: Bench, whole: Bench, about: Sequence[Scene], fit: Fit, rounds: int) -> Fit:
+    """Return a model of the whole, fitted again to a part of the samples.
+
+    What the part cannot tell stays as the whole has it: when something happened, and whatever shows
+    in hardly any of its samples, as where a record starts.
+    """
+    layout = _Layout(whole, fit.model)
+    told = ~layout.when & (_uncertain(part, about, fit) < BLIND * _uncertain(whole, about, fit))
+    return _descended(part, about, layout, fit.model, rounds, told)
+
+
+def _uncertain(bench: Bench, about: Sequence[Scene], fit: Fit) -> Array:
+    """Return how uncertain each number of a model is, in its step, for residuals of 1."""
+    J = slopes_of(bench, about, fit)
+    information = J.T @ J + WEAK * np.eye(J.shape[1])
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
 
 
 def _stepped(
@@ -191,9 +217,9 @@ def _stepped(
 ) -> Fit:
     """Return the best of a fit and those with one number up to `reach` [s] more or less.
 
-    Judged by all samples: those that are fitted may have none of the time in question.
+    Of equal ones the latest: what happened at rest shows with the first motion after it.
     """
-    bench = bench._replace(records=tuple(map(in_full, bench.records)))
+    bench = _whole(bench)
     x = layout.pack(fit.model)
     best, least = fit, _cost(bench, fit)
     for off in np.linspace(-reach, reach, STEPS):
@@ -201,9 +227,13 @@ def _stepped(
         moved[i] += off / layout.step(i)
         other = simulated(bench, about, layout.unpack(moved))
         cost = _cost(bench, other)
-        if cost < least:
-            best, least = other, cost
+        if cost < least or (off > 0.0 and cost < (1.0 + EQUAL) * least):
+            best, least = other, min(cost, least)
     return best
+
+
+def _whole(bench: Bench) -> Bench:
+    return bench._replace(records=tuple(map(in_full, bench.records)))
 
 
 def _cost(bench: Bench, fit: Fit) -> float:
@@ -216,18 +246,12 @@ def _descended(
     layout: "_Layout",
     start: Model,
     rounds: int,
+    free: Mask,
     *,
     robust: bool = False,
-    common: bool = True,
 ) -> Fit:
     low, high = layout.bounds()
     at_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
-    free = np.array(
-        [
-            not parameter.jumps and (common or i >= layout.common)
-            for i, parameter in enumerate(layout.parameters)
-        ]
-    )
 
     def whole(x: Array) -> Array:
         row = at_start.copy()
@@ -284,7 +308,8 @@ def own_only(bench: Bench, fit: Fit) -> Fit:
         return simulated(bench, about, fit.model._replace(own=((),) * len(bench.records)))
     own = tuple(own_start(record, fit.model.shared[1]) for record in bench.records)
     model = fit.model._replace(own=own)
-    return _descended(bench, about, _Layout(bench, model), model, ROUNDS, common=False)
+    layout = _Layout(bench, model)
+    return _descended(bench, about, layout, model, ROUNDS, layout.own)
 
 
 def own_start(record: Record, compliance: float) -> Values:
@@ -308,33 +333,79 @@ def moved(bench: Bench, model: Model, by: Array) -> Model:
 
 
 class Named(NamedTuple):
-    """One number of a model, and its standard uncertainty in the model's own terms."""
+    """One number of a model with its 95 % interval."""
 
     name: str
     parameter: Parameter
     value: float
-    uncertainty: float
+    low: float
+    high: float
 
 
 def parameters(bench: Bench, about: Sequence[Scene], fit: Fit) -> tuple[Named, ...]:
-    """Return all numbers of a model but those of single records, with their uncertainties.
+    """Return all numbers of a model but those of single records, with their intervals.
 
-    From the scatter of the residuals and their correlation from one sample to the next.
+    From the scatter of the residuals and their correlation from one sample to the next, and from
+    what a simulation that is off by `ACCURACY` could make of a number at worst; of a time that no
+    slope leads to, by how far it can be moved until the residuals are as much larger.
     """
     layout = _Layout(bench, fit.model)
     J, r = slopes_of(bench, about, fit), residual(bench, fit)
+    inverse = np.linalg.pinv(J)
     correlation = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-30)
     correlation = min(max(correlation, 0.0), 0.995)
     spread = float(r @ r) / max(len(r) - J.shape[1], 1) * (1.0 + correlation) / (1.0 - correlation)
-    covariance = np.linalg.pinv(J.T @ J) * spread
-    sigma = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    return tuple(
-        Named(name, parameter, value, float(s) * layout.step(i))
-        for i, (name, parameter, value, s) in enumerate(
-            zip(layout.names, layout.parameters, layout.values(fit.model), sigma, strict=False)
-        )
-        if i < layout.common
-    )
+    sigma = np.sqrt((inverse**2).sum(axis=1) * spread)
+    most_off = np.abs(inverse) @ _inaccuracy(bench, fit.model)
+    found = []
+    for i, value in enumerate(layout.values(fit.model)[: layout.common]):
+        p = layout.parameters[i]
+        reach = math.hypot(COVER * float(sigma[i]), float(most_off[i])) * layout.step(i)
+        low, high = value - reach, value + reach
+        if p.jumps:
+            most = _cost(bench, fit) + COVER**2 * spread
+            low = min(low, value + _reach(bench, about, layout, fit, i, -1.0, most))
+            high = max(high, value + _reach(bench, about, layout, fit, i, 1.0, most))
+        found.append(Named(layout.names[i], p, value, max(low, p.low), min(high, p.high)))
+    return tuple(found)
+
+
+def _inaccuracy(bench: Bench, model: Model) -> Array:
+    """Return by how much each residual may be off because a simulation is."""
+    parts = []
+    for record, scale in zip(bench.records, bench.scale, strict=True):
+        for channel in record.compared:
+            count = int((record.train & record.good[channel]).sum())
+            off = ACCURACY * float(np.ptp(record.signals[channel])) / scale[channel]
+            parts.append(np.full(count, off))
+        if expected_taut(record, model) is not None:
+            parts.append(np.zeros(1))
+    return np.concatenate(parts)
+
+
+def _reach(
+    bench: Bench,
+    about: Sequence[Scene],
+    layout: "_Layout",
+    fit: Fit,
+    i: int,
+    way: float,
+    most: float,
+) -> float:
+    """Return how far one number can go one way, in its unit, until the cost is more than `most`."""
+
+    def bears(off: float) -> bool:
+        x = layout.pack(fit.model)
+        x[i] += off / layout.step(i)
+        return _cost(bench, simulated(bench, about, layout.unpack(x))) <= most
+
+    near, far = 0.0, way * SEARCH[-1]
+    while bears(far) and abs(far) < FARTHEST:
+        near, far = far, 2.0 * far
+    for _ in range(HALVED):
+        middle = 0.5 * (near + far)
+        near, far = (middle, far) if bears(middle) else (near, middle)
+    return near
 
 
 class _Layout:
@@ -349,7 +420,7 @@ class _Layout:
         for effect in effects:
             self.names += [f"{effect.name}.{p.name}" for p in effect.parameters]
             self.parameters += effect.parameters
-        self.common = len(self.parameters)
+        self.common = len(self.parameters)  # those of the bench come first
         for k, record in enumerate(bench.records):
             self.names += [f"{p.name} ({k + 1})" for p in base.own]
             self.parameters += [
@@ -361,6 +432,28 @@ class _Layout:
             for i, p in enumerate(base.shared):
                 if p.unit == "m/N":
                     self._steps[i] = 0.03 * max(model.shared[1], 1e-7)
+
+    @property
+    def smooth(self) -> Mask:
+        """Which numbers a slope leads to."""
+        return np.array([not p.jumps for p in self.parameters])
+
+    @property
+    def when(self) -> Mask:
+        """Which numbers say when something happened, and how long it took."""
+        mask = np.zeros(len(self.parameters), dtype=np.bool_)
+        at = len(self.base.shared)
+        for effect in self.effects:
+            if any(p.jumps for p in effect.parameters):
+                for i, p in enumerate(effect.parameters, start=at):
+                    mask[i] = p.neutral is None
+            at += len(effect.parameters)
+        return mask
+
+    @property
+    def own(self) -> Mask:
+        """Which numbers are of single records."""
+        return np.arange(len(self.parameters)) >= self.common
 
     def step(self, i: int) -> float:
         """Return the step of a number."""

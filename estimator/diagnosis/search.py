@@ -61,6 +61,13 @@ class Promise(NamedTuple):
     cost: float
 
 
+class Pair(NamedTuple):
+    """Two ways to begin with an effect at some values."""
+
+    linear: Promise  # it and the model's own parameters where a linear step leads them
+    as_it_is: Promise  # on top of the model as it is
+
+
 def candidates(
     bench: Bench, fit: Fit, effects: Sequence[Effect], report: Report, workers: int = 1
 ) -> list[Candidate]:
@@ -116,24 +123,25 @@ def promised(
 ) -> list[Model]:
     """Return models to begin fits from: for each effect the starts that promise most.
 
-    Each start is taken as it is, and as far as a linear step of all parameters would go along it;
-    the model's own parameters go along.
+    Each start is taken as far as a linear step of all parameters would go along it, the model's own
+    parameters with it; and the best as it is, since where a record starts, for one, nothing is
+    linear.
     """
     r = residual(bench, fit)
     J = slopes_of(bench, about, fit)
     solve = np.linalg.pinv(J)
     starts = [(effect, values) for effect in effects for values in effect.starts(about[0])]
 
-    def promise(one: tuple[Effect, Values]) -> list[Promise]:
+    def promise(one: tuple[Effect, Values]) -> Pair | None:
         effect, values = one
         begun = simulated(bench, about, _with(fit.model, effect, values))
         change = residual(bench, begun) - r
         if not np.isfinite(change).all():
-            return []
+            return None
         alone = change - J @ (solve @ change)
         power = float(alone @ alone)
         if power < 1e-12:
-            return []
+            return None
         found = []
         for share in {1.0, -(float(alone @ r)) / power}:
             scaled, step = _scaled(effect, values, share)
@@ -142,17 +150,19 @@ def promised(
             left = wanted + J @ base
             model = _with(moved(bench, fit.model, base), effect, scaled)
             found.append(Promise(model, float(left @ left)))
-        return found
+        as_it_is = Promise(begun.model, float(np.sum((r + change) ** 2)))
+        return Pair(min(found, key=lambda one: one.cost), as_it_is)
 
-    done = [
-        one for found in _each(promise, starts, report, "trying effects", workers) for one in found
-    ]
-    of_effect: dict[str, list[Promise]] = {}
-    for one in sorted(done, key=lambda one: one.cost):
-        kept = of_effect.setdefault(one.model.effects[-1][0].label, [])
-        if len(kept) < STARTS:
-            kept.append(one)
-    return [one.model for kept in of_effect.values() for one in kept]
+    of_effect: dict[str, list[Pair]] = {}
+    for one in _each(promise, starts, report, "trying effects", workers):
+        if one is not None:
+            of_effect.setdefault(one.linear.model.effects[-1][0].label, []).append(one)
+    models = []
+    for pairs in of_effect.values():
+        by_promise = sorted(pairs, key=lambda pair: pair.linear.cost)
+        models += [pair.linear.model for pair in by_promise[:STARTS]]
+        models.append(min(pairs, key=lambda pair: pair.as_it_is.cost).as_it_is.model)
+    return models
 
 
 def _scaled(effect: Effect, values: Values, share: float) -> tuple[Values, float]:

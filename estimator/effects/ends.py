@@ -21,6 +21,7 @@ from estimator.extended import Physics
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 BOTH_TRAVELS = frozenset({PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT})
 ONSETS = 16
+STAYS = (0.5, 1.0, 2.0, 4.0, 8.0)  # [s]
 
 PRETENSION = Effect(
     name="pretension",
@@ -29,7 +30,7 @@ PRETENSION = Effect(
     parameters=(Parameter("tension", "N", 0.0, 60.0, 0.5),),
     source="docs/theory.md (T15)",
     advice="Begin each record with a full pull and release; that wipes the start out.",
-    starts=lambda scene: [(float(scene.measured[PROXIMAL_TENSION][:5].mean()),), (2.0,), (6.0,)],
+    starts=lambda scene: [(float(scene.measured[PROXIMAL_TENSION][0]),), (2.0,), (6.0,)],
     physics=lambda physics, values, _: physics._replace(start=values[0]),
 )
 
@@ -137,7 +138,23 @@ def _moved_starts(scene: Scene) -> Iterable[Values]:
 
 
 def _back_starts(scene: Scene) -> Iterable[Values]:
-    return [(2e-4, onset, 0.5, stay) for onset in scene.instants(ONSETS) for stay in (1.0, 4.0)]
+    widths = [width for width in STAYS if 3.0 * width < scene.time[-1] - scene.time[0]]
+    visits = [(stands_out(scene, width), width) for width in widths]
+    return [(size, onset, 0.5, width) for onset, width in visits for size in (-2e-4, 2e-4)]
+
+
+def stands_out(scene: Scene, width: float) -> float:
+    """Return when [s] a while of `width` [s] begins whose residual differs most from the rest."""
+    count = max(2, round(width / float(np.median(np.diff(scene.time)))))
+    most, begin = 0.0, 0
+    for channel, simulated in scene.simulated.items():
+        off = scene.measured[channel] - simulated
+        off = (off - np.median(off)) / max(float(np.std(off)), 1e-30)
+        total = np.concatenate([[0.0], np.cumsum(off)])
+        within = np.abs(total[count:] - total[:-count])
+        if within.max() > most:
+            most, begin = float(within.max()), int(np.argmax(within))
+    return float(scene.time[begin])
 
 
 _MOVED = (

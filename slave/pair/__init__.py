@@ -1,0 +1,1 @@
+"""Friction of an antagonistic pair of tendons against the bend of its sheath."""
