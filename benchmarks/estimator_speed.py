@@ -3,6 +3,7 @@
 python benchmarks/estimator_speed.py
 """
 
+import functools
 import math
 import time
 from collections import deque
@@ -12,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import online
+from estimator.effects import elasticity, friction
+from estimator.effects.effect import Effect, Values
+from estimator.extension import extended
 from estimator.sheath import Sheath
 from estimator.transmission import batch, slack_profile, tables
 
@@ -20,6 +24,16 @@ Array = NDArray[np.float64]
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
 NODES = 64
 RATE = 1000.0  # [Hz]
+
+BESIDE: tuple[tuple[Effect, Values], ...] = (
+    (friction.VISCOUS_FRICTION, (200.0,)),
+    (friction.STRIBECK_LATE, (0.2, 1e-3, 0.1)),
+    (friction.PRESLIDING_STIFF, (3e-5,)),
+    (friction.TENSION_DEPENDENT_POWER, (0.9,)),
+    (elasticity.NONLINEAR_STIFFNESS, (1e-4, 2.0)),
+    (elasticity.CREEP, (0.08, 8.0)),
+)
+"""Effects that are run beside the law, each in a model of its own."""
 
 
 def record(n: int) -> tuple[Array, Array, Array]:
@@ -82,11 +96,9 @@ def seconds(call: Callable[[], object], repeats: int = 5) -> float:
     return best
 
 
-def main() -> None:
-    time_s, T, q = record(20_000)
-    prepared = online.prepare(
-        online.TendonModel(SHEATH, tension_noise=0.02, displacement_noise=1e-6)
-    )
+def steps(model: online.TendonModel, T: Array, q: Array) -> Array:
+    """Return how long each step took [us], in order of that."""
+    prepared = online.prepare(model)
     state = online.initial(prepared)
     rows = list(zip(T.tolist(), q.tolist(), strict=True))
     _, state = online.step(prepared, state, *rows[0], 0.0)
@@ -95,11 +107,32 @@ def main() -> None:
         start = time.perf_counter_ns()
         _, state = online.step(prepared, state, tension, travel, 1.0 / RATE)
         taken.append(time.perf_counter_ns() - start)
-    ordered = np.sort(np.array(taken)) / 1e3
-    p999 = ordered[int(0.999 * len(ordered))]
-    print(f"online.step from Python   min {ordered[0]:.2f} us   median {np.median(ordered):.2f} us"
-          f"   99.9 % {p999:.1f} us")  # fmt: skip
+    return np.sort(np.array(taken)) / 1e3
 
+
+def print_steps(T: Array, q: Array) -> None:
+    """Print what a step costs with the law alone, and with an effect beside it."""
+    noisy = functools.partial(online.TendonModel, tension_noise=0.02, displacement_noise=1e-6)
+    law = steps(noisy(SHEATH), T, q)
+    print(f"{'online.step from Python':34}    min [us]   median   99.9 %   largest   times the law")
+    models = {"the law": law}
+    shared = (SHEATH.K, SHEATH.length / SHEATH.axial_stiffness, 5e-4)
+    for effect, values in BESIDE:
+        found = extended(shared, [(effect, values)], 60.0, SHEATH.length)
+        models[effect.name] = steps(noisy(found.sheath, extension=found.extension), T, q)
+    for name, taken in models.items():
+        p999 = taken[int(0.999 * len(taken))]
+        print(f"{name:34}{taken[0]:12.2f}{np.median(taken):9.2f}{p999:9.1f}{taken[-1]:10.0f}"
+              f"{np.median(taken) / np.median(law):16.1f}")  # fmt: skip
+    print()
+
+
+def main() -> None:
+    time_s, T, q = record(20_000)
+    print_steps(T, q)
+    prepared = online.prepare(
+        online.TendonModel(SHEATH, tension_noise=0.02, displacement_noise=1e-6)
+    )
     online.run(prepared, time_s[:10], T[:10], q[:10])
     full = seconds(lambda: online.run(prepared, time_s, T, q))
     table = tables(SHEATH)

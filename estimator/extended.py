@@ -31,6 +31,7 @@ EDGES = np.concatenate([[0.0], 0.5 * (PLACES[:-1] + PLACES[1:]), [1.0]])
 _ROUNDS = 60
 _ENOUGH = 1e-11  # [m] of travel
 _SMALLEST = 1.0 / 8.0  # of a step
+_PIECE = 0.5  # of a sample: contacts that let go as they slide do so within it
 _STEEPEST = 0.45  # half the friction between two nodes, at most; beyond it nothing would pass
 _STIFF = 1e12  # [N/m]
 _LEAST = 1e-2  # [N] below which friction is no power of the tension any more
@@ -50,6 +51,7 @@ class Physics(NamedTuple):
     stribeck_memory: float = 0.0  # [s] that friction is late; 0: it follows the motor's speed
     static: float = 0.0  # friction of contacts at rest over that of sliding ones, less 1
     static_time: float = 0.1  # [s] of rest in which they get it
+    static_distance: float = 1e-5  # [m] of sliding in which they lose it
     asymmetry: float = 1.0  # rho: friction towards the tip over friction towards the housing
     exponent: float = 1.0  # friction force ~ T^exponent
     reference: float = 10.0  # [N] of that power
@@ -92,6 +94,7 @@ class _Law(NamedTuple):
     stribeck_memory: float
     static: float
     static_time: float
+    static_distance: float
     asymmetry: float
     exponent: float
     reference: float
@@ -142,6 +145,36 @@ class _Tendon(NamedTuple):
     kept: Array  # [m] that each node's share is longer, whatever its tension
 
 
+_SCALARS = 27  # before the arrays in what `constants_of` returns
+VISCOSITY, STRIBECK = 1, 2  # among them
+CONSTANTS = _SCALARS + 3 * NODES - 1
+
+# Where the parts of a state begin: of each node, of the ends, of each contact
+LENGTHS, _CREPT, _ENDS = NODES, 2 * NODES, 3 * NODES
+_Q, _V, _A, _LOAD, _DRIVEN = range(_ENDS, _ENDS + 5)
+_SLIDING = _ENDS + 5
+_SPEED, _RESTED = _SLIDING + NODES - 1, _SLIDING + 2 * (NODES - 1)
+STATE = _SLIDING + 3 * (NODES - 1)
+"""Length of the flat array that is all a tendon remembers."""
+
+_UNTOLD = np.empty(0)
+
+# What `advance` is told of a sample
+DT, FRICTION, STRETCH, OFFSET, COMPLIANCE, TARGET, SPEED = range(7)
+SAMPLE = 7
+
+
+class _Line(NamedTuple):
+    """A tendon ready for steps."""
+
+    law: _Law
+    holder: _Holder
+    softness: float  # [m/N]: what the tension's rate is to the motor's speed
+    weights: Array  # [m/N] of each node
+    even: Array  # shares of the whole
+    spread: Array  # speed over each contact for that of the motor, while all slides
+
+
 def even_weights() -> Array:
     """Return the weights of a sheath bent evenly."""
     return np.diff(EDGES)
@@ -169,8 +202,9 @@ def by_tension(physics: Physics, time: Array, tension: Array, rate: Array) -> Mo
     return _driven(physics, time, tension, np.abs(rate), forced=True)
 
 
-def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced: bool) -> Motion:
-    p, n = physics, len(time)
+def constants_of(physics: Physics) -> Array:
+    """Return what `advance` needs to know of a tendon, as one flat array."""
+    p = physics
     law = _Law(
         p.drag,
         p.viscosity,
@@ -179,6 +213,7 @@ def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced:
         p.stribeck_memory,
         p.static,
         p.static_time,
+        p.static_distance,
         p.asymmetry,
         p.exponent,
         p.reference,
@@ -193,20 +228,21 @@ def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced:
         p.threshold,
     )
     stiffness = min(p.load_stiffness, _STIFF)
-    rows = _drive(
-        law,
-        _Holder(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness),
-        np.broadcast_to(p.friction, n).copy(),
-        p.weights * p.compliance,
-        p.start,
-        np.broadcast_to(p.stretch, n).copy(),
-        np.broadcast_to(p.tip_offset, n).copy(),
-        time,
-        drive,
-        rate,
-        forced,
+    holder = _Holder(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
+    scalars = np.array([*law, *holder])
+    return _packed(scalars, p.tip_compliance, p.weights * p.compliance, float(p.friction[0]))
+
+
+def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced: bool) -> Motion:
+    constants, samples = constants_of(physics), np.empty((len(time), SAMPLE))
+    samples[:, DT] = np.diff(time, prepend=time[0])
+    samples[:, FRICTION], samples[:, STRETCH] = physics.friction, physics.stretch
+    samples[:, OFFSET], samples[:, COMPLIANCE] = physics.tip_offset, physics.tip_compliance
+    samples[:, TARGET], samples[:, SPEED] = drive, rate
+    memory = start(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
+    return Motion(
+        *np.ascontiguousarray(advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST).T)
     )
-    return Motion(*rows)
 
 
 @compiled
@@ -249,6 +285,15 @@ def _contacts(
         ds = K * (PLACES[j + 1] - PLACES[j])
         half[j] = min(0.5 * ds * share, _STEEPEST / max(1.0, law.asymmetry))
         drag[j] = 2.0 * half[j] * law.drag
+
+
+@compiled
+def _rest(law: _Law, dt: float, slid: Array, rested: Array) -> None:
+    """Let contacts take hold while they rest and let go while they slide, in place."""
+    kept = math.exp(-dt / law.static_time)
+    for j in range(len(rested)):
+        rested[j] = 1.0 - (1.0 - rested[j]) * kept
+        rested[j] *= math.exp(-abs(slid[j]) / law.static_distance)
 
 
 @compiled
@@ -463,62 +508,111 @@ def _spread(weights: Array, K: float, compliance: float) -> Array:
 
 
 @compiled
-def _drive(
-    law: _Law,
-    holder: _Holder,
-    friction: Array,
-    weights: Array,
-    start: float,
-    stretches: Array,
-    offsets: Array,
-    time: Array,
-    target: Array,
-    rate: Array,
-    forced: bool,
+def _packed(scalars: Array, compliance: float, weights: Array, friction: float) -> Array:
+    """Return a `_Line` as one flat array; `scalars` are those of its law and its holder."""
+    total = weights.sum()
+    row = np.empty(CONSTANTS)
+    row[: _SCALARS - 1], row[_SCALARS - 1] = scalars, total + compliance
+    rest = row[_SCALARS:]
+    rest[:NODES], rest[NODES : 2 * NODES] = weights, weights / total
+    rest[2 * NODES :] = _spread(weights, friction, compliance)
+    return row
+
+
+@compiled
+def _line(constants: Array) -> _Line:
+    """Return what `constants_of` has packed."""
+    c, last = constants, NODES - 1
+    law = _Law(
+        c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
+        c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19],
+    )  # fmt: skip
+    holder = _Holder(c[20], c[21], c[22], c[23], c[24], c[25])
+    weights, rest = constants[_SCALARS : _SCALARS + NODES], constants[_SCALARS + NODES :]
+    return _Line(law, holder, c[26], weights, rest[:NODES], rest[NODES : NODES + last])
+
+
+@compiled
+def start(constants: Array, tension: float, stretch: float, offset: float) -> Array:
+    """Return the state of a tendon that has not moved yet, at one `tension` [N] all along.
+
+    It is `stretch` [m] longer than it was, and the environment has taken its tip to `offset` [m].
+    """
+    line = _line(constants)
+    state = np.zeros(STATE)
+    state[:NODES] = tension
+    kept = line.even * stretch
+    none = np.empty(0)
+    tendon = _Tendon(line.law, none, none, 0.0, line.weights, 1.0, kept)
+    for j in range(NODES):
+        state[LENGTHS + j] = _stretch(tendon, j, tension)[0] + kept[j]
+    state[_Q] = line.holder.compliance * tension + offset
+    state[_DRIVEN] = math.nan
+    state[_RESTED:] = 1.0
+    return state
+
+
+@compiled
+def advance(
+    constants: Array, memory: Array, samples: Array, speeds: Array, forced: bool, smallest: float
 ) -> Array:
-    """Return the rows of `Motion`, shape (5, n)."""
-    n, nodes = len(time), len(weights)
-    out = np.empty((5, n))
-    compliance, mass, damping = holder.compliance, holder.mass, holder.damping
-    heavy = compliance > 0.0 and (mass > 0.0 or damping > 0.0)
+    """Take samples one after another, in place; return the rows of `Motion`, shape (n, 5).
+
+    Parameters
+    ----------
+    constants, memory : ndarray
+        From `constants_of` and `start`, or a step before.
+    samples : ndarray
+        (n, SAMPLE): time since the sample before [s], K, `Physics.stretch` and `tip_offset` [m],
+        `tip_compliance` [m/N], what the motor is driven to, and its speed.
+    speeds : ndarray
+        Over each contact [m/s], where Stribeck's friction shall not go by what the steps find;
+        else empty.
+    forced : bool
+        Whether it is driven to a tension [N] and [N/s], or to a travel [m] and [m/s].
+    smallest : float
+        Share of a sample in which what has no balance yet is tried again; 1 for once only.
+    """
+    law, holder, softness, weights, even, spread = _line(constants)
+    out = np.empty((len(samples), 5))
+    mass, damping, told = holder.mass, holder.damping, len(speeds) > 0
     late = law.stribeck != 0.0 and law.stribeck_memory > 0.0
     leans = law.give > 0.0
-    state, after = np.full(nodes, start), np.empty(nodes)
-    sliding, slid, speed = np.zeros(nodes - 1), np.zeros(nodes - 1), np.zeros(nodes - 1)
-    half, drag, rested = np.empty(nodes - 1), np.empty(nodes - 1), np.ones(nodes - 1)
-    work, gone = np.empty((7, nodes)), np.zeros(nodes - 1)
-    spread = _spread(weights, friction[0], compliance)
-    softness = weights.sum() + compliance  # [m/N]: what the tension's rate is to the motor's speed
-    q, v, a, load = compliance * start + offsets[0], 0.0, 0.0, 0.0
-    even = weights / weights.sum()
-    crept, kept, lengths = np.zeros(nodes), even * stretches[0], np.empty(nodes)
-    rest = _Tendon(law, half, drag, 0.0, weights, 1.0, kept)
-    for j in range(nodes):
-        lengths[j] = _stretch(rest, j, start)[0] + kept[j]
-    for i in range(n):
-        dt = time[i] - time[i - 1] if i > 0 else 0.0
+    state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
+    crept, sliding = memory[_CREPT:_ENDS], memory[_SLIDING:_SPEED]
+    speed, rested = memory[_SPEED:_RESTED], memory[_RESTED:]
+    after, work = np.empty(NODES), np.empty((7, NODES))
+    half, drag = np.empty(NODES - 1), np.empty(NODES - 1)
+    slid, gone = np.zeros(NODES - 1), np.zeros(NODES - 1)
+    q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
+    for i in range(len(samples)):
+        dt, friction, stretch = samples[i, DT], samples[i, FRICTION], samples[i, STRETCH]
+        offset, compliance = samples[i, OFFSET], samples[i, COMPLIANCE]
+        target, rate = samples[i, TARGET], samples[i, SPEED]
+        heavy = compliance > 0.0 and (mass > 0.0 or damping > 0.0)
         gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
-        kept = crept * (1.0 - gain) + even * stretches[i]
+        kept = crept * (1.0 - gain) + even * stretch
         scale = 1.0 + law.creep * gain
         tendon = _Tendon(law, half, drag, dt, weights, scale, kept)
         c, known = compliance, 0.0
         if heavy and dt > 0.0:  # the trapezoidal rule: what follows from the past, and what is free
-            from_rest = q - offsets[i]
+            from_rest = q - offset
             c = compliance / (1.0 + compliance * (4.0 * mass / dt + 2.0 * damping) / dt)
             known = mass * (4.0 * (from_rest / dt + v) / dt + a)
             known += damping * (2.0 * from_rest / dt + v)
-        tip = _Tip(c, known, offsets[i], holder.low, holder.high, holder.stiffness, q, load)
+        tip = _Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
         if law.stribeck != 0.0 and not late:
-            speed[:] = spread * (rate[i] * softness if forced else rate[i])
-        _contacts(law, friction[i], state, speed, rested, half, drag)
+            speed[:] = speeds if told else spread * (rate * softness if forced else rate)
+        _contacts(law, friction, state, speed, rested, half, drag)
         if leans:
-            reach = _settle(tendon, tip, state, lengths, target[i], forced, after)
+            reach = _settle(tendon, tip, state, lengths, target, forced, after)
         else:
-            begin = target[i - 1] if i > 0 else target[i]
-            done, share, reach = 0.0, 1.0, 0.0
+            begin = target if math.isnan(before) else before
+            most = _PIECE if law.static != 0.0 else 1.0
+            done, share, reach = 0.0, most, 0.0
             gone[:] = 0.0
             while done < 1.0:
-                goal = begin + (done + share) * (target[i] - begin)
+                goal = begin + (done + share) * (target - begin)
                 part = _Tendon(law, half, drag, share * dt, weights, scale, kept)
                 ended, reach = _slide(
                     part, tip, state, lengths, goal, forced, after, sliding, slid, work
@@ -528,36 +622,37 @@ def _drive(
                     ended, reach = _slide(
                         part, tip, state, lengths, goal, forced, after, sliding, slid, work
                     )
-                if not ended and share > _SMALLEST and not heavy:
+                if not ended and share > smallest and not heavy:
                     sliding[:] = 0.0
                     share *= 0.5
                     continue
                 done += share
-                share = min(2.0 * share, 1.0 - done)
+                share = min(2.0 * share, most, 1.0 - done)
                 gone += slid
                 state[:] = after
-                for j in range(nodes):
+                if law.static != 0.0:
+                    _rest(law, part.dt, slid, rested)
+                    _contacts(law, friction, state, speed, rested, half, drag)
+                for j in range(NODES):
                     lengths[j] = _stretch(part, j, after[j])[0] + kept[j]
-                at, _slope, load = _tip_travel(tip, after[nodes - 1])
+                at, _slope, load = _tip_travel(tip, after[NODES - 1])
                 if done < 1.0:
-                    tip = _Tip(c, known, offsets[i], tip.low, tip.high, tip.stiffness, at, load)
+                    tip = _Tip(c, known, offset, tip.low, tip.high, tip.stiffness, at, load)
         if late and dt > 0.0:
-            speed += -math.expm1(-dt / law.stribeck_memory) * (np.abs(gone) / dt - speed)
-        if law.static != 0.0:
-            growth = -math.expm1(-dt / law.static_time)
-            for j in range(nodes - 1):
-                rested[j] = 0.0 if gone[j] != 0.0 else rested[j] + growth * (1.0 - rested[j])
-        new, _slope, load = _tip_travel(tip, after[nodes - 1])
+            now = speeds if told else np.abs(gone) / dt
+            speed += -math.expm1(-dt / law.stribeck_memory) * (now - speed)
+        new, _slope, load = _tip_travel(tip, after[NODES - 1])
         if dt > 0.0:
             v_new = 2.0 * (new - q) / dt - v
             a = 2.0 * (v_new - v) / dt - a
             v = v_new
-        q = new
-        for j in range(nodes):
+        q, before = new, target
+        for j in range(NODES):
             part_of = _stretch(tendon, j, after[j])[0]
             lengths[j] = part_of + kept[j]
             crept[j] = crept[j] * (1.0 - gain) + law.creep * gain / scale * part_of
         state[:] = after
-        out[0, i], out[1, i] = after[0], after[nodes - 1]
-        out[2, i], out[3, i], out[4, i] = lengths.sum() + q, q, reach
+        out[i, 0], out[i, 1] = after[0], after[NODES - 1]
+        out[i, 2], out[i, 3], out[i, 4] = lengths.sum() + q, q, reach
+    memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, before
     return out

@@ -1,7 +1,9 @@
 """What the online estimator remembers of one tendon, as one flat array, and where in it.
 
 First the scalars, then the tension profile (estimator.profile), then the profile as it was at the
-anchor of the window of evidence. One array copies in one move, which keeps `online.step` pure.
+anchor of the window of evidence; of an extended model then what is run beside the law
+(estimator.beyond) and a number for each reading that is put right. One array copies in one move,
+which keeps `online.step` pure.
 """
 
 from typing import TypeAlias
@@ -59,3 +61,6 @@ CONSTANTS = 7
 
 MEMORY = SCALARS + PROFILE_SIZE
 """Where the profile at the anchor lies, behind the present one."""
+
+BESIDE = MEMORY + PROFILE_SIZE
+"""Where what an extended model remembers lies, behind what the law does."""

@@ -9,6 +9,9 @@ estimator.proof keeps the interval that motion has proved.
 
 The interval does not rest on the decision who drives. It is (T2), widened by the sensor noise and
 cut by what motion has proved; it always holds the estimate.
+
+A model with an extension (estimator.extension) has its readings put right before, and what its
+effects add to the law (estimator.beyond) put on top.
 """
 
 import math
@@ -19,12 +22,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import signals
+from estimator import beyond, signals
 from estimator import tables as _tables
 from estimator.compiled import compiled
 from estimator.driver import anchor, follow
+from estimator.extension import Extension, corrected
 from estimator.memory import (
     BAND,
+    BESIDE,
     BOUND,
     CONSTANTS,
     DISPLACEMENT_FLOOR,
@@ -111,6 +116,8 @@ class TendonModel:
         Relative error of the predicted elongation (of EA, mostly) the decisions allow for.
     tip_tension_rate
         How fast T_out may change unseen [N/s]; ``math.inf`` trusts only what moves right now.
+    extension
+        What a diagnosis found beyond the law of the sheath, if anything.
     """
 
     sheath: Sheath
@@ -121,6 +128,7 @@ class TendonModel:
     friction_error: float = 0.02
     elongation_error: float = 0.1
     tip_tension_rate: float = 100.0  # [N/s]
+    extension: Extension | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
@@ -145,6 +153,7 @@ class Prepared(NamedTuple):
     tables: Tables
     constants: Array
     initial: State
+    extension: Extension | None = None
 
 
 class TendonEstimate(NamedTuple):
@@ -198,7 +207,12 @@ def prepare(model: TendonModel) -> Prepared:
     scalars[T_LEAST] = math.inf
     scalars[PROVED_HIGH] = math.inf
     scalars[HIGH] = math.inf
-    return Prepared(table, constants, np.concatenate([scalars, profile, profile]))
+    parts = [scalars, profile, profile]
+    if model.extension is not None:
+        beside, readings = model.extension
+        parts.append(beyond.start(beside) if len(beside) else beside)
+        parts.append(np.full(len(readings), math.nan))
+    return Prepared(table, constants, np.concatenate(parts), model.extension)
 
 
 def initial(prepared: Prepared) -> State:
@@ -229,9 +243,15 @@ def step(
         Time since the previous sample [s]; 0 for the first.
     """
     after = state.copy()
-    row = _advance(
-        prepared.tables, prepared.constants, after, proximal_tension, proximal_displacement, dt
-    )
+    table, constants, _, extension = prepared
+    T, q = proximal_tension, proximal_displacement
+    if extension is None:
+        row = _advance(table, constants, after, T, q, dt)
+    else:
+        beside, readings = extension
+        if readings:
+            T, q = corrected(readings, after[-len(readings) :], T, q)
+        row = _extended(table, constants, beside, after, T, q, dt)
     return TendonEstimate(*row[:6], _PHASES[row[6]], _STATUSES[row[7]]), after
 
 
@@ -253,20 +273,28 @@ def run(
             f"time {time.shape}, tension {tension.shape}, displacement {q.shape}: "
             "give rows of equal length"
         )
-    values, flags = _run(
-        prepared.tables,
-        prepared.constants,
-        prepared.initial.copy(),
-        np.ascontiguousarray(time, dtype=np.float64),
-        np.ascontiguousarray(tension, dtype=np.float64),
-        np.ascontiguousarray(q, dtype=np.float64),
-    )
+    time, T, q = (np.ascontiguousarray(row, dtype=np.float64) for row in (time, tension, q))
+    state, extension = prepared.initial.copy(), prepared.extension
+    if extension is not None and extension.readings:
+        T, q = _all_corrected(extension, state, T, q)
+    beside = np.empty(0) if extension is None else extension.constants
+    values, flags = _run(prepared.tables, prepared.constants, beside, state, time, T, q)
     return Estimates(*values, *flags)
 
 
 def profile_at(prepared: Prepared, state: State, x: Array) -> Array:
     """Return the tension T(x) [N] the state remembers at the arc lengths `x` [m], shape (n,)."""
     return tension_at(prepared.tables, state[SCALARS:MEMORY], np.asarray(x, dtype=np.float64))
+
+
+def _all_corrected(
+    extension: Extension, state: State, tension: Array, displacement: Array
+) -> tuple[Array, Array]:
+    """Return tension [N] and travel [m] of a record as they are."""
+    memory = state[-len(extension.readings) :]
+    rows = zip(tension.tolist(), displacement.tolist(), strict=True)
+    right = [corrected(extension.readings, memory, T, q) for T, q in rows]
+    return np.array([T for T, _ in right]), np.array([q for _, q in right])
 
 
 _PHASES = tuple(Phase)
@@ -374,6 +402,28 @@ def _advance(
 
 
 @compiled
+def _extended(
+    table: Tables, constants: Array, beside: Array, state: State, T: float, q: float, dt: float
+) -> tuple[float, float, float, float, float, float, int, int]:
+    """Take one sample with what effects add to the law; in place, as `_advance`."""
+    if len(beside) == 0:
+        return _advance(table, constants, state[:BESIDE], T, q, dt)
+    more = state[BESIDE : BESIDE + beyond.STATE]
+    # who drives is decided by the travel that the law knows
+    row = _advance(table, constants, state[:BESIDE], T, q - more[beyond.TRAVEL], dt)
+    T_out, low, high, e, q_d, front, phase, status = row
+    if status & _INVALID == 0:
+        beyond.push(beside, more, state[HELD], q, dt)
+        q_d = q - (e + more[beyond.ELONGATION])
+    change = more[beyond.TENSION]
+    low, high = min(low, low + change), max(high, high + change)
+    return (
+        max(T_out + change, 0.0), max(low, 0.0), max(high, 0.0),
+        e + more[beyond.ELONGATION], q_d, front, phase, status,
+    )  # fmt: skip
+
+
+@compiled
 def _erased(table: Tables, state: State) -> bool:
     """Return whether T_in has swung so far since the start that the first profile is forgotten."""
     swing = math.exp((1.0 + table[_ASYMMETRY]) * table[_K])
@@ -385,7 +435,13 @@ def _erased(table: Tables, state: State) -> bool:
 
 @compiled
 def _run(
-    table: Tables, constants: Array, state: State, time: Array, tension: Array, displacement: Array
+    table: Tables,
+    constants: Array,
+    beside: Array,
+    state: State,
+    time: Array,
+    tension: Array,
+    displacement: Array,
 ) -> tuple[Array, NDArray[np.int64]]:
     """Return the fields of the estimates, shapes (6, n) and (2, n)."""
     n = len(tension)
@@ -393,7 +449,7 @@ def _run(
     flags = np.empty((2, n), dtype=np.int64)
     for i in range(n):
         dt = time[i] - time[i - 1] if i > 0 else 0.0
-        row = _advance(table, constants, state, tension[i], displacement[i], dt)
+        row = _extended(table, constants, beside, state, tension[i], displacement[i], dt)
         values[0, i], values[1, i], values[2, i] = row[0], row[1], row[2]
         values[3, i], values[4, i], values[5, i] = row[3], row[4], row[5]
         flags[0, i], flags[1, i] = row[6], row[7]

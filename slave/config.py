@@ -5,8 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from slave import models
 from slave.calibration import file
 from slave.calibration.config import InitialiseConfig
+from slave.calibration.file import JointTendons
 from slave.calibration.monitor import MonitorConfig
 from slave.control import ControlConfig
 from slave.gate import GateConfig
@@ -21,6 +23,8 @@ from teleop.messages import MAX_TENDONS
 QUANTISED = math.sqrt(12.0)  # a step over the standard deviation that rounding to it adds
 
 AS_BUILT = "as-built"
+
+NO_FILES: models.Given = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +66,24 @@ class SlaveConfig:
         return not isinstance(self.rig, ReplayedRigConfig)
 
 
-def tendon_configs(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
+def tendon_configs(
+    config: SlaveConfig, count: int, joints: JointTendons = (), files: models.Given = NO_FILES
+) -> tuple[TendonConfig, ...]:
     """Return the models for `count` tendons; `UsageError` if there are none, or too few.
 
-    From the config, or from the calibration it names. Whether that fits the rig is asked of
-    `hindrance_of`.
+    From the config, or from the calibration it names; model files replace what those say of the
+    sheaths. Whether a calibration fits the rig is asked of `hindrance_of`.
     """
+    known: tuple[TendonConfig | None, ...] = (None,) * count
+    if not files or config.tendons or config.calibration:
+        known = _configured(config, count)
+    found = tuple(tendon for tendon in models.applied(known, joints, files) if tendon is not None)
+    if len(found) < count:
+        raise UsageError(f"--model: not of every tendon, and slave.tendons: {UNCALIBRATED}")
+    return found
+
+
+def _configured(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     tendons, place, remedy = config.tendons, "slave.tendons", "describe each, or one for all"
     if isinstance(config.calibration, Path):
         calibration = file.load(config.calibration)
@@ -97,20 +113,28 @@ UNCALIBRATED = (
 )
 
 
-def hindrance_of(config: SlaveConfig, rig: file.Named) -> str:
+def hindrance_of(config: SlaveConfig, rig: file.Named, modelled: bool = False) -> str:
     """Return why this rig must not be used with this config's calibration; empty if it may.
 
-    Measured data that are played move nothing: unless its config gives the rig a name, they take
-    the calibration of any.
+    A rig that is `modelled` by model files needs none. Measured data that are played move nothing:
+    unless its config gives the rig a name, they take the calibration of any.
     """
     if not isinstance(config.calibration, Path):
-        return "" if config.tendons or config.calibration else UNCALIBRATED
+        return "" if config.tendons or config.calibration or modelled else UNCALIBRATED
     calibration = file.load(config.calibration)
     anonymous = isinstance(config.rig, ReplayedRigConfig) and not config.rig.name
     misfit = file.fits(calibration, rig, by_name=not anonymous)
     if misfit is None:
         return ""
     return f"{config.calibration.name} does not fit: {misfit}; run `teleop calibrate` on this rig"
+
+
+def has_model_file(config: SlaveConfig) -> bool:
+    """Return whether a tendon's sheath is that of a model file."""
+    tendons = config.tendons
+    if isinstance(config.calibration, Path):
+        tendons = file.load(config.calibration).tendons
+    return any(tendon.model_file is not None for tendon in tendons)
 
 
 def doubts(config: SlaveConfig) -> list[str]:

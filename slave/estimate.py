@@ -4,6 +4,7 @@
   teleop estimate bench.csv --fit --save sheath.yaml   ... and keep it as a calibration
   teleop estimate run.csv --calibration sheath.yaml --out estimates.csv
   teleop estimate run.csv --config configs/demo.yaml   with the model of a config (slave.tendons)
+  teleop estimate run.csv --model diagnosis/model.yaml     with what `teleop diagnose` found
 
 The data: a CSV, CSV.gz or Parquet table with time_s and proximal_tension_N, optionally
 proximal_displacement_m, distal_tension_N and distal_displacement_m; or a recording (.mcap).
@@ -18,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from estimator import online
-from slave import fitting
+from estimator import extension, online, signals
+from estimator.effects.effect import DISTAL_TENSION
+from slave import fitting, models
 from slave.calibration import file
 from slave.calibration.file import Calibration, JointTendons
 from slave.config import SlaveConfig, tendon_configs
@@ -42,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     model = parser.add_argument_group("the model of the sheath, one of")
     model.add_argument("--fit", action="store_true", help="fit it to the data")
     model.add_argument("--calibration", type=Path, metavar="FILE", help="a calibration file")
+    models.add_argument(parser)
     add_config_arguments(parser)
     fit = parser.add_argument_group("with --fit")
     fit.add_argument(
@@ -64,7 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.0,
         metavar="M",
-        help="[m] of the sheath (default 1); data tell only EA/L, so that EA scales with it",
+        help="[m] of the sheath (default 1); data tell only EA/L, so that EA scales with it; with "
+        "--model too",
     )
     parser.add_argument(
         "--column",
@@ -96,11 +100,12 @@ def main(args: argparse.Namespace) -> int:
     check_words(args)
     if args.out is not None:
         check_destination(args.out)
-    models, joints = ((), ()) if args.fit else configured(args)
-    k = chosen(args.tendon, joints, len(models))
+    files = models.given(args.model)
+    known, joints = ((), ()) if args.fit else configured(args)
+    k = chosen(args.tendon, joints, len(known))
     table = read_table(args.data, named(args.column, k), args.drop_nonfinite)
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
-    if args.tendon is not None or len(models) > 1:
+    if args.tendon is not None or len(known) > 1:
         summary["tendon"] = tendon_name(k, joints)
     if args.fit:
         fit = fitting.fit(table, args.blocked_tip, args.length)
@@ -115,7 +120,9 @@ def main(args: argparse.Namespace) -> int:
             "reason": fit.reason,
         }
     else:
-        tendon = models[k] if len(models) > 1 else models[0]
+        tendon = of_tendon(k, known, joints, files) if files else known[k if len(known) > 1 else 0]
+        if not known:
+            tendon = with_noise(tendon, table, args.length)
     estimates = online.run(
         online.prepare(tendon.model()),
         table.time,
@@ -123,8 +130,11 @@ def main(args: argparse.Namespace) -> int:
         table.proximal_displacement,
     )
     summary["model"] = as_tree(tendon)
-    summary["force_error"] = judged(estimates, table, tendon.tension_noise)
-    summary["travel_contradicts"] = travel_contradicts(tendon, table, summary["force_error"])
+    if tendon.model_file is not None:
+        summary["effects"] = models.sentences(tendon)
+    true = with_true_tip(table, tendon)
+    summary["force_error"] = judged(estimates, true, tendon.tension_noise)
+    summary["travel_contradicts"] = travel_contradicts(tendon, true, summary["force_error"])
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
         for flag in online.Status
@@ -143,11 +153,13 @@ def main(args: argparse.Namespace) -> int:
 def check_words(args: argparse.Namespace) -> None:
     """Refuse options that contradict each other, before anything is read."""
     configured = args.config is not None or bool(args.overrides)
-    models = [args.fit, args.calibration is not None, configured]
-    if sum(models) != 1:
+    ways = [args.fit, args.calibration is not None, configured]
+    if args.fit and args.model:
+        raise UsageError("--model: not with --fit, which finds the sheath in the data")
+    if sum(ways) > 1 or not (any(ways) or args.model):
         raise UsageError(
             "which sheath is it? Give one of --fit (needs a distal tension in the data), "
-            "--calibration FILE, and --config FILE"
+            "--calibration FILE, and --config FILE, or --model FILE"
         )
     if not args.fit and (args.save is not None or args.blocked_tip):
         raise UsageError("--save and --blocked-tip go with --fit")
@@ -169,6 +181,41 @@ def named(words: Sequence[str], tendon: int = 0) -> Columns:
     return dataclasses.replace(Columns.of_tendon(tendon + 1), **given)
 
 
+def of_tendon(
+    k: int, known: Sequence[TendonConfig], joints: JointTendons, files: models.Given
+) -> TendonConfig:
+    """Return tendon `k`, from 0, with the model file that is for it; one model is for all."""
+    count = max(sum(map(len, joints)), len(known), k + 1)
+    every = list(known) * count if len(known) == 1 else list(known)
+    tendon = models.applied(every or [None] * count, joints, files)[k]
+    if tendon is None:
+        raise UsageError(f"--model: has none for tendon {tendon_name(k, joints)}")
+    return tendon
+
+
+def with_noise(tendon: TendonConfig, table: MeasuredTable, length: float) -> TendonConfig:
+    """Return a tendon of which only a model file is known, with the noise of a record."""
+    travel = table.proximal_displacement
+    try:
+        return dataclasses.replace(
+            tendon,
+            length=length,
+            tension_noise=signals.noise_sigma(table.proximal_tension),
+            displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
+        )
+    except ValueError as error:
+        raise UsageError(f"{table.path}, --length {length:g}: {error}") from error
+
+
+def with_true_tip(table: MeasuredTable, tendon: TendonConfig) -> MeasuredTable:
+    """Return data whose tension at the tip is put right, as far as a model file tells how."""
+    extended = tendon.extended()
+    if extended is None or table.distal_tension is None:
+        return table
+    true = extension.true_at_tip(extended, table.time, DISTAL_TENSION, table.distal_tension)
+    return dataclasses.replace(table, distal_tension=true)
+
+
 def travel_contradicts(
     tendon: TendonConfig, table: MeasuredTable, error: dict[str, Any] | None
 ) -> bool:
@@ -186,11 +233,14 @@ def travel_contradicts(
 def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
     """Return the models that the calibration file or the config has, and the rig's joints.
 
-    One model is for all tendons; joints are empty where nothing tells which they are.
+    One model is for all tendons, none is known where only model files are given; joints are empty
+    where nothing tells which they are.
     """
     if args.calibration is not None:
         calibration = file.load(args.calibration)
         return calibration.tendons, calibration.joints
+    if args.config is None and not args.overrides:
+        return (), ()
     config = load(args.config, SlaveConfig, "slave", args.overrides)
     if isinstance(config.calibration, Path):
         calibration = file.load(config.calibration)
@@ -207,8 +257,8 @@ def chosen(word: str | None, joints: JointTendons, count: int) -> int:
 
     `count` models are known; one is for all tendons.
     """
-    names = {tendon_name(k, joints): k for k in range(sum(map(len, joints)))}
-    names |= {str(k + 1): k for k in range(len(names) or (count if count > 1 else MAX_TENDONS))}
+    known = sum(map(len, joints)) or (count if count > 1 else MAX_TENDONS)
+    names = models.names_of(joints, known)
     if word is None:
         return 0
     if word not in names:
@@ -289,6 +339,7 @@ def in_words(summary: dict[str, Any]) -> list[str]:
         lines.append(
             f"          {'believable' if fit['believe'] else 'NOT to be believed'}: {fit['reason']}"
         )
+    lines += [f"model     {sentence}" for sentence in summary.get("effects", ())]
     lines.append(f"force     {force_line(summary['force_error'])}")
     if summary["travel_contradicts"]:
         lines.append(

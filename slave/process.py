@@ -2,6 +2,7 @@
 
   teleop slave --config configs/demo.yaml
   teleop slave --config configs/demo.yaml --duration 30 --json slave.json
+  teleop slave --config rig.yaml --model diagnosis/model.yaml     with what a diagnosis found
 
 Without a master the motors hold, but for one thing: with `slave.initialise.at_start` the rig is
 calibrated first, and every motor moves, whoever is there. When commands stop coming for longer than
@@ -17,11 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator import online
-from estimator.sheath import Sheath
-from slave import loop, outbox
+from estimator import extension, online
+from estimator.effects.friction import VISCOUS_FRICTION
+from slave import loop, models, outbox
 from slave.calibration.initialise import initialise
-from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
+from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
 from slave.housekeeping import Housekeeping, calibrating
 from slave.loop import Known, Memory
 from slave.rig import Rig, RigFault, RigFinished, RigSample
@@ -29,6 +30,7 @@ from slave.rigs import open_rig
 from slave.rigs.effect_words import late
 from slave.rigs.simulated import SimulatedRigConfig
 from slave.score import Score
+from slave.tendon_config import TendonConfig
 from teleop.clock import Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
@@ -183,6 +185,7 @@ def run(slave: Slave, grid: Grid, stop_for: Callable[[str], None]) -> None:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop slave`."""
     add_config_arguments(parser)
+    models.add_argument(parser)
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
     parser.add_argument(
         "--json", type=destination, metavar="FILE", help="write the summary to FILE"
@@ -193,7 +196,10 @@ def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
-    warm_up()
+    files = models.given(args.model)
+    if files and config.initialise.at_start:
+        raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
+    warm_up(extended=bool(files) or has_model_file(config))
     granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
     with ExitStack() as stack:
         # a slave that is refused as the second one must not have touched the rig
@@ -204,7 +210,7 @@ def main(args: argparse.Namespace) -> int:
         for doubt in doubts(config):
             print(doubt, flush=True)
         stop = Stop(args.duration)
-        known, past = known_before(config, rig, link, stop, shared.rate_hz)
+        known, past = known_before(config, rig, link, stop, shared.rate_hz, files)
         grid = Grid(shared.rate_hz, stop, phase=0.5)
         slave = Slave(config, link, rig, known, grid, past)
         run(slave, grid, stop.request)
@@ -230,17 +236,20 @@ def require_carried(rig: Rig) -> None:
 
 
 def known_before(
-    config: SlaveConfig, rig: Rig, link: Link, stop: Stop, rate_hz: float
+    config: SlaveConfig, rig: Rig, link: Link, stop: Stop, rate_hz: float, files: models.Given
 ) -> tuple[Known, Past]:
     """Return what is known of a rig when the loop begins, and what it has measured before.
 
-    If the config asks for it, the rig is calibrated first, in its quick form; `TeleopError` if
-    that has to be given up.
+    Model `files` stand in for what the config says of the sheaths. If the config asks for it, the
+    rig is calibrated first, in its quick form; `TeleopError` if that has to be given up.
     """
     past = Past(now_ns(), ())
     if not config.initialise.at_start:
-        models = [tendon.model() for tendon in tendon_configs(config, rig.tendons)]
-        return loop.know(rig.joints, models, hindrance_of(config, rig)), past
+        tendons = tendon_configs(config, rig.tendons, rig.joints, files)
+        for line in introduced(tendons):
+            print(line, flush=True)
+        barred = hindrance_of(config, rig, modelled=bool(files))
+        return loop.know(rig.joints, [tendon.model() for tendon in tendons], barred), past
     tell(link, Role.SLAVE, Session(), f"off: calibrating {rig.name}; keep its joints free")
     done = initialise(
         rig,
@@ -251,12 +260,26 @@ def known_before(
         progress=calibrating(rig),
     )
     tell(link, Role.SLAVE, Session(), f"off: {rig.name} is calibrated")
-    models = [tendon.model() for tendon in done.calibration.tendons]
-    return loop.know(rig.joints, models), past._replace(samples=done.samples)
+    found = [tendon.model() for tendon in done.calibration.tendons]
+    return loop.know(rig.joints, found), past._replace(samples=done.samples)
 
 
-def warm_up() -> None:
-    """Compile what the loop calls, before it has to be on time."""
-    prepared = online.prepare(online.TendonModel(Sheath.uniform(1.0, 1.0, 1e4)))
-    _, state = online.step(prepared, online.initial(prepared), 1.0, 0.0, 0.0)
-    online.profile_at(prepared, state, np.zeros(PROFILE_POINTS))
+def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
+    """Return what the models of diagnoses do in the loop, and what is doubtful about them."""
+    said: dict[str, None] = {}
+    for tendon in tendons:
+        for sentence in models.sentences(tendon):
+            said[f"{tendon.model_file}: {sentence}"] = None
+        if tendon.model_file is not None and tendon.tension_noise == 0.0:
+            line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"
+            said[f"{line} taken for tension, and a stuck load cell may not be noticed"] = None
+    return list(said)
+
+
+def warm_up(extended: bool = False) -> None:
+    """Compile what the loop calls, before it has to be on time; `extended` models take longer."""
+    viscous = extension.extended((1.0, 1e-4, 0.0), [(VISCOUS_FRICTION, (1.0,))], 1.0, 1.0)
+    for extra in (None, viscous.extension) if extended else (None,):
+        prepared = online.prepare(online.TendonModel(viscous.sheath, extension=extra))
+        _, state = online.step(prepared, online.initial(prepared), 1.0, 0.0, 0.0)
+        online.profile_at(prepared, state, np.zeros(PROFILE_POINTS))

@@ -1,11 +1,26 @@
 """What a config or a calibration file says of one tendon and its sheath."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 
+from estimator import extension
+from estimator.extension import Extended
 from estimator.online import TendonModel
-from estimator.sheath import Section, Sheath
+from estimator.sheath import Section, Sheath, SheathError
+from slave.diagnosis import model_file
 from slave.plant.sheath import SectionConfig
+from teleop.errors import UsageError
 from teleop.messages import MAX_SECTIONS
+
+_IN_MODEL_FILE = (
+    "effective_friction",
+    "friction",
+    "sections",
+    "axial_stiffness",
+    "drag",
+    "asymmetry",
+)
+"""What a model file says of a sheath."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,7 +28,7 @@ class TendonConfig:
     """What the estimator believes of one tendon and its sheath.
 
     Either the effective friction K of the whole sheath, as a calibration gives it, or a friction
-    coefficient and the sections it acts along.
+    coefficient and the sections it acts along, or the model file of a diagnosis.
     """
 
     effective_friction: float | None = None  # K, dimensionless
@@ -29,10 +44,13 @@ class TendonConfig:
     friction_error: float = 0.02  # relative error of K that the interval allows for
     elongation_error: float = 0.1  # relative error of the predicted elongation it allows for
     tip_tension_rate: float = 100.0  # [N/s] at which the tip may change unseen
+    model_file: Path | None = None  # model.yaml of `teleop diagnose`, in place of all of the sheath
 
     def __post_init__(self) -> None:
         """Refuse a sheath described twice or not at all."""
-        if (self.effective_friction is None) == (self.friction is None):
+        if self.model_file is not None:
+            self._refuse_beside_model_file()
+        elif (self.effective_friction is None) == (self.friction is None):
             raise ValueError("effective_friction: give either this or friction with sections")
         if (self.friction is None) != (not self.sections):
             raise ValueError("sections: needed with friction, and only with it")
@@ -40,9 +58,27 @@ class TendonConfig:
             raise ValueError(f"sections: at most {MAX_SECTIONS}")
         self.model()
 
+    def _refuse_beside_model_file(self) -> None:
+        for item in fields(self):
+            if item.name in _IN_MODEL_FILE and getattr(self, item.name) != item.default:
+                raise ValueError(f"{item.name}: not beside model_file, which says what it is")
+
+    def extended(self) -> Extended | None:
+        """Return the extended model of the model file, None without one."""
+        if self.model_file is None:
+            return None
+        model, duration, _ = model_file.load(self.model_file)
+        try:
+            return extension.extended(model.shared, model.effects, duration, self.length)
+        except SheathError as error:
+            raise UsageError(f"{self.model_file}: {error}") from error
+
     def model(self) -> TendonModel:
         """Return the estimator's model of this tendon."""
-        if self.effective_friction is not None:
+        extended = self.extended()
+        if extended is not None:
+            sheath = extended.sheath
+        elif self.effective_friction is not None:
             sheath = Sheath.uniform(
                 self.effective_friction,
                 self.length,
@@ -66,4 +102,5 @@ class TendonConfig:
             friction_error=self.friction_error,
             elongation_error=self.elongation_error,
             tip_tension_rate=self.tip_tension_rate,
+            extension=None if extended is None else extended.extension,
         )

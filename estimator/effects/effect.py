@@ -4,7 +4,8 @@ An effect changes what is simulated in one of three places, and is neutral where
 
 * `physics` changes the tendon, its sheath or what holds the tip (`estimator.extended.Physics`);
 * `reads` is what its sensor makes of the true signals;
-* `true` takes that away again from the signal that drives the simulation.
+* `true` takes that away again from the signal that drives the simulation, `live` from one sample
+  of the housing's readings at a time.
 
 Several effects act one after another, in the order in which they are given.
 """
@@ -27,6 +28,10 @@ CHANNELS = (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT, DISTAL_TENSION, DISTAL_DISP
 
 Signals = dict[str, Array]
 """By channel, [N] and [m], shape (n,) each."""
+
+Correction = Callable[[float, float, Values, float], tuple[float, float, float]]
+"""From tension [N] and travel [m] as the housing reads them, an effect's values and what was
+remembered of the sample before (NaN at first): both as they are, and what to remember."""
 
 
 class Parameter(NamedTuple):
@@ -103,6 +108,8 @@ class Effect:
         Values to begin fits from; one that decides in which valley a fit ends is spread here.
     needs
         Channels without which the effect is not defined.
+    live
+        Of a sensor at the housing: its readings put right one by one, in another session too.
     """
 
     name: str
@@ -117,6 +124,7 @@ class Effect:
     true: Callable[[Array, Values, Scene], Array] = _same_drive
     where: str = ""
     needs: frozenset[str] = frozenset()
+    live: Correction | None = None
 
     @property
     def label(self) -> str:

@@ -171,15 +171,18 @@ TENSION_DEPENDENT_LINEAR = Effect(
 STICK_SLIP = Effect(
     name="stick_slip",
     cause="contacts at rest hold more than sliding ones, so that the tendon jerks when it is slow",
-    equation="K of a contact at rest: K (1 + ratio), gained within the time; K once it slides",
+    equation="K (1 + ratio a) of a contact, da/dt = (1 - a)/time - a |v|/distance",
     parameters=(
         Parameter("ratio", "", 0.0, 3.0, 0.03),
         Parameter("time", "s", 1e-3, 30.0, 0.1, None),
+        Parameter("distance", "m", 1e-7, 1e-3, 5e-6, None),
     ),
     source="Rabinowicz 1951; range assumed: above 10 %, below 1 mm/s",
     advice="Move faster than it sticks, lubricate, or stiffen the drive.",
-    starts=lambda _: [(0.2, time) for time in (0.02, 0.1, 0.5)],
-    physics=lambda physics, values, _: physics._replace(static=values[0], static_time=values[1]),
+    starts=lambda _: [(0.2, time, d) for time in (0.05, 0.3) for d in (5e-6, 3e-5)],
+    physics=lambda physics, values, _: physics._replace(
+        static=values[0], static_time=values[1], static_distance=values[2]
+    ),
 )
 
 EFFECTS = (

@@ -1,5 +1,6 @@
 """Effects in the sensors and in how they are read: readings differ, the tendon does not."""
 
+import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -10,6 +11,7 @@ from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Array,
+    Correction,
     Effect,
     Parameter,
     Scene,
@@ -44,6 +46,7 @@ def _sensor(
     inverse: Change,
     where: str = "",
     needs: frozenset[str] = frozenset(),
+    live: Correction | None = None,
 ) -> Effect:
     """Return an effect of one sensor: `forward` makes its reading, `inverse` takes it back."""
 
@@ -67,6 +70,7 @@ def _sensor(
         true=true,
         where=where,
         needs=needs | {channel},
+        live=live if channel in (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT) else None,
     )
 
 
@@ -82,6 +86,7 @@ def _gain(name: str, channel: str) -> Effect:
         lambda _: [(0.03,)],
         lambda T, values, _: (1.0 + values[0]) * T,
         lambda T, values, _: T / (1.0 + values[0]),
+        live=lambda T, q, values, memory: (T / (1.0 + values[0]), q, memory),
     )
 
 
@@ -97,6 +102,7 @@ def _bias(name: str, channel: str) -> Effect:
         lambda _: [(0.1,)],
         lambda T, values, _: T + values[0],
         lambda T, values, _: T - values[0],
+        live=lambda T, q, values, memory: (T - values[0], q, memory),
     )
 
 
@@ -202,6 +208,7 @@ def _scale(channel: str) -> Effect:
         lambda q, values, _: q / (1.0 + values[0]),
         WORDS[channel],
         frozenset({PROXIMAL_DISPLACEMENT}),
+        lambda T, q, values, memory: (T, q / (1.0 + values[0]), memory),
     )
 
 
@@ -263,12 +270,12 @@ def waves(phase: Array, residual: Array, gain: Array, others: Array, wanted: Arr
 
 def _common(scene: Scene) -> tuple[Array, Array, Array]:
     """Return travel, residual of T_in, and what the model's own parameters could do to it."""
-    q = scene.drive - scene.drive[0]
     residual = scene.measured[PROXIMAL_TENSION] - scene.simulated[PROXIMAL_TENSION]
     T = scene.simulated[PROXIMAL_TENSION]
     taut = 0.02 * scene.peak < T
     stiffness = np.where(taut, 1.0 / np.maximum(scene.compliance, 1e-6), 0.0)
-    return q, residual, np.column_stack([stiffness, stiffness * q, T])
+    others = np.column_stack([stiffness, stiffness * (scene.drive - scene.drive[0]), T])
+    return scene.drive, residual, others
 
 
 def _eccentric_starts(scene: Scene) -> Iterable[Values]:
@@ -283,8 +290,18 @@ def _eccentric_starts(scene: Scene) -> Iterable[Values]:
 
 def _eccentric(travel: Array, values: Values, _scene: Scene) -> Array:
     sine, cosine, radius = values
-    phase = (travel - travel[0]) / radius
-    return np.asarray(travel - sine * np.sin(phase) - cosine * (np.cos(phase) - 1.0))
+    phase = travel / radius
+    wave = sine * np.sin(phase) + cosine * np.cos(phase)
+    return np.asarray(travel - wave + wave[0])
+
+
+def _eccentric_live(
+    T: float, q: float, values: Values, memory: float
+) -> tuple[float, float, float]:
+    sine, cosine, radius = values
+    if math.isnan(q):
+        return T, q, memory
+    return T, q - sine * math.sin(q / radius) - cosine * math.cos(q / radius), memory
 
 
 PULLEY_ECCENTRICITY = Effect(
@@ -301,22 +318,30 @@ PULLEY_ECCENTRICITY = Effect(
     starts=_eccentric_starts,
     true=_eccentric,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
+    live=_eccentric_live,
 )
 
 
 def _ripple_starts(scene: Scene) -> Iterable[Values]:
     q, residual, others = _common(scene)
     span = max(float(np.ptp(q)), 1e-6)
-    numbers = np.arange(12.0 / span, min(2e4, 1500.0 / span), 0.6 / span)
+    numbers = np.arange(5.0 / span, min(2e4, 1500.0 / span), 0.6 / span)
     step = max(1, len(q) // 3000)
     return waves(q[::step], residual[::step], np.ones(len(q))[::step], others[::step], numbers)
 
 
 def _ripple(signals: Signals, values: Values, scene: Scene) -> Signals:
     sine, cosine, number = values
-    phase = number * (scene.drive - scene.drive[0])
+    phase = number * scene.drive
     wave = sine * np.sin(phase) + cosine * np.cos(phase)
     return changed(signals, PROXIMAL_TENSION, lambda T: T + wave)
+
+
+def _ripple_live(T: float, q: float, values: Values, memory: float) -> tuple[float, float, float]:
+    sine, cosine, number = values
+    if math.isnan(q):
+        return T, q, memory
+    return T - sine * math.sin(number * q) - cosine * math.cos(number * q), q, memory
 
 
 COGGING_RIPPLE = Effect(
@@ -326,13 +351,14 @@ COGGING_RIPPLE = Effect(
     parameters=(
         Parameter("sine", "N", -20.0, 20.0, 0.03),
         Parameter("cosine", "N", -20.0, 20.0, 0.03),
-        Parameter("number", "rad/m", 10.0, 1e5, 5.0, None),
+        Parameter("number", "rad/m", 500.0, 1e5, 5.0, None),
     ),
     source="range assumed: 0.5 to 3 % of the stall torque",
     advice="Nothing at the tip; a table over the motor's angle takes it out of the reading.",
     starts=_ripple_starts,
     reads=_ripple,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
+    live=_ripple_live,
 )
 
 
@@ -340,6 +366,15 @@ def _rub(signals: Signals, values: Values, scene: Scene) -> Signals:
     force, width = values
     lead = (scene.drive - play(scene.drive, width)) / (0.5 * width)
     return changed(signals, PROXIMAL_TENSION, lambda T: T + force * lead)
+
+
+def _rub_live(T: float, q: float, values: Values, memory: float) -> tuple[float, float, float]:
+    force, width = values
+    if math.isnan(q):
+        return T, q, memory
+    half = 0.5 * width
+    follower = q if math.isnan(memory) else min(max(memory, q - half), q + half)
+    return T - force * (q - follower) / half, q, follower
 
 
 SHEATH_RUB = Effect(
@@ -355,6 +390,7 @@ SHEATH_RUB = Effect(
     starts=lambda _: [(0.15, width) for width in (1e-5, 1e-4, 6e-4)],
     reads=_rub,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
+    live=_rub_live,
 )
 
 _TENSIONS = (PROXIMAL_TENSION, DISTAL_TENSION)

@@ -191,7 +191,9 @@ def _write_folder(report: Report, folder: Path) -> None:
 
     found, files = report.found, report.data.files
     remark = f"Fitted by teleop diagnose to {', '.join(files)}.\n{words.sentence(found)}"
-    model_file.save(folder / "model.yaml", found.extended.model, remark)
+    duration = max(float(record.time[-1]) for record in found.bench.records)
+    saved = model_file.Saved(found.extended.model, duration, found.ambiguous_with)
+    model_file.save(folder / "model.yaml", saved, remark)
     text = page.render(found, files, report.believed)
     write_whole(folder / "report.html", text, "the page")
     residuals.write(folder / "residuals.rrd", found, files)

@@ -4,6 +4,8 @@ base:
   K: 0.83                       # friction coordinate of the tip
   compliance: 1.2e-04           # L/EA [m/N], where the record had a travel
   tip_compliance: 4.0e-04       # [m/N] of what the tip pulls at, 0 is a blocked tip
+duration: 60.0                  # [s] of the longest record; drifts are taken as at its end
+unsure: [stribeck_friction]     # effects that the data did not tell from those of the model
 effects:                        # in this order
 - name: friction_step
   where: ''                     # the variant, where there are several
@@ -13,7 +15,7 @@ effects:                        # in this order
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -28,19 +30,32 @@ from teleop.process import write_whole
 BASE = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP}
 """Key -> what it is; a model of tensions alone has only the first."""
 
+DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
+
 SLACK = 1e-6  # of a range, by which what was fitted may be outside of it
 
 
-def save(path: Path, model: Model, remark: str) -> None:
+class Saved(NamedTuple):
+    """What a file has."""
+
+    model: Model  # without what single records had
+    duration: float  # [s] of the longest record
+    unsure: tuple[str, ...]  # effects that the data did not tell from those of the model
+
+
+def save(path: Path, saved: Saved, remark: str) -> None:
     """Write a model, whole or not at all; `remark` becomes comments."""
-    write_whole(path, text(model, remark), "the model")
+    write_whole(path, text(saved, remark), "the model")
 
 
-def text(model: Model, remark: str) -> str:
+def text(saved: Saved, remark: str) -> str:
     """Return a model as YAML."""
+    model = saved.model
     lines = [f"# {line}" for line in remark.splitlines()]
     tree = {
         "base": {key: float(value) for key, value in zip(BASE, model.shared, strict=False)},
+        "duration": float(saved.duration),
+        "unsure": list(saved.unsure),
         "effects": [
             {
                 "name": effect.name,
@@ -61,7 +76,7 @@ def text(model: Model, remark: str) -> str:
     return "\n".join([*lines, *units]) + "\n" + yaml.safe_dump(tree, sort_keys=False)
 
 
-def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Model:
+def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Saved:
     """Read a model: its numbers and its effects, without those of single records.
 
     Raises
@@ -70,15 +85,19 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Model:
         The file is none, or something in it cannot be right; one line.
     """
     tree = strict_yaml.read(path, "model")
-    _known(path, "", tree, ("base", "effects"))
+    _known(path, "", tree, ("base", "duration", "unsure", "effects"))
     base = _mapping(path, "base", tree.get("base"))
     keys = list(BASE) if len(base) > 1 else ["K"]
     shared = _numbers(path, "base", base, dict(zip(keys, BASE.values(), strict=False)))
+    duration = _number(path, "duration", tree.get("duration"), DURATION)
+    unsure = tree.get("unsure") or []
+    if not isinstance(unsure, list):
+        raise UsageError(f"{path}: unsure: must be a list of names of effects")
     rows = tree.get("effects") or []
     if not isinstance(rows, list):
         raise UsageError(f"{path}: effects: must be a list of name, where and parameters")
     found = tuple(_effect(path, f"effects.{i}", row, effects) for i, row in enumerate(rows))
-    return Model(shared, (), found)
+    return Saved(Model(shared, (), found), duration, tuple(map(str, unsure)))
 
 
 def _effect(path: Path, place: str, row: Any, effects: Sequence[Effect]) -> tuple[Effect, Values]:

@@ -3,6 +3,7 @@
   teleop run --config configs/demo.yaml                 the simulated rig, until Ctrl-C
   teleop run --config configs/demo.yaml --duration 30 --record recordings --json run.json
   teleop run --replay bench.csv --calibration sheath.yaml     measured data as the rig
+  teleop run --config rig.yaml --model diagnosis/model.yaml   with what a diagnosis found
 
 Each of the four also starts alone, on a machine of its own: see `teleop slave --help` and so on.
 """
@@ -66,6 +67,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="the sheath's calibration")
     parser.add_argument(
+        "--model",
+        action="append",
+        default=[],
+        metavar="[1a=]FILE",
+        help="model.yaml of `teleop diagnose --out`, in place of what is known of the sheaths; "
+        "1a=FILE for one tendon of several",
+    )
+    parser.add_argument(
         "--json", type=destination, metavar="FILE", help="write the summary to FILE"
     )
 
@@ -92,7 +101,7 @@ def main(args: argparse.Namespace) -> int:
         listener, hearing = link.listen((EVENT, REPORT)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
-        family.start("slave", shared)
+        family.start("slave", [*shared, *(f"--model={word}" for word in args.model)])
         if view != "none":
             family.start("view", [*shared, "--view", view])
         try:

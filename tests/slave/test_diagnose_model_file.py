@@ -17,15 +17,17 @@ def middling(effect):
 def test_every_effect_comes_back_to_the_bit(tmp_path):
     path = tmp_path / "model.yaml"
     model = Model((0.1 + 0.2, 1.0 / 7000.0, 3e-4), (), tuple(map(middling, CATALOGUE)))
-    model_file.save(path, model, "two\nlines")
-    assert model_file.load(path) == model
+    saved = model_file.Saved(model, 61.7, ("creep",))
+    model_file.save(path, saved, "two\nlines")
+    assert model_file.load(path) == saved
     assert path.read_text().startswith("# two\n# lines\n")
 
 
 def test_what_single_records_had_is_left_out(tmp_path):
     path = tmp_path / "model.yaml"
-    model_file.save(path, Model((0.5,), ((1e-3,), (2e-3,)), ()), "")
-    assert model_file.load(path) == Model((0.5,), (), ())
+    of_two = Model((0.5,), ((1e-3,), (2e-3,)), ())
+    model_file.save(path, model_file.Saved(of_two, 1.0, ()), "")
+    assert model_file.load(path).model == Model((0.5,), (), ())
 
 
 @pytest.fixture
@@ -33,6 +35,7 @@ def tree():
     parameters = {"change": 0.25, "onset": 20.0}
     return {
         "base": {"K": 0.8, "compliance": 1e-4, "tip_compliance": 0.0},
+        "duration": 60.0,
         "effects": [{"name": "friction_step", "where": "", "parameters": parameters}],
     }
 
@@ -53,6 +56,11 @@ def test_numbers_that_cannot_be_right_are_refused(tmp_path, tree):
     assert refusal(tmp_path, tree) == "base.K: 9, must be 0.01 to 5"
     tree["base"]["K"] = "much"
     assert refusal(tmp_path, tree) == "base.K: 'much' is not a finite number"
+    tree["base"]["K"], tree["duration"] = 0.5, -60.0
+    assert refusal(tmp_path, tree) == "duration: -60 s, must be 0 to 1e+07 s"
+    del tree["duration"]
+    assert refusal(tmp_path, tree) == "duration: is missing"
+    tree["duration"] = 60.0
     del tree["base"]["K"]
     assert refusal(tmp_path, tree) == "base.K: is missing"
     del tree["base"]

@@ -1,0 +1,211 @@
+"""An extended model in the loop: what of a diagnosis holds in another session, ready for `online`.
+
+What a model of a bench has found is of four kinds. Friction and shape go into the sheath, whose
+closed law has drag, asymmetry and uneven bends. What else the tendon does is run beside it
+(estimator.beyond). Sensors at the housing have their readings put right. The rest is left out: what
+belongs to the record it was found in, to what the tip pulled at, or to sensors that only a bench
+has.
+"""
+
+import math
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator import beyond
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_TENSION,
+    Array,
+    Correction,
+    Effect,
+    Scene,
+    Values,
+)
+from estimator.extended import EDGES, Physics, even_weights
+from estimator.sheath import Section, Sheath
+
+FRICTION_COEFFICIENT = 0.1  # nominal; bend radii follow, force and elongation do not
+SECTIONS = 16  # of a sheath, at most
+ALIKE = 1e-6  # relative, of curvatures
+INSTANTS = 1001  # of a record, at which effects are looked at
+FARTHEST = 1e6  # [m] that an encoder can read
+
+_OF_LAW = ("friction", "weights", "drag", "asymmetry")
+_BESIDE = (
+    "viscosity",
+    "stribeck",
+    "stribeck_speed",
+    "stribeck_memory",
+    "exponent",
+    "reference",
+    "rise",
+    "presliding",
+    "presliding_tension",
+    "toe",
+    "toe_tension",
+    "creep",
+    "creep_time",
+    "compression",
+    "threshold",
+)
+
+_RECORD = "belongs to the record it was found in"
+_TIP = "is of what the tip pulled at, not of the tendon"
+_LATE = "cannot be put right before it is too late"
+LEFT_OUT = {
+    "pretension": _RECORD,
+    "slack": _RECORD,
+    "thermal_expansion": _RECORD,
+    "tip_moved": _RECORD,
+    "encoder_slip": _RECORD,
+    "proximal_tension_drift": _RECORD,
+    "distal_tension_drift": _RECORD,
+    "joint_backlash": _TIP,
+    "joint_friction": _TIP,
+    "antagonist_tension": _TIP,
+    "tip_inertia": _TIP,
+    "sensor_lag": _LATE,
+    "saturation": "hides what it hides",
+    "stick_slip": "does not show in the tension at the housing before it is over",
+}
+"""Why an effect does nothing in the loop, in words that can follow its name."""
+
+
+class Use(Enum):
+    """What becomes of an effect, in words that can follow "is"."""
+
+    LAW = "in the friction and shape of the sheath"
+    BESIDE = "run beside the law"
+    READING = "taken out of what the housing reads"
+    REFERENCE = "taken out of what is measured at the tip"
+    NOTHING = "left out"
+
+
+class Extension(NamedTuple):
+    """What the estimator does besides the law of a sheath."""
+
+    constants: Array  # for `beyond.push`; empty where nothing is run beside the law
+    readings: tuple[tuple[Correction, Values], ...]  # what puts readings right, in this order
+
+
+class Extended(NamedTuple):
+    """A model of a bench, for the loop."""
+
+    sheath: Sheath
+    extension: Extension | None  # None where the sheath has all of it
+    uses: tuple[tuple[Effect, Values, Use], ...]  # what becomes of each effect
+
+
+def extended(
+    shared: Sequence[float],
+    effects: Sequence[tuple[Effect, Values]],
+    duration: float,
+    length: float,
+) -> Extended:
+    """Return what of a model holds in another session.
+
+    Parameters
+    ----------
+    shared : sequence of float
+        K, and L/EA [m/N] and the compliance at the tip [m/N] where the record had a travel.
+    effects : sequence of (Effect, values)
+        On top, in this order.
+    duration : float
+        Of the record [s]; friction is taken as it was at its end.
+    length : float
+        L of the sheath [m]; only EA goes by it.
+    """
+    K, compliance, tip = shared if len(shared) > 1 else (shared[0], 1e-4, 0.0)
+    instants = np.linspace(0.0, max(duration, 1.0), INSTANTS)
+    scene = _scene(instants, PROXIMAL_TENSION, compliance)
+    plain = now = Physics(np.array([K]), compliance, even_weights(), tip)
+    uses, readings = [], []
+    for effect, values in effects:
+        then = effect.physics(now, values, scene)
+        then = then._replace(friction=np.broadcast_to(then.friction, INSTANTS)[-1:].copy())
+        if effect.live is not None:
+            use = Use.READING
+            readings.append((effect.live, values))
+        elif _differ(now, then, _OF_LAW):
+            use = Use.LAW
+        elif _differ(now, then, _BESIDE):
+            use = Use.BESIDE
+        elif _is_of_tip_sensor(effect):
+            use = Use.REFERENCE
+        else:
+            use = Use.NOTHING
+        now = plain._replace(**{name: getattr(then, name) for name in (*_OF_LAW, *_BESIDE)})
+        uses.append((effect, values, use))
+    law = plain._replace(**{name: getattr(now, name) for name in _OF_LAW})
+    constants = np.empty(0)
+    if _differ(law, now, _BESIDE):
+        constants = beyond.constants_of(law, now)
+    extension = Extension(constants, tuple(readings[::-1]))
+    needed = len(constants) > 0 or readings
+    return Extended(sheath_of(law, length), extension if needed else None, tuple(uses))
+
+
+def why_left_out(effect: Effect) -> str:
+    """Return why an effect does nothing in the loop, in words that can follow its name."""
+    return LEFT_OUT.get(effect.name, _RECORD)
+
+
+def true_at_tip(model: Extended, time: Array, channel: str, signal: Array) -> Array:
+    """Return what a sensor at the tip would have read without its effects, shape (n,)."""
+    scene = _scene(time, channel, 0.0)
+    for effect, values, use in reversed(model.uses):
+        if use is Use.REFERENCE:
+            signal = effect.true(signal, values, scene)
+    return signal
+
+
+def corrected(
+    readings: tuple[tuple[Correction, Values], ...], memory: Array, T: float, q: float
+) -> tuple[float, float]:
+    """Return tension [N] and travel [m] at the housing as they are; `memory` goes on in place."""
+    if not math.isfinite(T) or abs(q) > FARTHEST:
+        return T, q
+    for i, (correct, values) in enumerate(readings):
+        T, q, memory[i] = correct(T, q, values, float(memory[i]))
+    return T, q
+
+
+def sheath_of(physics: Physics, length: float) -> Sheath:
+    """Return the sheath whose law is that of `physics`, for a `length` [m].
+
+    Neighbouring nodes of one curvature make one section; so do those most alike, while there are
+    more than SECTIONS.
+    """
+    K = float(physics.friction[0])
+    pieces = list(zip((K * np.diff(EDGES)).tolist(), physics.weights.tolist(), strict=True))
+    while len(pieces) > 1:
+        density = np.log([weight / ds for ds, weight in pieces])
+        apart = np.abs(np.diff(density))
+        i = int(np.argmin(apart))
+        if apart[i] > ALIKE and len(pieces) <= SECTIONS:
+            break
+        (ds, weight), (more, further) = pieces[i : i + 2]
+        pieces[i : i + 2] = [(ds + more, weight + further)]
+    mu = FRICTION_COEFFICIENT
+    sections = tuple(Section(w * length, mu * w * length / ds) for ds, w in pieces)
+    EA = length / physics.compliance
+    return Sheath(sections, mu, EA, drag=physics.drag, asymmetry=physics.asymmetry)
+
+
+def _differ(one: Physics, other: Physics, fields: Sequence[str]) -> bool:
+    return any(not np.array_equal(getattr(one, f), getattr(other, f)) for f in fields)
+
+
+def _is_of_tip_sensor(effect: Effect) -> bool:
+    at_tip = bool(effect.needs & {DISTAL_TENSION, DISTAL_DISPLACEMENT})
+    return at_tip and effect.true is not Effect.true and effect.name not in LEFT_OUT
+
+
+def _scene(time: Array, driver: str, elongation_per_newton: float) -> Scene:
+    """Return a scene of which nothing is known but its times."""
+    none = np.zeros_like(time)
+    return Scene(time, driver, none, none, {}, {}, none, elongation_per_newton)
