@@ -27,9 +27,12 @@ from estimator.memory import Array
 SPEED_OVER = 0.02  # [s] over which speeds are averaged
 QUICK, SLOW = 0.02, 2.0  # [s] between which changes at the tip count
 LEARNT_OVER = 2.0  # [s] for which they count
+CLOSED_OVER = 10.0  # [s]
 LEAST = 1e-4  # [N^2 s] of changes that weigh as much as the bench
 ONCE = 1.0  # a step is not divided: it must end in time
 SOFTEST = 5e-3  # [m/N] of what the tip pulls at
+JUMP = 0.01  # [m] in a sample: no motion
+LONGEST = 1.0  # [m] that effects stretch a tendon
 
 # Where the constants are: friction, what the tip pulled at on the bench, and both tendons
 _FRICTION, _BENCH, _PLAIN = range(3)
@@ -41,6 +44,7 @@ CONSTANTS = _EXTENDED + extended.CONSTANTS
     TENSION,  # [N] T_out with the effects less without
     ELONGATION,  # [m] e with the effects less without
     TRAVEL,  # [m] q_p with the effects less without, the tip pulling at the same
+    UNHEARD,  # [s] since the last push, for which samples were refused
     _LEARNS,  # the sample before had a travel, and the tendon was taut
     _COMPLIANCE,  # [m/N] of what the tip pulls at
     _OFFSET,  # [m] of where it would be without tension
@@ -51,7 +55,7 @@ CONSTANTS = _EXTENDED + extended.CONSTANTS
     _QT,  # [m N s] and [N^2 s]: sums of products of changes
     _TT,
     _PLACES,  # [m] of each contact, averaged
-) = range(13)
+) = range(14)
 _OF_PLAIN = _PLACES + NODES - 1
 _OF_EXTENDED = _OF_PLAIN + extended.STATE
 STATE = _OF_EXTENDED + extended.STATE
@@ -79,6 +83,8 @@ def push(constants: Array, state: Array, T: float, q: float, dt: float) -> None:
     In place. Should numbers run away, the effects are forgotten until the tendon is pulled again.
     """
     told = not math.isnan(q)
+    dt += state[UNHEARD]
+    state[UNHEARD] = 0.0
     plain, with_effects = state[_OF_PLAIN:_OF_EXTENDED], state[_OF_EXTENDED:]
     sample = np.empty((1, SAMPLE))
     sample[0, extended.DT], sample[0, extended.FRICTION] = dt, constants[_FRICTION]
@@ -97,12 +103,15 @@ def push(constants: Array, state: Array, T: float, q: float, dt: float) -> None:
     T_out, q_d = after[1], after[3]
     elongation = after[2] - q_d
     change, longer = T_out - without[1], elongation - (without[2] - without[3])
-    if not (math.isfinite(change) and math.isfinite(longer)):
+    if not (math.isfinite(change) and abs(longer) < LONGEST):
         _reset(constants, state)
         return
     state[TRAVEL] += longer - state[ELONGATION]
     if constants[_EXTENDED + extended.VISCOSITY] != 0.0:
         state[TRAVEL] += state[_COMPLIANCE] * (change - state[TENSION])
+        # the sum of changes with a compliance that is learnt does not close by itself
+        closed = longer + state[_COMPLIANCE] * change
+        state[TRAVEL] += -math.expm1(-dt / CLOSED_OVER) * (closed - state[TRAVEL])
     state[TENSION], state[ELONGATION] = change, longer
     _learn(constants, state, T > 0.0 and told, q - elongation, T_out, q_d, dt)
 
@@ -129,13 +138,14 @@ def _learn(
     constants: Array, state: Array, taut: bool, q: float, T: float, at: float, dt: float
 ) -> None:
     """Note that the tip is measured at `q` under `T` [N]; what it pulls at leaves it `at` [m]."""
-    if taut and state[_LEARNS] != 0.0:
+    if taut and state[_LEARNS] != 0.0 and abs(q - state[_QUICK_Q]) < JUMP:
         quick, slow = -math.expm1(-dt / QUICK), -math.expm1(-dt / SLOW)
         state[_QUICK_Q] += quick * (q - state[_QUICK_Q])
         state[_QUICK_T] += quick * (T - state[_QUICK_T])
         state[_SLOW_Q] += slow * (q - state[_SLOW_Q])
         state[_SLOW_T] += slow * (T - state[_SLOW_T])
-        dq, dT = state[_QUICK_Q] - state[_SLOW_Q], state[_QUICK_T] - state[_SLOW_T]
+        dT = state[_QUICK_T] - state[_SLOW_T]
+        dq = min(max(state[_QUICK_Q] - state[_SLOW_Q], -SOFTEST * abs(dT)), SOFTEST * abs(dT))
         kept = math.exp(-dt / LEARNT_OVER)
         state[_QT] = kept * state[_QT] + dq * dT * dt
         state[_TT] = kept * state[_TT] + dT * dT * dt

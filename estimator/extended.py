@@ -31,6 +31,7 @@ EDGES = np.concatenate([[0.0], 0.5 * (PLACES[:-1] + PLACES[1:]), [1.0]])
 _ROUNDS = 60
 _ENOUGH = 1e-11  # [m] of travel
 _SMALLEST = 1.0 / 8.0  # of a step
+_SMOOTH = 0.05  # of K, that friction never falls below, however far a fit is carried on
 _PIECE = 0.5  # of a sample: contacts that let go as they slide do so within it
 _STEEPEST = 0.45  # half the friction between two nodes, at most; beyond it nothing would pass
 _STIFF = 1e12  # [N/m]
@@ -274,7 +275,7 @@ def _contacts(
     """
     for j in range(len(half)):
         tension = 0.5 * (state[j] + state[j + 1])
-        share = 1.0 + law.rise * tension
+        share = max(1.0 + law.rise * tension, _SMOOTH)
         if law.exponent != 1.0:
             share *= (max(tension, _LEAST) / law.reference) ** (law.exponent - 1.0)
         if law.stribeck != 0.0:

@@ -54,6 +54,7 @@ _BESIDE = (
 )
 
 _RECORD = "belongs to the record it was found in"
+_NOTHING = "changes nothing at these values"
 _TIP = "is of what the tip pulled at, not of the tendon"
 _LATE = "cannot be put right before it is too late"
 LEFT_OUT = {
@@ -105,6 +106,7 @@ def extended(
     effects: Sequence[tuple[Effect, Values]],
     duration: float,
     length: float,
+    axial_stiffness: float = 9000.0,
 ) -> Extended:
     """Return what of a model holds in another session.
 
@@ -118,8 +120,10 @@ def extended(
         Of the record [s]; friction is taken as it was at its end.
     length : float
         L of the sheath [m]; only EA goes by it.
+    axial_stiffness : float
+        EA [N], for a model of a record without a travel, which does not tell it.
     """
-    K, compliance, tip = shared if len(shared) > 1 else (shared[0], 1e-4, 0.0)
+    K, compliance, tip = shared if len(shared) > 1 else (shared[0], length / axial_stiffness, 0.0)
     instants = np.linspace(0.0, max(duration, 1.0), INSTANTS)
     scene = _scene(instants, PROXIMAL_TENSION, compliance)
     plain = now = Physics(np.array([K]), compliance, even_weights(), tip)
@@ -151,7 +155,7 @@ def extended(
 
 def why_left_out(effect: Effect) -> str:
     """Return why an effect does nothing in the loop, in words that can follow its name."""
-    return LEFT_OUT.get(effect.name, _RECORD)
+    return LEFT_OUT.get(effect.name, _NOTHING)
 
 
 def true_at_tip(model: Extended, time: Array, channel: str, signal: Array) -> Array:
@@ -166,12 +170,16 @@ def true_at_tip(model: Extended, time: Array, channel: str, signal: Array) -> Ar
 def corrected(
     readings: tuple[tuple[Correction, Values], ...], memory: Array, T: float, q: float
 ) -> tuple[float, float]:
-    """Return tension [N] and travel [m] at the housing as they are; `memory` goes on in place."""
+    """Return tension [N] and travel [m] at the housing as they are; `memory` goes on in place.
+
+    No tendon pushes: a tension is not corrected to less than nothing.
+    """
     if not math.isfinite(T) or abs(q) > FARTHEST:
         return T, q
+    least = min(T, 0.0)
     for i, (correct, values) in enumerate(readings):
         T, q, memory[i] = correct(T, q, values, float(memory[i]))
-    return T, q
+    return max(T, least), q
 
 
 def sheath_of(physics: Physics, length: float) -> Sheath:

@@ -73,6 +73,9 @@ from estimator.transmission import Phase, read_out, tension_at
 NEGATIVE = 0.05
 """Zero offset [N] that is not a broken load cell."""
 
+LARGEST = 1e6
+"""Tension [N] that is no tendon's."""
+
 
 class ModelError(ValueError):
     """A tendon model that cannot be; the message names the field, the value and what is allowed."""
@@ -255,6 +258,20 @@ def step(
     return TendonEstimate(*row[:6], _PHASES[row[6]], _STATUSES[row[7]]), after
 
 
+def right(
+    prepared: Prepared, state: State, proximal_tension: float, proximal_displacement: float
+) -> tuple[float, float]:
+    """Return what `step` takes a sample for: T_in [N] and q_p [m] without the sensors' effects.
+
+    The same as given for a model without such effects; `state` is left as it was.
+    """
+    extension = prepared.extension
+    if extension is None or not extension.readings:
+        return proximal_tension, proximal_displacement
+    memory = state[-len(extension.readings) :].copy()
+    return corrected(extension.readings, memory, proximal_tension, proximal_displacement)
+
+
 def run(
     prepared: Prepared, time: Array, tension: Array, displacement: Array | None = None
 ) -> Estimates:
@@ -325,6 +342,7 @@ def _advance(
         or math.isinf(q)
         or not (0.0 <= dt < math.inf)
         or T + NEGATIVE + 6.0 * sigma < 0.0
+        or T > LARGEST
     ):
         status = _INVALID | (0 if _erased(table, state) else _UNINITIALISED)
         state[JOINED] = 0.0
@@ -415,11 +433,15 @@ def _extended(
     if status & _INVALID == 0:
         beyond.push(beside, more, state[HELD], q, dt)
         q_d = q - (e + more[beyond.ELONGATION])
+    elif 0.0 <= dt < math.inf:
+        more[beyond.UNHEARD] += dt
     change = more[beyond.TENSION]
-    low, high = min(low, low + change), max(high, high + change)
+    most = max(state[T_MOST], T_out)  # no tip that is only pulled at pulls harder than that
+    felt = min(max(T_out + change, 0.0), most)
+    low = min(max(min(low, low + change), 0.0), felt)
+    high = max(high, min(high + change, most), felt)
     return (
-        max(T_out + change, 0.0), max(low, 0.0), max(high, 0.0),
-        e + more[beyond.ELONGATION], q_d, front, phase, status,
+        felt, low, high, e + more[beyond.ELONGATION], q_d, front, phase, status,
     )  # fmt: skip
 
 

@@ -121,6 +121,7 @@ def baselines(records: Sequence[PairRecord]) -> dict[str, tuple[LeftOut, ...]]:
 
 def validate(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
     """Return the errors of further records, predicted from their command and bend."""
+    check(records)
     share = _share(found.records)
     return tuple(
         Validation(

@@ -48,7 +48,8 @@ class Row(NamedTuple):
 
     sample: RigSample
     estimates: tuple[online.TendonEstimate, ...]
-    tendons: tuple[TendonSeen, ...]
+    tendons: tuple[TendonSeen, ...]  # as they were read
+    corrected: tuple[TendonSeen, ...]  # without the effects that a model knows of their sensors
 
 
 class Memory(NamedTuple):
@@ -224,7 +225,8 @@ def overload(limits: gate.GateConfig, newest: Row | None) -> bool:
     """Return whether a tendon pulls so hard that refusing to pull further has not helped."""
     if newest is None:
         return False
-    return any(t > OVERLOAD * limits.tension_max for t in newest.sample.proximal_tension.tolist())
+    both = (*newest.tendons, *newest.corrected)
+    return any(tendon.tension > OVERLOAD * limits.tension_max for tendon in both)
 
 
 def refused(estimates: online.TendonEstimate) -> bool:
@@ -238,9 +240,14 @@ def usable(row: Row) -> bool:
 
 
 def tension(row: Row) -> list[float]:
-    """Return the tensions [N] at the housing; NaN where the sample was refused."""
-    measured = row.sample.proximal_tension.tolist()
-    return [math.nan if refused(e) else t for e, t in zip(row.estimates, measured, strict=True)]
+    """Return the tensions [N] at the housing that limits go by; NaN where a sample was refused.
+
+    The larger one of what was read and what a model makes of it.
+    """
+    return [
+        math.nan if refused(e) else max(tendon.tension, right.tension)
+        for e, tendon, right in zip(row.estimates, row.tendons, row.corrected, strict=True)
+    ]
 
 
 def take(known: Known, memory: Memory, sample: RigSample) -> tuple[Memory, Row]:
@@ -250,14 +257,20 @@ def take(known: Known, memory: Memory, sample: RigSample) -> tuple[Memory, Row]:
     tension = sample.proximal_tension.tolist()
     displacement = sample.proximal_displacement
     travel = [math.nan] * len(tension) if displacement is None else displacement.tolist()
-    estimates, states = [], []
+    estimates, states, right = [], [], []
     for model, state, force, position in zip(
         known.prepared, memory.estimators, tension, travel, strict=True
     ):
+        right.append(online.right(model, state, force, position))
         result, advanced = online.step(model, state, force, position, elapsed)
         estimates.append(result)
         states.append(advanced)
-    row = Row(sample, tuple(estimates), control.seen(sample, estimates))
+    seen = control.seen(sample, estimates)
+    corrected = tuple(
+        tendon._replace(tension=T, displacement=q)
+        for tendon, (T, q) in zip(seen, right, strict=True)
+    )
+    row = Row(sample, tuple(estimates), seen, corrected)
     after = memory._replace(estimators=tuple(states), newest=row, elapsed=elapsed)
     if not after.offsets and usable(row):
         offsets = tuple(control.offset([row.tendons[i] for i in j]) for j in known.joints)
@@ -284,7 +297,7 @@ def monitored(known: Known, config: SlaveConfig, memory: Memory, row: Row) -> Me
             memory.elapsed,
         )
         for watched, before, tendon, other in zip(
-            known.watched, memory.monitors, row.tendons, against, strict=True
+            known.watched, memory.monitors, row.corrected, against, strict=True
         )
     )
     advice = monitor.advice(config.monitor, monitors)

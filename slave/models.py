@@ -73,11 +73,16 @@ def applied(
     """
     names = names_of(joints, len(tendons))
     out = [known if "" not in files else with_model(known, files[""]) for known in tendons]
+    told: dict[int, str] = {}
     for name, file in files.items():
-        if name and name not in names:
+        if not name:
+            continue
+        if name not in names:
             raise UsageError(f"--model {name}={file}: must be one of {', '.join(names)}")
-        if name:
-            out[names[name]] = with_model(tendons[names[name]], file)
+        k = names[name]
+        if k in told:
+            raise UsageError(f"--model {name}={file}: a second model of tendon {told[k]}")
+        told[k], out[k] = name, with_model(tendons[k], file)
     return tuple(out)
 
 
@@ -88,6 +93,7 @@ def with_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
     return TendonConfig(
         model_file=file,
         length=sum(section.length for section in tendon.sections) or tendon.length,
+        axial_stiffness=tendon.axial_stiffness,
         pretension=tendon.pretension,
         tension_noise=tendon.tension_noise,
         displacement_noise=tendon.displacement_noise,
@@ -106,9 +112,16 @@ def sentences(tendon: TendonConfig) -> list[str]:
     for effect, _, use in extended.uses:
         why = f": it {why_left_out(effect)}" if use is Use.NOTHING else ""
         said.append(f"{effect.label} is {use.value}{why}")
-    if unsure := model_file.load(tendon.model_file).unsure:
+    saved = model_file.load(tendon.model_file)
+    if saved.unexplained:
+        said.append("WARNING: most of what was wrong with the data it was fitted to is not in it")
+    if len(saved.model.shared) == 1:
         said.append(
-            f"WARNING: the data it was fitted to did not tell this from {', '.join(unsure)}: "
+            f"it says nothing of elasticity: axial_stiffness stays {tendon.axial_stiffness:g} N"
+        )
+    if saved.unsure:
+        said.append(
+            f"WARNING: the data it was fitted to did not tell this from {', '.join(saved.unsure)}: "
             "if that is the cause, the force is put right wrongly; find out which (teleop diagnose)"
         )
     return said or ["the law of a sheath, no effects"]

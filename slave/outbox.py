@@ -38,7 +38,7 @@ def slave_state(
 
 def tendon_state(row: Row, motor: Sequence[float]) -> messages.TendonState:
     """Return one sample with its estimates, and the motor positions [m] asked for, if any were."""
-    sample, estimates, _ = row
+    sample, estimates = row.sample, row.estimates
     return messages.TendonState(
         tendons=len(estimates),
         time_s=sample.time_s,

@@ -16,7 +16,6 @@ _IN_MODEL_FILE = (
     "effective_friction",
     "friction",
     "sections",
-    "axial_stiffness",
     "drag",
     "asymmetry",
 )
@@ -35,7 +34,7 @@ class TendonConfig:
     length: float = 1.5  # [m] with effective_friction; else the sections say
     friction: float | None = None  # mu, dimensionless
     sections: tuple[SectionConfig, ...] = ()  # housing to tip
-    axial_stiffness: float = 9000.0  # EA [N] of tendon and sheath in series
+    axial_stiffness: float = 9000.0  # EA [N] of tendon and sheath in series; a model_file's first
     drag: float = 0.0  # tau [N], load-independent
     asymmetry: float = 1.0  # rho, friction releasing over friction pulling
     pretension: float = 0.0  # [N] all along the tendon at the start; 0 = slack
@@ -67,9 +66,11 @@ class TendonConfig:
         """Return the extended model of the model file, None without one."""
         if self.model_file is None:
             return None
-        model, duration, _ = model_file.load(self.model_file)
+        model, duration, *_ = model_file.load(self.model_file)
         try:
-            return extension.extended(model.shared, model.effects, duration, self.length)
+            return extension.extended(
+                model.shared, model.effects, duration, self.length, self.axial_stiffness
+            )
         except SheathError as error:
             raise UsageError(f"{self.model_file}: {error}") from error
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 FRICTIONS = (0.2, 0.45, 0.8, 1.2, 1.8)
 TIP_SHARES = (0.0, 0.35, 0.75)
 """Of the travel per tension, that the tip may have where nothing at the tip was measured."""
-TRIED = 2  # of the starts, in full
+TRIED = 5  # of the starts, in full
 ROUNDS = 15
 
 

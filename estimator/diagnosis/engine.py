@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 from estimator.diagnosis import experiments
 from estimator.diagnosis.baseline import baseline
 from estimator.diagnosis.fit import (
-    ACCURACY,
+    NOISE,
     Bench,
     Fit,
     bench_of,
     improved,
+    mean_noise,
     own_only,
     parameters,
     refitted,
     rescaled,
     scenes,
     scenes_without,
+    tolerance,
 )
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
@@ -63,8 +65,7 @@ UNSURE_LEFT = 0.1  # of it, where the bootstrap is not sure which is better
 RIVALS = 2  # at most, besides the cause
 LEAST_LEFT = 0.01  # of it, that is worth looking for another cause
 EXPLAINED = 0.25  # of what noise does not explain, that may be left of a cause that is named
-FURTHER = 2.5  # times noise and ACCURACY: an error that is worth another cause
-NOISE = 1.25  # times the noise: an error that is taken to be all noise
+FURTHER = 2.5  # times the tolerance: an error that is worth another cause
 LAST = 12  # rounds of the fit to all samples
 
 
@@ -111,11 +112,16 @@ def diagnose(
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
     for _ in range(MOST):
-        if steps and _is_all(bench, fit, plain):
+        if _is_noise(bench, errors(bench, fit)) or (steps and _is_all(bench, fit, plain)):
             break
         rest = [effect for effect in usable if effect.name not in fit.names]
         found = candidates(bench, fit, rest, report, workers)
         step = _step(bench, plain, fit, found)
+        if step is not None and not steps:
+            without = _without(bench, step.fit, step.effect)
+            if _matters(bench, step.fit, without, step.effect) < MARGIN:  # was in a wrong valley
+                plain = fit = without
+                continue
         first = first or _ranking(bench, plain, fit, found)
         if step is None:
             break
@@ -128,16 +134,28 @@ def diagnose(
 def _needed(bench: Bench, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
     """Return the causes without those that later ones have made needless, and the fit of them."""
     for step in steps[:-1] if len(steps) > 1 else ():
-        rest = tuple(one for one in fit.model.effects if one[0].name != step.effect.name)
-        without = improved(
-            rescaled(bench, fit), scenes(bench, fit), fit.model._replace(effects=rest), LAST
-        )
-        samples = sum(len(record.time) for record in bench.records)
-        price = 0.5 * len(step.effect.parameters) * math.log(samples)
-        if better_by(errors(bench, fit), errors(bench, without)) - price < MARGIN:
+        without = _without(bench, fit, step.effect)
+        if _matters(bench, fit, without, step.effect) < MARGIN:
             steps = [one for one in steps if one is not step]
             fit = without
     return steps, fit
+
+
+def _without(bench: Bench, fit: Fit, effect: Effect) -> Fit:
+    """Return a model without one of its effects, fitted from where it was with it."""
+    rest = tuple(one for one in fit.model.effects if one[0].name != effect.name)
+    model = fit.model._replace(effects=rest)
+    return improved(rescaled(bench, fit), scenes(bench, fit), model, LAST)
+
+
+def _matters(bench: Bench, fit: Fit, without: Fit, effect: Effect) -> float:
+    """Return ln of how much more probable held-out data are with an effect, parameters paid for."""
+    return better_by(errors(bench, fit), errors(bench, without)) - _price(bench, effect)
+
+
+def _price(bench: Bench, effect: Effect) -> float:
+    samples = sum(len(record.time) for record in bench.records)
+    return 0.5 * len(effect.parameters) * math.log(samples)
 
 
 def _again(record: Record, bench: Bench, fit: Fit) -> Callable[[Record], Simulated]:
@@ -156,21 +174,22 @@ def _is_all(bench: Bench, fit: Fit, plain: Fit) -> bool:
     found = errors(bench, fit)
     if left_of(found, errors(bench, plain)) < LEAST_LEFT:
         return True
-    noise, ranges = _mean_noise(bench), _ranges(bench)
-    return all(
-        math.sqrt(one.mean) * noise[c] < FURTHER * math.hypot(noise[c], ACCURACY * ranges[c])
-        for c, one in found.items()
-    )
+    return _within(bench, found, FURTHER)
 
 
-def _is_noise(found: dict[str, Errors]) -> bool:
-    return all(math.sqrt(one.mean) < NOISE for one in found.values())
+def _is_noise(bench: Bench, found: dict[str, Errors]) -> bool:
+    """Return whether errors are what noise makes, and a simulation that is off by ACCURACY."""
+    return _within(bench, found, NOISE)
+
+
+def _within(bench: Bench, found: dict[str, Errors], times: float) -> bool:
+    noise, floor = mean_noise(bench), tolerance(bench)
+    return all(math.sqrt(one.mean) * noise[c] < times * floor[c] for c, one in found.items())
 
 
 def _score(bench: Bench, base: dict[str, Errors], one: Candidate) -> float:
     """Return ln of how much more probable held-out data are, parameters paid for."""
-    samples = sum(len(record.time) for record in bench.records)
-    return better_by(one.held_out, base) - 0.5 * len(one.effect.parameters) * math.log(samples)
+    return better_by(one.held_out, base) - _price(bench, one.effect)
 
 
 def _step(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | None:
@@ -201,7 +220,7 @@ def _step(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | 
 
 def _ranking(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
     base, at_first = errors(bench, fit), errors(bench, plain)
-    noise = _mean_noise(bench)
+    noise = mean_noise(bench)
     ranked = [
         Ranked(
             one.effect.name,
@@ -221,20 +240,6 @@ def _ranking(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> tupl
     return tuple(sorted(ranked, key=lambda one: -one.score))
 
 
-def _mean_noise(bench: Bench) -> dict[str, float]:
-    return {
-        channel: float(np.sqrt(np.mean([record.noise[channel] ** 2 for record in bench.records])))
-        for channel in bench.records[0].compared
-    }
-
-
-def _ranges(bench: Bench) -> dict[str, float]:
-    return {
-        channel: max(float(np.ptp(record.signals[channel])) for record in bench.records)
-        for channel in bench.records[0].compared
-    }
-
-
 def _outcome(
     bench: Bench,
     plain: Fit,
@@ -250,8 +255,8 @@ def _outcome(
     before, after = (joined([errors(one.bench, one.fits[k]) for one in folds]) for k in (0, 1))
     left = left_of(after, before)
     if not steps:
-        verdict = Verdict.CLEAN if _is_noise(before) else Verdict.UNEXPLAINED
-    elif left > EXPLAINED and not _is_noise(after):
+        verdict = Verdict.CLEAN if _is_noise(bench, before) else Verdict.UNEXPLAINED
+    elif left > EXPLAINED and not _is_noise(bench, after):
         verdict = Verdict.UNEXPLAINED
     elif any(step.rivals for step in steps):
         verdict = Verdict.AMBIGUOUS
@@ -261,7 +266,7 @@ def _outcome(
         one.name: Number(one.value, one.low, one.high, one.parameter.unit)
         for one in parameters(whole, scenes(bench, plain), last)
     }
-    names = [name for step in steps for name in (step.effect.name, *step.rivals) if step.rivals]
+    alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
     return Diagnosis(
         verdict=verdict,
         steps=tuple(steps),
@@ -275,11 +280,11 @@ def _outcome(
         gain={
             channel: Gain(*bootstrapped_gain(after[channel], before[channel])) for channel in before
         },
-        noise=_mean_noise(bench),
+        noise=mean_noise(bench),
         left=left,
         structure=structure(bench, fit),
         visible=visible(bench, plain, usable) if verdict is Verdict.CLEAN else {},
-        experiments=experiments.settling(names, bench.records[0].signals),
+        experiments=experiments.settling(alike, bench.records[0].signals),
         troubles=tuple(trouble for record in bench.records for trouble in record.troubles),
     )
 

@@ -1,6 +1,7 @@
 """What to measure next, so that causes which look alike in the channels at hand come apart."""
 
 from collections.abc import Iterable
+from itertools import zip_longest
 
 from estimator.effects.effect import DISTAL_DISPLACEMENT, DISTAL_TENSION, PROXIMAL_DISPLACEMENT
 
@@ -63,6 +64,9 @@ SEEN_BY: dict[str, frozenset[str]] = {
 }
 """Which effects an experiment singles out."""
 
+EACH_BY_ITSELF = frozenset({WEIGHTS, TARE})
+"""Experiments that tell the effects they single out from one another, too."""
+
 _CHANNELS = {
     DISTAL_TENSION: TIP_CELL,
     PROXIMAL_DISPLACEMENT: MOTOR,
@@ -70,16 +74,29 @@ _CHANNELS = {
 }
 
 
-def settling(names: Iterable[str], channels: Iterable[str], most: int = 3) -> tuple[str, ...]:
-    """Return experiments that single out some of the effects `names` and not all.
+def settling(
+    sets: Iterable[Iterable[str]], channels: Iterable[str], most: int = 3
+) -> tuple[str, ...]:
+    """Return experiments that tell effects apart which look alike, for each of some sets of them.
 
-    First those that split them most evenly, then channels that were not measured.
+    First those that leave least together, then channels that were not measured.
     """
-    wanted = set(names)
-    if len(wanted) < 2:
-        return ()
-    splits = {what: len(wanted & seen) for what, seen in SEEN_BY.items()}
-    useful = [what for what, count in splits.items() if 0 < count < len(wanted)]
-    useful.sort(key=lambda what: abs(2 * splits[what] - len(wanted)))
+    useful = [_useful(frozenset(names)) for names in sets]
+    in_turn = [what for turn in zip_longest(*useful) for what in turn if what is not None]
+    found = list(dict.fromkeys(in_turn))[:most]
     missing = [text for channel, text in _CHANNELS.items() if channel not in set(channels)]
-    return tuple([*useful[:most], *missing][: most + 1])
+    return tuple([*found, *missing][: most + 1]) if found else ()
+
+
+def _useful(wanted: frozenset[str]) -> list[str]:
+    """Return the experiments that tell some of the effects apart, the best first."""
+    left = {what: _left_together(what, wanted) for what in SEEN_BY}
+    useful = [what for what, count in left.items() if count < len(wanted)]
+    return sorted(useful, key=lambda what: left[what])
+
+
+def _left_together(what: str, wanted: frozenset[str]) -> int:
+    """Return how many of the effects an experiment leaves together, at worst."""
+    seen = wanted & SEEN_BY[what]
+    together = min(len(seen), 1) if what in EACH_BY_ITSELF else len(seen)
+    return max(together, len(wanted - seen))

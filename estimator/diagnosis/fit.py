@@ -42,6 +42,7 @@ HALVED = 5  # times, the step that is one too far
 COVER = 1.96  # standard uncertainties on each side of a value
 ROUGHLY = 3e-3  # of a channel's range
 ACCURACY = 1e-3  # of it, that a simulation is taken to be off by itself
+NOISE = 1.25  # times the tolerance: an error that is nothing wrong with the model
 LEFT = 0.3  # of the root mean square that a model leaves
 TAKEN_UP = (
     2.0  # standard uncertainties that a record which starts slack is taut at its start within
@@ -101,6 +102,24 @@ def bench_of(records: Sequence[Record]) -> Bench:
         for record in records
     )
     return Bench(tuple(records), base_of(records[0]), scale)
+
+
+def mean_noise(bench: Bench) -> dict[str, float]:
+    """Return the noise of each channel, in its unit."""
+    return {
+        channel: float(np.sqrt(np.mean([record.noise[channel] ** 2 for record in bench.records])))
+        for channel in bench.records[0].compared
+    }
+
+
+def tolerance(bench: Bench) -> dict[str, float]:
+    """Return the error of each channel that noise makes, and a simulation off by `ACCURACY`."""
+    return {
+        channel: math.hypot(
+            noise, ACCURACY * max(float(np.ptp(one.signals[channel])) for one in bench.records)
+        )
+        for channel, noise in mean_noise(bench).items()
+    }
 
 
 def rescaled(bench: Bench, fit: Fit) -> Bench:
@@ -258,14 +277,22 @@ def _descended(
         row[free] = x
         return row
 
+    known: dict[bytes, Array] = {}  # of the numbers tried last: slopes are asked for at these
+
     def off(x: Array) -> Array:
         return residual(bench, simulated(bench, about, layout.unpack(whole(x))))
 
+    def tried(x: Array) -> Array:
+        known.clear()
+        known[x.tobytes()] = r = off(x)
+        return r
+
     def slopes(x: Array) -> Array:
-        return _differences(off, x, off(x), high[free])
+        at = known.get(x.tobytes())
+        return _differences(off, x, off(x) if at is None else at, high[free])
 
     found = least_squares(
-        off,
+        tried,
         at_start[free],
         jac=slopes,
         bounds=(low[free], high[free]),

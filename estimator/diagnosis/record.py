@@ -34,6 +34,7 @@ BLOCK = 5.0  # [s] that are fitted, and then as long that are not
 BLOCKS = 12  # at least, in a short record
 SPIKE = 8.0  # times what neighbours differ by
 FLOOR = 2e-4  # of a channel's range: nothing is simulated better
+TURN = 1e-3  # of the range of the drive: turns that are no jitter of an encoder
 SPEED_OVER = 0.02  # [s] over which speed is taken
 
 
@@ -160,6 +161,9 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
     drive = monotone(whole, 4.0 * noise_sigma(whole))
     if driver == PROXIMAL_TENSION:
         drive = np.maximum(drive, 0.0)
+    if driver == PROXIMAL_DISPLACEMENT:
+        good[PROXIMAL_TENSION], trouble = _between_turns(time, drive, good[PROXIMAL_TENSION])
+        troubles += trouble
     length = min(BLOCK, (time[-1] - time[0]) / BLOCKS)
     block = ((time - time[0]) / length).astype(np.int64)
     return Record(
@@ -265,6 +269,23 @@ def _turning_points(signal: Array, band: float) -> list[int]:
     if turns[-1] != len(values) - 1:
         turns.append(len(values) - 1)
     return turns
+
+
+def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Trouble]]:
+    """Return which samples of the tension are not at a turn of the motor, and what is said of them.
+
+    There friction turns round within less than an encoder resolves, or between two samples: how far
+    it has come at that sample, nobody can tell.
+    """
+    turns = np.array(_turning_points(drive, TURN * float(np.ptp(drive))))[1:-1]
+    beside = np.zeros_like(good)
+    for off in (-1, 0, 1):
+        beside[turns + off] = True
+    if not beside.any():
+        return good, []
+    first = float(time[int(np.argmax(beside))])
+    what = "samples at turns of the motor kept out"
+    return good & ~beside, [Trouble(what, PROXIMAL_TENSION, int(beside.sum()), first)]
 
 
 def _without_spikes(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:

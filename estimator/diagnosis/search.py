@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 
 THIN = 1200  # samples of a record in a first look
 STARTS = 2  # of each effect
+LED, BARE = 40, 12  # of all effects
 ROUNDS = (4, 6)  # of the first fits, on thin records
 KEPT = (14, 6)  # effects that go on after each of them
 LONG = 25  # rounds of the last fit, on whole records
@@ -54,18 +55,18 @@ class Candidate(NamedTuple):
     cost: float  # that was minimised
 
 
-class Promise(NamedTuple):
-    """A model to begin a fit from, and the cost that a linear step foresees."""
+class Start(NamedTuple):
+    """A model to begin a fit from, and its cost."""
 
     model: Model
     cost: float
 
 
-class Pair(NamedTuple):
-    """Two ways to begin with an effect at some values."""
+class Starts(NamedTuple):
+    """Two ways to begin with an effect."""
 
-    linear: Promise  # it and the model's own parameters where a linear step leads them
-    as_it_is: Promise  # on top of the model as it is
+    led: list[Start]  # it and the model's own parameters where a linear step leads them
+    bare: list[Start]  # on top of the model as it is
 
 
 def candidates(
@@ -93,9 +94,12 @@ def candidates(
     around = scenes(thin_bench, there)
     sudden = [effect for effect in effects if any(p.jumps for p in effect.parameters)]
     gradual = [effect for effect in effects if effect not in sudden]
-    models = promised(thin_bench, there, around, gradual, report, workers)
+    led, bare = promised(thin_bench, there, around, gradual, report, workers)
     if sudden:
-        models += promised(thin_bench, by_most(thin_bench, there), around, sudden, report, workers)
+        by_part = by_most(thin_bench, there)
+        more = promised(thin_bench, by_part, around, sudden, report, workers)
+        led, bare = led + more.led, bare + more.bare
+    models = [one.model for one in (*_cheapest(led, LED), *_cheapest(bare, BARE))]
     best: list[Candidate] = []
     for rounds, kept, hopeless in zip(ROUNDS, KEPT, HOPELESS, strict=True):
 
@@ -120,8 +124,8 @@ def promised(
     effects: Sequence[Effect],
     report: Report,
     workers: int,
-) -> list[Model]:
-    """Return models to begin fits from: for each effect the starts that promise most.
+) -> Starts:
+    """Return models to begin fits from: for each effect those of its starts that promise most.
 
     Each start is taken as far as a linear step of all parameters would go along it, the model's own
     parameters with it; and the best as it is, since where a record starts, for one, nothing is
@@ -130,9 +134,12 @@ def promised(
     r = residual(bench, fit)
     J = slopes_of(bench, about, fit)
     solve = np.linalg.pinv(J)
-    starts = [(effect, values) for effect in effects for values in effect.starts(about[0])]
+    begin = [(effect, values) for effect in effects for values in effect.starts(about[0])]
 
-    def promise(one: tuple[Effect, Values]) -> Pair | None:
+    def start(model: Model) -> Start:
+        return Start(model, _cost(bench, simulated(bench, about, model)))
+
+    def promise(one: tuple[Effect, Values]) -> tuple[Start, Start] | None:
         effect, values = one
         begun = simulated(bench, about, _with(fit.model, effect, values))
         change = residual(bench, begun) - r
@@ -142,27 +149,29 @@ def promised(
         power = float(alone @ alone)
         if power < 1e-12:
             return None
-        found = []
+        led = []
         for share in {1.0, -(float(alone @ r)) / power}:
             scaled, step = _scaled(effect, values, share)
             wanted = r + step * change
             base = -(solve @ wanted)
-            left = wanted + J @ base
-            model = _with(moved(bench, fit.model, base), effect, scaled)
-            found.append(Promise(model, float(left @ left)))
-        as_it_is = Promise(begun.model, float(np.sum((r + change) ** 2)))
-        return Pair(min(found, key=lambda one: one.cost), as_it_is)
+            foreseen = float(np.sum((wanted + J @ base) ** 2))
+            led.append((foreseen, _with(moved(bench, fit.model, base), effect, scaled)))
+        _, best = min(led, key=lambda one: one[0])
+        return start(best), Start(begun.model, float(np.sum((r + change) ** 2)))
 
-    of_effect: dict[str, list[Pair]] = {}
-    for one in _each(promise, starts, report, "trying effects", workers):
+    of_effect: dict[str, list[tuple[Start, Start]]] = {}
+    for one in _each(promise, begin, report, "trying effects", workers):
         if one is not None:
-            of_effect.setdefault(one.linear.model.effects[-1][0].label, []).append(one)
-    models = []
+            of_effect.setdefault(one[0].model.effects[-1][0].label, []).append(one)
+    led, bare = list[Start](), list[Start]()
     for pairs in of_effect.values():
-        by_promise = sorted(pairs, key=lambda pair: pair.linear.cost)
-        models += [pair.linear.model for pair in by_promise[:STARTS]]
-        models.append(min(pairs, key=lambda pair: pair.as_it_is.cost).as_it_is.model)
-    return models
+        led += _cheapest([of_two for of_two, _ in pairs], STARTS)
+        bare += _cheapest([of_two for _, of_two in pairs], 1)
+    return Starts(led, bare)
+
+
+def _cheapest(starts: Sequence[Start], most: int) -> list[Start]:
+    return sorted(starts, key=lambda one: one.cost)[:most]
 
 
 def _scaled(effect: Effect, values: Values, share: float) -> tuple[Values, float]:
@@ -193,8 +202,11 @@ def _candidate(bench: Bench, about: Sequence[Scene], start: Model, rounds: int) 
 
 
 def _scored(bench: Bench, fit: Fit) -> Candidate:
-    cost = float(np.sum(residual(bench, fit) ** 2))
-    return Candidate(fit.model.effects[-1][0], fit, errors(bench, fit), cost)
+    return Candidate(fit.model.effects[-1][0], fit, errors(bench, fit), _cost(bench, fit))
+
+
+def _cost(bench: Bench, fit: Fit) -> float:
+    return float(np.sum(residual(bench, fit) ** 2))
 
 
 def _best_of_each(found: Iterable[Candidate]) -> list[Candidate]:

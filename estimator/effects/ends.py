@@ -78,22 +78,25 @@ JOINT_FRICTION = Effect(
 
 
 def _second_tendon(physics: Physics, values: Values, _scene: Scene) -> Physics:
-    low, rise, stiffness = values
-    return physics._replace(load_low=low, load_high=low + rise, load_stiffness=stiffness)
+    tension, K, stiffness = values
+    # less the tension in which the tip was balanced at the start
+    low, high = tension * np.expm1(-K), tension * np.expm1(K)
+    return physics._replace(load_low=low, load_high=high, load_stiffness=stiffness)
 
 
 ANTAGONIST_TENSION = Effect(
     name="antagonist_tension",
     cause="the other tendon of the joint is not slack and pulls against this one",
-    equation="T_out = k q_d + its tension, between least e^-K and most e^K as the joint turns",
+    equation="T_out = k q_d + tension (e^s - 1), s between -K and K of the other tendon, as it is "
+    "let go or drawn out",
     parameters=(
-        Parameter("least", "N", 0.0, 20.0, 0.1),
-        Parameter("rise", "N", 0.0, 40.0, 0.1),
+        Parameter("tension", "N", 0.0, 20.0, 0.05),
+        Parameter("K", "", 0.05, 3.0, 0.1, None),
         Parameter("stiffness", "N/m", 300.0, 1e6, 1000.0, None),
     ),
     source="docs/theory.md, section 7",
     advice="Read its load cell, and let it out further before you measure.",
-    starts=lambda _: [(0.1, rise, s) for rise in (0.4, 1.5) for s in (2e3, 1e4)],
+    starts=lambda _: [(tension, 0.8, s) for tension in (0.2, 0.8) for s in (2e3, 1e4)],
     physics=_second_tendon,
     needs=TRAVEL,
 )

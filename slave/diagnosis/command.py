@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from estimator.diagnosis.engine import diagnose
-from estimator.diagnosis.outcome import Diagnosis
+from estimator.diagnosis.outcome import Diagnosis, Verdict
 from estimator.diagnosis.record import Record, RecordError, prepare
 from estimator.effects.effect import CHANNELS, Signals
 from slave import estimate
@@ -169,6 +169,8 @@ def in_words(report: Report) -> str:
         tables.append(believed.table(report.believed))
     if found.steps:
         tables.append(words.gains(found))
+    if found.after.validation:
+        tables.append(words.validated(found))
     if found.visible:
         tables.append(words.visible(found))
     parts = [words.sentence(found), *(table.markdown() for table in tables)]
@@ -192,7 +194,8 @@ def _write_folder(report: Report, folder: Path) -> None:
     found, files = report.found, report.data.files
     remark = f"Fitted by teleop diagnose to {', '.join(files)}.\n{words.sentence(found)}"
     duration = max(float(record.time[-1]) for record in found.bench.records)
-    saved = model_file.Saved(found.extended.model, duration, found.ambiguous_with)
+    unexplained = found.verdict is Verdict.UNEXPLAINED
+    saved = model_file.Saved(found.extended.model, duration, found.ambiguous_with, unexplained)
     model_file.save(folder / "model.yaml", saved, remark)
     text = page.render(found, files, report.believed)
     write_whole(folder / "report.html", text, "the page")

@@ -5,6 +5,7 @@ base:
   compliance: 1.2e-04           # L/EA [m/N], where the record had a travel
   tip_compliance: 4.0e-04       # [m/N] of what the tip pulls at, 0 is a blocked tip
 duration: 60.0                  # [s] of the longest record; drifts are taken as at its end
+unexplained: false              # whether most of what is wrong is not in it
 unsure: [stribeck_friction]     # effects that the data did not tell from those of the model
 effects:                        # in this order
 - name: friction_step
@@ -41,6 +42,7 @@ class Saved(NamedTuple):
     model: Model  # without what single records had
     duration: float  # [s] of the longest record
     unsure: tuple[str, ...]  # effects that the data did not tell from those of the model
+    unexplained: bool = False  # whether most of what is wrong is not in it
 
 
 def save(path: Path, saved: Saved, remark: str) -> None:
@@ -55,6 +57,7 @@ def text(saved: Saved, remark: str) -> str:
     tree = {
         "base": {key: float(value) for key, value in zip(BASE, model.shared, strict=False)},
         "duration": float(saved.duration),
+        "unexplained": saved.unexplained,
         "unsure": list(saved.unsure),
         "effects": [
             {
@@ -85,7 +88,9 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Saved:
         The file is none, or something in it cannot be right; one line.
     """
     tree = strict_yaml.read(path, "model")
-    _known(path, "", tree, ("base", "duration", "unsure", "effects"))
+    if not isinstance(tree, dict) or "base" not in tree:
+        raise UsageError(f"{path}: is no model.yaml as `teleop diagnose --out DIR` writes it")
+    _known(path, "", tree, ("base", "duration", "unexplained", "unsure", "effects"))
     base = _mapping(path, "base", tree.get("base"))
     keys = list(BASE) if len(base) > 1 else ["K"]
     shared = _numbers(path, "base", base, dict(zip(keys, BASE.values(), strict=False)))
@@ -97,7 +102,16 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Saved:
     if not isinstance(rows, list):
         raise UsageError(f"{path}: effects: must be a list of name, where and parameters")
     found = tuple(_effect(path, f"effects.{i}", row, effects) for i, row in enumerate(rows))
-    return Saved(Model(shared, (), found), duration, tuple(map(str, unsure)))
+    labels = [effect.label for effect, _ in found]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise UsageError(f"{path}: effects: {label} is there twice")
+    if not all(isinstance(name, str) for name in unsure):
+        raise UsageError(f"{path}: unsure: must be a list of names of effects")
+    unexplained = tree.get("unexplained", False)
+    if not isinstance(unexplained, bool):
+        raise UsageError(f"{path}: unexplained: {unexplained!r}, must be true or false")
+    return Saved(Model(shared, (), found), duration, tuple(unsure), unexplained)
 
 
 def _effect(path: Path, place: str, row: Any, effects: Sequence[Effect]) -> tuple[Effect, Values]:

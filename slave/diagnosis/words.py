@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
-from estimator.diagnosis.engine import NOISE
+from estimator.diagnosis.engine import EXPLAINED
+from estimator.diagnosis.fit import NOISE, tolerance
 from estimator.diagnosis.outcome import (
     Diagnosis,
     Fitnesses,
@@ -29,6 +30,7 @@ CHANNEL_WORDS = {
 }
 SHOWN = 8  # candidates in a table
 STRUCTURES = 2  # named in a sentence
+UNSURE = 3  # causes in a sentence, none of them sure
 MOST_DIGITS = 8
 SETS = {"fit": "fitted", "held_out": "held out", "validation": "validation"}
 
@@ -38,6 +40,11 @@ def sentence(found: Diagnosis) -> str:
     if found.verdict is Verdict.CLEAN:
         return f"Nothing is wrong with the model beyond noise{_least_seen(found.visible)}."
     if found.verdict is Verdict.UNEXPLAINED:
+        if names := _unsure(found):
+            return (
+                f"The model is wrong, and these data do not tell why: {' or '.join(names)} would "
+                f"explain it, none of them surely; {_structure(found)}."
+            )
         labels = " and ".join(step.effect.label for step in found.steps)
         share = f"{found.left:.0%} of what noise does not explain"
         still = f"with {labels} in the model {share} is left, and " if found.steps else ""
@@ -89,6 +96,19 @@ def gains(found: Diagnosis) -> Table:
     return Table(("channel", "held-out RMSE falls by", "95 % interval"), tuple(rows))
 
 
+def validated(found: Diagnosis) -> Table:
+    """Return the errors of both models in data that were not fitted, by channel."""
+    rows = [
+        (
+            CHANNEL_WORDS[channel],
+            quantity(before.rmse, unit_of(channel), 3),
+            quantity(found.after.validation[channel].rmse, unit_of(channel), 3),
+        )
+        for channel, before in found.before.validation.items()
+    ]
+    return Table(("in the data of --validate", "RMSE before", "RMSE after"), tuple(rows))
+
+
 def fitness(found: Diagnosis) -> Table:
     """Return the errors of both models, by channel and by what they were judged on."""
     rows = []
@@ -108,7 +128,12 @@ def next_steps(found: Diagnosis) -> list[str]:
     effects += [effect for name in found.ambiguous_with for effect in _named(name)[:1]]
     advice = {effect.advice: effect.name for effect in reversed(effects)}
     steps += [f"{name}: {words}" for words, name in reversed(advice.items())]
-    if found.verdict is Verdict.UNEXPLAINED:
+    if found.verdict is Verdict.UNEXPLAINED and _unsure(found):
+        steps.append(
+            "Record for longer, with swings of several depths and speeds, so that a cause can be "
+            "told in one part of the data and tested in another."
+        )
+    elif found.verdict is Verdict.UNEXPLAINED:
         steps.append(
             "Look at what is left against tension, speed and time, and do not trust the estimate "
             "beyond it; a cause that the catalogue lacks is an effect to add to it."
@@ -135,7 +160,7 @@ def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
 
 def remains(found: Diagnosis) -> list[str]:
     """Return what the extended model leaves in each channel, and what that goes along with."""
-    said = []
+    said, floor = [], tolerance(found.bench)
     for channel, one in found.after.held_out.items():
         unit, noise = unit_of(channel), found.noise[channel]
         along = [
@@ -143,8 +168,8 @@ def remains(found: Diagnosis) -> list[str]:
             for s in found.structure
             if s.channel == channel
         ]
-        if one.rmse < NOISE * noise:
-            what = "noise"
+        if one.rmse < NOISE * floor[channel]:
+            what = "no more than noise and the simulation's own error"
         elif along:
             what = f"it goes along in {', '.join(along)}"
         else:
@@ -221,6 +246,14 @@ def _cause(found: Diagnosis, step: Step) -> str:
         for effect in _named(name)[:1]
     ]
     return " or ".join([first, *rivals])
+
+
+def _unsure(found: Diagnosis) -> list[str]:
+    """Return names of causes that would explain what no cause was surely found for."""
+    if found.steps:
+        return []
+    names = [one.name for one in found.ranking if one.left < EXPLAINED]
+    return list(dict.fromkeys(names))[:UNSURE]
 
 
 def _named(name: str) -> list[Effect]:

@@ -14,7 +14,7 @@ import argparse
 import time
 from pathlib import Path
 
-from estimator.pair_fit import PairError
+from estimator.pair_fit import PairError, check
 from estimator.pair_study import study, validate
 from slave.diagnosis.progress import Progress
 from slave.pair import report_json, words
@@ -59,9 +59,10 @@ def main(args: argparse.Namespace) -> int:
         make_folder(args.out, "report.html")
     progress, begun = Progress(), time.monotonic()
     try:
+        check(further)
         found = study(records, progress)
     except PairError as error:
-        raise UsageError(f"{', '.join(map(str, args.data))}: {error}") from error
+        raise UsageError(f"{', '.join(map(str, args.data + args.validate))}: {error}") from error
     finally:
         progress.end()
     kept = validate(found, further)

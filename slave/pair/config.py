@@ -60,13 +60,23 @@ class PairConfig:
         """
         for one in self.bends:
             if one.file == path.name:
-                return self.radians * one.bend
+                return self._checked(path, one.bend)
         before, after = self.bend.split(BEND)
         lead = re.escape(before) + r"(-?\d+(?:\.\d+)?)" if before else _NUMBER
         found = re.search(lead + re.escape(after), path.name)
+        if not path.exists():
+            raise UsageError(f"{path}: there is no such file")
         if found is None:
             raise UsageError(
                 f"{path}: the name does not tell the sheath's bend as {self.bend!r} would; rename "
                 "the file, or give pattern or list in --columns FILE (bend, bends)"
             )
-        return self.radians * float(found[1])
+        return self._checked(path, float(found[1]))
+
+    def _checked(self, path: Path, bend: float) -> float:
+        if not 0.0 <= bend < math.inf:
+            raise UsageError(
+                f"{path}: a bend of {bend:g}, must not be negative; if that is a dash, put it into "
+                "the pattern in --columns FILE (bend: 'bend-{bend}')"
+            )
+        return self.radians * bend

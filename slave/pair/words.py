@@ -71,7 +71,7 @@ def left_out(found: PairStudy) -> Table:
     zeroed = found.left_out[OURS]
     rows.append(
         (
-            "the same, its zero known",
+            "K grows, from the command, its zero known",
             *(f"{e.zeroed:.1%}" for e in zeroed),
             f"{np.mean([e.zeroed for e in zeroed]):.1%}",
         )

@@ -238,3 +238,65 @@ def test_several_effects_of_readings_are_undone_in_the_opposite_order():
     prepared = online.prepare(TendonModel(found.sheath, extension=found.extension))
     row, _ = online.step(prepared, online.initial(prepared), 1.5 * 8.0 + 2.0, math.nan, 0.0)
     assert row.distal_tension == pytest.approx(8.0 * math.exp(-0.5))
+
+
+def running(*effects):
+    """Return a model and its first state, with effects at their values."""
+    found = extended((0.8, 1e-4, 5e-4), list(effects), 60.0, 1.0)
+    prepared = online.prepare(TendonModel(found.sheath, extension=found.extension))
+    return prepared, online.initial(prepared)
+
+
+@pytest.mark.parametrize("rise", [-0.03, -0.01, 0.2])
+def test_a_fit_carried_far_beyond_its_tensions_makes_no_force_of_nothing(rise):
+    prepared, state = running((effect("tension_dependent_friction", "linear"), (rise,)))
+    for T in (*np.linspace(0.0, 130.0, 300), *np.linspace(130.0, 5.0, 300)):
+        row, state = online.step(prepared, state, float(T), math.nan, 0.01)
+        assert 0.0 <= row.low <= row.distal_tension <= row.high
+        assert row.distal_tension <= 130.0
+
+
+def test_a_bias_that_is_gone_does_not_make_a_slack_tendon_a_broken_cell():
+    prepared, state = running((effect("proximal_tension_bias"), (0.4,)))
+    for reading in np.random.default_rng(SEED).normal(0.0, 0.01, 50):
+        row, state = online.step(prepared, state, float(reading), 0.0, 0.001)
+        assert not row.status & Status.INVALID_INPUT
+        assert row.distal_tension == pytest.approx(0.0, abs=0.05)
+
+
+def test_one_wrong_travel_is_forgotten_as_soon_as_by_the_plain_law():
+    data = bench("viscous_friction", "spring")
+    spoiled = data.channels["proximal_displacement"].copy()
+    spoiled[800] += 1.0
+    off = []
+    for model in models(data.truth, "viscous_friction"):
+        prepared, T = online.prepare(model), data.channels["proximal_tension"]
+        wrong = online.run(prepared, data.time, T, spoiled).distal_tension
+        off.append(rms((wrong - estimated(model, data).distal_tension)[1200:]))
+    plain, extended_ = off
+    assert extended_ < 1.2 * plain + NOISE
+
+
+def test_time_that_was_not_heard_of_goes_on_beside_the_law():
+    creep = (effect("creep"), (0.3, 5.0))
+    prepared, heard = running(creep)
+    deaf = heard
+    for k in range(200):
+        sample = (10.0, 1e-3, 0.1)
+        one, heard = online.step(prepared, heard, *sample)
+        spoiled = sample if k < 50 or k > 150 else (math.nan, 1e-3, 0.1)
+        other, deaf = online.step(prepared, deaf, *spoiled)
+    assert other.elongation == pytest.approx(one.elongation, rel=1e-3)
+
+
+def test_a_model_of_tensions_alone_leaves_the_elasticity_to_what_is_known():
+    found = extended((0.8,), [], 60.0, 1.5, axial_stiffness=1.2e4)
+    assert found.sheath.axial_stiffness == pytest.approx(1.2e4)
+    assert found.sheath.length == pytest.approx(1.5)
+
+
+def test_what_a_sample_is_taken_for_is_told_and_the_state_stays():
+    prepared, state = running((effect("proximal_tension_gain"), (0.25,)))
+    before = state.copy()
+    assert online.right(prepared, state, 10.0, 2e-3) == (8.0, 2e-3)
+    assert np.array_equal(state, before, equal_nan=True)

@@ -135,7 +135,7 @@ def test_the_residuals_are_a_file_for_rerun(report, folder):
 
 
 def test_the_model_is_what_was_reported(report, folder):
-    model, duration, _ = model_file.load(folder / "out" / "model.yaml")
+    model, duration, *_ = model_file.load(folder / "out" / "model.yaml")
     assert duration == pytest.approx(16.0 - 0.02)
     K, compliance, tip = model.shared
     ((effect, (gain,)),) = model.effects

@@ -1,0 +1,72 @@
+"""Every effect hidden twice, and nothing, two at once, and what the catalogue does not know.
+
+Short records, so that all of it takes minutes; `make bench-diagnosis` is the same at full length.
+"""
+
+import os
+from functools import lru_cache
+from multiprocessing import get_context
+
+import pytest
+
+from estimator.diagnosis.outcome import Verdict
+from tests import hidden
+from tests.hidden.campaign import Case, judge
+
+SHORT = {"duration": 30.0, "rate": 50.0}
+
+
+def _case(seed, effects, bench):
+    return Case(seed, effects, 1.0, bench, **SHORT)
+
+
+def _twice(name):
+    """Return an effect on both benches, or on the one that has it from two seeds."""
+    benches = hidden.VISIBLE[name]
+    pairs = [(11, benches[0]), (12, benches[-1])]
+    return [_case(seed, (name,), bench) for seed, bench in pairs]
+
+
+SINGLE = [case for name in hidden.EFFECTS for case in _twice(name)]
+CLEAN = [_case(seed, (), bench) for seed in (21, 22) for bench in ("blocked", "spring")]
+OUTSIDE = [_case(31, (name,), "spring") for name in hidden.OUTSIDE]
+PAIRS = [
+    _case(41, ("friction_step", "distal_tension_bias"), "spring"),
+    _case(42, ("viscous_friction", "encoder_slip"), "blocked"),
+    _case(43, ("creep", "tension_dependent_friction"), "blocked"),
+]
+
+
+@lru_cache(maxsize=1)
+def results():
+    """Return what came of all cases, made side by side."""
+    cases = [*SINGLE, *CLEAN, *OUTSIDE, *PAIRS]
+    with get_context("spawn").Pool(os.cpu_count()) as pool:
+        return dict(zip(cases, pool.map(judge, cases, chunksize=1), strict=True))
+
+
+def named(case):
+    return f"{'+'.join(case.effects) or 'clean'}-{case.bench}-{case.seed}"
+
+
+@pytest.mark.parametrize("case", [*SINGLE, *PAIRS], ids=named)
+def test_what_was_hidden_is_in_the_answer(case):
+    found = results()[case]
+    print(found)
+    if found.absorbed:
+        pytest.skip("the plain law takes it up: nothing is there to be found")
+    assert found.right
+
+
+@pytest.mark.parametrize("case", CLEAN, ids=named)
+def test_a_clean_record_is_called_clean(case):
+    found = results()[case]
+    print(found)
+    assert found.verdict == Verdict.CLEAN
+
+
+@pytest.mark.parametrize("case", OUTSIDE, ids=named)
+def test_what_the_catalogue_does_not_know_is_not_given_a_name(case):
+    found = results()[case]
+    print(found)
+    assert found.verdict in {Verdict.UNEXPLAINED, Verdict.CLEAN}
