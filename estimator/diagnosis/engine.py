@@ -106,8 +106,10 @@ def diagnose(
     bench = bench_of(records)
     report("fitting the plain law", 0.0)
     plain = baseline(bench)
-    bench = bench_of([felt(record, _again(record, bench, plain)) for record in records])
-    plain = baseline(bench)
+    noisy = [felt(record, _again(record, bench, plain)) for record in records]
+    if any(new is not old for new, old in zip(noisy, records, strict=True)):
+        bench = bench_of(noisy)
+        plain = baseline(bench)
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()

@@ -63,7 +63,11 @@ def test_a_clean_bench_is_said_with_what_would_have_been_seen(nothing):
 
 def test_the_unexplained_is_said_with_what_it_looks_like(nothing, found):
     structure = (Structure("time", "distal_tension", 0.4),)
-    strange = nothing._replace(verdict=Verdict.UNEXPLAINED, structure=structure)
+    unsure = nothing._replace(verdict=Verdict.UNEXPLAINED, structure=structure)
+    assert unsure.ranking[0].left < 0.25
+    assert f"{unsure.ranking[0].name} would explain it" in words.sentence(unsure)
+    assert "Record for longer" in words.next_steps(unsure)[-1]
+    strange = unsure._replace(ranking=())
     assert words.sentence(strange) == (
         "The model is wrong, and nothing in the catalogue explains it: what is left goes along "
         "with time (40% of its variance in the tension at the tip)."
