@@ -3,10 +3,11 @@
 import pytest
 
 from estimator.diagnosis.experiments import (
-    _CHANNELS,
     EACH_BY_ITSELF,
+    MOTOR,
     SEEN_BY,
     TARE,
+    TIP_ENCODER,
     WEIGHTS,
     settling,
 )
@@ -36,7 +37,7 @@ def test_nothing_alike_needs_no_experiment_and_channels_come_last():
     assert settling([], CHANNELS) == ()
     assert settling([("creep",)], CHANNELS) == ()
     few = settling([("creep", "slack")], ("proximal_tension", "distal_tension"))
-    assert few[-1] in _CHANNELS.values()
+    assert few[-2:] == (MOTOR, TIP_ENCODER)
 
 
 def test_experiments_speak_of_effects_that_there_are():
