@@ -26,3 +26,6 @@ class MasterConfig:
             raise ValueError("freshness: must be above 0 and at most 0.5 [s]")
         if not self.freshness <= self.delay_max <= 1.0:
             raise ValueError("delay_max: must be at least freshness and at most 1 [s]")
+        room = min(self.force.limit, self.gate.axis_max)
+        if any(abs(force) >= room for force in self.operator.weight):
+            raise ValueError(f"operator.weight: must leave room below force.limit ({room:g} N)")

@@ -14,10 +14,18 @@ class HandState:
     position: Axes  # [m]
     velocity: Axes  # [m/s]
     engage: bool  # the operator holds the engage switch
+    clutch: bool = False  # ... holds the clutch: the hand moves, and nothing with it
+    stop: bool = False  # ... holds the emergency stop
+    finer: bool = False  # ... holds the button for a smaller position scale
+    coarser: bool = False  # ... for a larger one
 
 
 class DeviceFault(Exception):
     """The device is gone or cannot be trusted; the message says why."""
+
+
+class DeviceLost(DeviceFault):
+    """The device is away, but looked for: reading it goes on, and succeeds once it is back."""
 
 
 class Device(Protocol):
@@ -26,7 +34,9 @@ class Device(Protocol):
     Opened by its constructor, which raises `DeviceFault` if the hardware is not there; used from
     one thread; closed exactly once. `read` and `write` never wait for hardware: a driver whose
     transport can block owns a thread and hands over the newest value. A failure raises
-    `DeviceFault`; the loop then goes to fault, tries to write zero once, and closes.
+    `DeviceFault`; the loop then goes to fault, tries to write zero once, and closes. One that mends
+    itself raises `DeviceLost`; the loop goes to fault and on reading. Then a device must not say
+    that its switch is open before it knows, nor apply a force from before.
     """
 
     axes: int
@@ -40,8 +50,8 @@ class Device(Protocol):
     def write(self, force: Axes) -> None:
         """Apply forces [N], one for each axis, positive along +position. Only the gate calls this.
 
-        The device holds the force until the next write. One that can time out by itself must,
-        within 50 ms: nothing else protects the hand when this process is killed.
+        The device holds the force until the next write. It must be without force 250 ms after this
+        process was killed or stopped: by a time-out of its own, or by help from outside.
         """
 
     def close(self) -> None:

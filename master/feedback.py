@@ -1,9 +1,13 @@
-"""From the estimated force at the tips to the force on the hand: choose, reflect, clamp.
+"""From the estimated force at the tips to the force on the hand, as links of a chain.
+
+    felt      the estimate, as far as its certified interval allows (`teleop.confidence`)
+    reflect   F_hand = -scale * F_tip
+    (coupling: `master.port`)
+    slewed    grows no faster than `slew`
+    clamp     no larger than `limit`
 
 The estimate counts a force against pulling as positive, and a hand moving along its positive axis
-pulls, so the hand is pushed the other way:
-
-    F_hand = clamp(-scale * F_tip)
+pulls, so the hand is pushed the other way.
 
 A joint whose sample the estimator refused is not rendered: what is left of it is an old estimate.
 A value that is not finite goes through as it is, for the gate to refuse.
@@ -11,12 +15,14 @@ A value that is not finite goes through as it is, for the gate to refuse.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 from master.device import Axes
+from teleop.confidence import ConfidenceConfig, attenuated
 from teleop.messages import STATUS_NAMES, SlaveState
 
 INVALID = 1 << STATUS_NAMES.index("invalid input")
+
+_DT_MAX = 0.005  # [s] however long a tick was skipped, a force grows by no more than this allows
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +31,7 @@ class FeedbackConfig:
 
     scale: float = 0.2  # force on the hand per force at the tip
     limit: float = 2.5  # [N] on one axis; rendering saturates here, below the gate's limits
-    source: Literal["estimate", "certified"] = "estimate"  # see `certified`
+    slew: float = 150.0  # [N/s] at which a force on one axis grows, below the gate's limit
 
     def __post_init__(self) -> None:
         """Refuse what could not be felt or would push the hand on."""
@@ -33,24 +39,23 @@ class FeedbackConfig:
             raise ValueError("scale: must be within 0 ... 10")
         if not 0.0 < self.limit < math.inf:
             raise ValueError("limit: must be above 0 [N] and finite")
+        if not 0.0 < self.slew < math.inf:
+            raise ValueError("slew: must be above 0 [N/s] and finite")
 
 
-def bounded(force: float, low: float, high: float) -> float:
-    """Return `force` [N] within the certified interval `low ... high` [N]; NaN if that is none."""
-    if not low <= high:
-        return math.nan
-    return min(max(force, low), high) if math.isfinite(force) else force
+def felt(confidence: ConfidenceConfig, state: SlaveState | None, axes: int) -> Axes:
+    """Return the force at each tip [N] that may be felt, for as many `axes`.
 
-
-def certified(low: float, high: float) -> float:
-    """Return the smallest force in the certified interval `low ... high` [N].
-
-    It is the part of the force that is there for sure: zero as long as the interval contains zero.
-    An interval that is not one (an end is NaN, or they are swapped) gives NaN.
+    Zero for axes without a joint, and for joints whose estimate is of a refused sample.
     """
-    if not low <= high:
-        return math.nan
-    return max(low, 0.0) + min(high, 0.0)
+    if state is None:
+        return (0.0,) * axes
+    return tuple(
+        attenuated(confidence, state.force[k], state.force_low[k], state.force_high[k])
+        if k < state.joints and not state.status[k] & INVALID
+        else 0.0
+        for k in range(axes)
+    )
 
 
 def reflect(scale: float, force: float) -> float:
@@ -58,23 +63,22 @@ def reflect(scale: float, force: float) -> float:
     return -scale * force
 
 
+def saturation(config: FeedbackConfig) -> float:
+    """Return the force at the tip [N] above which the hand is given no more."""
+    return config.limit / config.scale if config.scale > 0.0 else 0.0
+
+
+def slewed(most: float, last: float, force: float, dt: float) -> float:
+    """Return `force` [N], grown since `last` [N] by no more than `most` [N/s] allows.
+
+    Nothing holds it on its way to zero; not finite stays not finite.
+    """
+    if not math.isfinite(force):
+        return force
+    growth = most * min(dt, _DT_MAX) if dt > 0.0 else 0.0
+    return min(max(force, min(last, 0.0) - growth), max(last, 0.0) + growth)
+
+
 def clamp(limit: float, force: float) -> float:
     """Return `force` [N] saturated at `limit` [N]; not finite stays not finite."""
     return min(max(force, -limit), limit) if math.isfinite(force) else force
-
-
-def step(config: FeedbackConfig, state: SlaveState, axes: int) -> Axes:
-    """Return the force wanted on the hand [N], one for each axis.
-
-    Zero for axes without a joint, and for joints whose estimate is of a refused sample.
-    """
-    if config.source == "certified":
-        tip = tuple(map(certified, state.force_low, state.force_high))
-    else:
-        tip = tuple(map(bounded, state.force, state.force_low, state.force_high))
-    return tuple(
-        clamp(config.limit, reflect(config.scale, tip[axis]))
-        if axis < state.joints and not state.status[axis] & INVALID
-        else 0.0
-        for axis in range(axes)
-    )

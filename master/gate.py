@@ -2,8 +2,11 @@
 
 Every force the master loop writes to a device has come through `step`, on every tick. Whatever
 asks for it, the output is finite, no larger than the limits, grows no faster than the slew limit,
-and is zero as soon as the slave's state is stale or the session is not engaged. Zero is always
-within reach: nothing here slows a force on its way down.
+and is zero as soon as the session is not engaged, whatever the reason. Zero is always within reach:
+nothing here slows a force on its way down. There are two exceptions, both of the caller's choice.
+A peer that fell silent lets the force `fade`: each axis goes to zero at `axis_max` per `FADE_S`,
+so no axis is felt `FADE_S` after the silence was noticed. And a device may be kept from falling by
+a small force of its own, `rest`, which takes the place of zero.
 """
 
 import math
@@ -13,6 +16,7 @@ from typing import NamedTuple
 
 from master.device import Axes
 
+FADE_S = 0.015  # [s] within which the largest force on one axis is gone; 30 ms + this < 50 ms
 _DT_MAX = 0.005  # [s] however long a tick was skipped, a force may grow by no more than this allows
 
 
@@ -51,7 +55,14 @@ class Gated(NamedTuple):
 
 
 def step(
-    config: GateConfig, last: Axes, wanted: Axes, fresh: bool, may_render: bool, dt: float
+    config: GateConfig,
+    last: Axes,
+    wanted: Axes,
+    fresh: bool,
+    may_render: bool,
+    dt: float,
+    fades: bool = False,
+    rest: Axes = (),
 ) -> Gated:
     """Let `wanted` through as far as it is safe.
 
@@ -65,6 +76,10 @@ def step(
         Whether the session is engaged on both sides.
     dt : float
         Time since the last tick [s].
+    fades : bool
+        Whether what is refused goes to zero by a ramp, and not at once.
+    rest : tuple of float
+        Forces [N] in place of zero, one for each axis; empty = zero.
     """
     refusal = Verdict.PASSED
     if not may_render:
@@ -73,10 +88,11 @@ def step(
         refusal |= Verdict.STALE
     if not all(map(math.isfinite, wanted)):
         refusal |= Verdict.NOT_FINITE
+    verdict = refusal
     if refusal:
-        return Gated((0.0,) * len(last), refusal)
-
-    verdict = Verdict.PASSED
+        wanted = rest if all(map(math.isfinite, rest)) and rest else (0.0,) * len(last)
+        if fades and Verdict.NOT_FINITE not in refusal:
+            wanted = _faded(config, last, wanted, dt)
     limit = config.axis_max
     bounded = [min(max(force, -limit), limit) for force in wanted]
     if bounded != list(wanted):
@@ -93,3 +109,14 @@ def step(
     if slewed != tuple(bounded):
         verdict |= Verdict.SLEW
     return Gated(slewed, verdict)
+
+
+def _faded(config: GateConfig, last: Axes, target: Axes, dt: float) -> Axes:
+    """Return forces a tick nearer to `target` [N], or there."""
+    if not 0.0 < dt < FADE_S:
+        return target
+    by = config.axis_max * dt / FADE_S
+    return tuple(
+        max(to, was - by) if was > to else min(to, was + by)
+        for was, to in zip(last, target, strict=True)
+    )

@@ -7,14 +7,20 @@ clock, no link, no device: the process around it has those, and tests have none.
 import math
 from typing import NamedTuple
 
-from master import feedback, gate, operator
+from master import feedback, gate, local, operator, port, presence
 from master.config import MasterConfig
 from master.device import Axes, HandState
-from teleop import session
+from master.local import Reach
+from master.port import Rendered
+from master.presence import Presence
+from teleop import coupling, session
+from teleop.coupling import Bilateral, Side
 from teleop.messages import MAX_JOINTS as JOINTS
 from teleop.messages import Command, Hand, SlaveState, padded
 from teleop.session import Reason, Session, State
 
+DIRECT = Bilateral()
+AT_REST = (State.READY, State.CLUTCHED, State.HOLDING, State.ENGAGED)  # a device keeps its weight
 _ABSURD = 1e3  # [m], [m/s] no hand is there or as fast; NaN is not below it either
 
 
@@ -25,6 +31,11 @@ class Memory(NamedTuple):
     operator: operator.Memory
     force: Axes  # [N] what the gate last let through
     answered_ns: int  # stamp of the newest command that the slave has answered
+    port: Side = Side()  # of the coupling
+    rendered: Rendered = Rendered()
+    local: Axes = ()  # [N] how much of `force` was not the coupling's
+    reach: Reach = ()  # where the limits of the workspace begin
+    presence: Presence = Presence()
 
 
 class Output(NamedTuple):
@@ -50,6 +61,9 @@ def step(
     now_ns: int,
     dt: float,
     fault: Reason = Reason.NONE,
+    bilateral: Bilateral = DIRECT,
+    stop: Reason = Reason.NONE,
+    reset: bool = False,
 ) -> tuple[Output, Memory]:
     """Advance the master by one tick.
 
@@ -67,34 +81,78 @@ def step(
         Time since the last tick [s].
     fault : Reason
         What is wrong on this side now, as far as the caller knows.
+    bilateral : Bilateral
+        What the session's config says of confidence and coupling.
+    stop, reset : Reason, bool
+        Why another process wants everything to stop, if one does; whether one takes that back.
 
     Returns
     -------
     Output, Memory
         The force is zero unless the session is engaged on both sides and the state is fresh: young
-        enough itself, and an answer to a command that is young enough.
+        enough itself, and an answer to a command that is young enough. It fades when the state
+        stops being that.
     """
     axes = len(memory.force)
     fresh = state is not None and is_fresh(config, state, age_ns, now_ns)
-    wanted = feedback.step(config.force, state, axes) if state is not None else (0.0,) * axes
+    felt = feedback.felt(bilateral.confidence, state, axes)  # estimate, interval, attenuation
+    wanted = tuple(feedback.reflect(config.force.scale, force) for force in felt)  # scale
+    if stop is Reason.NONE and hand is not None and hand.stop:
+        stop = Reason.EMERGENCY_STOP
     if fault is Reason.NONE and not sound(memory.session, hand, wanted):
         fault = Reason.NOT_FINITE
 
+    there = presence.step(config.operator, memory.presence, hand, dt)
     side = session.step(
         memory.session,
         session.Inputs(
             usable=hand is not None,
             peer_fresh=fresh,
             peer_state=peer_state(state),
-            engage=hand is not None and hand.engage,
+            engage=hand is not None and switch(memory.session, hand, there),
             fault=fault,
+            clutch=hand is not None and hand.clutch,
+            stop=stop,
+            reset=reset,
+            hindrance=hindrance(config, memory, hand, state, bilateral, there),
+            peer=state.sender if state is not None else 0,
+            follow_s=session.FOLLOW_LIMIT_S + config.delay_max,
         ),
         dt,
     )
-    tip, coupling = operator.step(
+    tip, anchors = operator.step(
         config.operator, memory.operator, hand, state, side.state is State.ENGAGED
     )
-    force, verdict = gate.step(config.gate, memory.force, wanted, fresh, side.may_render, dt)
+    heard = memory.port
+    if state is not None:
+        heard = coupling.hear(heard, state.sender, state.energy, state.wave)
+    written = local.less(memory.force, memory.local)
+    coupled, ports, rendered = port.step(
+        bilateral,
+        heard,
+        memory.rendered,
+        hand,
+        config.force.scale,
+        config.operator.position_scale,
+        written,
+        wanted,
+        side.may_render,
+        dt,
+    )
+    rest = local.weight(config.operator, axes) if side.state in AT_REST else ()
+    reach = local.reach(config.operator, memory.reach, hand, side.may_render)
+    own = rest
+    if hand is not None and side.may_render:  # at once, whatever the delay
+        own = local.plus(local.walls(config.operator, reach, hand), rest)
+    total = local.plus(coupled, own)
+    slewed = (
+        feedback.slewed(config.force.slew, *pair, dt)
+        for pair in zip(memory.force, total, strict=True)
+    )
+    clamped = tuple(feedback.clamp(config.force.limit, force) for force in slewed)
+    force, verdict = gate.step(
+        config.gate, memory.force, clamped, fresh, side.may_render, dt, side.fades, rest
+    )
 
     echo = state.echo_stamp_ns if state is not None else 0
     answer = echo if memory.answered_ns < echo <= now_ns else 0
@@ -104,8 +162,23 @@ def step(
         echo_stamp_ns=state.stamp_ns if state is not None else 0,
         position=tip.position,
         velocity=tip.velocity,
+        stops=side.stops,
+        coupling=bilateral.signature,
+        force_max=feedback.saturation(config.force),
+        energy=ports.energy,
+        wave=ports.wave,
     )
-    after = Memory(side, coupling, force, answer or memory.answered_ns)
+    after = Memory(
+        side,
+        anchors,
+        force,
+        answer or memory.answered_ns,
+        ports,
+        rendered,
+        own,
+        reach,
+        there,
+    )
     return Output(command, force, verdict, answer), after
 
 
@@ -118,7 +191,34 @@ def is_fresh(config: MasterConfig, state: SlaveState, age_ns: int, now_ns: int) 
     """
     behind_ns = age_ns + max(state.sample_age_ns, 0)
     answered_ns = now_ns - state.echo_stamp_ns
-    return behind_ns <= config.freshness * 1e9 and answered_ns <= config.delay_max * 1e9
+    return behind_ns <= config.freshness * 1e9 and 0 <= answered_ns <= config.delay_max * 1e9
+
+
+def switch(side: Session, hand: HandState, there: Presence) -> bool:
+    """Return whether the operator's switch counts as closed.
+
+    It does not while nobody is there; but what went wrong is over only when the operator has let
+    go of everything.
+    """
+    if side.state in (State.FAULT, State.HOLDING, State.STOPPED):
+        return hand.engage or hand.clutch or hand.stop
+    return hand.engage and not there.away
+
+
+def hindrance(
+    config: MasterConfig,
+    memory: Memory,
+    hand: HandState | None,
+    state: SlaveState | None,
+    bilateral: Bilateral,
+    there: Presence,
+) -> Reason:
+    """Return why this side must not engage yet, `Reason.NONE` if it may."""
+    if state is not None and bilateral.differs(state.coupling):
+        return Reason.COUPLING_DIFFERS
+    if there.away:
+        return Reason.HAND_AWAY
+    return operator.hindrance(config.operator, memory.operator, hand, state)
 
 
 def sound(side: Session, hand: HandState | None, wanted: Axes) -> bool:
@@ -134,7 +234,7 @@ def peer_state(state: SlaveState | None) -> State:
     """Return the slave's session state; one we do not know is a fault."""
     if state is None:
         return State.OFF
-    return State(state.state) if state.state <= State.FAULT else State.FAULT
+    return State(state.state)
 
 
 def hand_message(

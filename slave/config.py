@@ -17,6 +17,7 @@ from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
 from slave.watch import WatchConfig
+from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS
 
@@ -25,6 +26,9 @@ QUANTISED = math.sqrt(12.0)  # a step over the standard deviation that rounding 
 AS_BUILT = "as-built"
 
 NO_FILES: models.Given = {}
+
+DIRECT = DirectConfig()
+FELT_WITH = "they are felt with coupling: {type: direct}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +44,7 @@ class SlaveConfig:
     control: ControlConfig = field(default_factory=ControlConfig)
     watch: WatchConfig = field(default_factory=WatchConfig)
     gate: GateConfig = field(default_factory=GateConfig)
-    freshness: float = 0.030  # [s] a command older than this makes the slave hold
+    freshness: float = 0.028  # [s] a command older than this makes the slave hold: < 30 ms in all
     silence_max: float = 0.100  # [s] without a sample that can be used; longer is a fault
 
     def __post_init__(self) -> None:
@@ -137,8 +141,10 @@ def has_model_file(config: SlaveConfig) -> bool:
     return any(tendon.model_file is not None for tendon in tendons)
 
 
-def doubts(config: SlaveConfig) -> list[str]:
-    """Return what is to be said of the calibration before anyone relies on it."""
+def doubts(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
+    """Return what is to be said of calibration and coupling before anyone relies on them."""
+    if not config.rig_obeys and not isinstance(coupling, DirectConfig):
+        return [f"WARNING: coupling: data that are played fade in the hand; {FELT_WITH}"]
     if any(tendon.tension_noise == 0.0 for tendon in config.tendons) and config.rig_obeys:
         return ["WARNING: slave.tendons: no tension_noise: a stuck load cell may not be noticed"]
     if not isinstance(config.calibration, Path):

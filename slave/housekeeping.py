@@ -32,6 +32,8 @@ class Housekeeping:
     ----------
     detail : str
         What the reason of the present session state is about; empty if nothing more is known.
+    stop_words : str
+        By whom the last emergency stop was called for.
     """
 
     def __init__(self, link: Link, known: Known) -> None:
@@ -41,7 +43,7 @@ class Housekeeping:
         self._profile_s = max(PROFILE_PERIOD_S / len(known.models), PROFILE_LEAST_S)
         self._next_profile_s = self._next_sheath_s = 0.0
         self._tendon = 0
-        self.detail = ""
+        self.detail = self.stop_words = ""
         self._said: tuple[Session, str] | None = None
         self._advice = Advice.NONE
 
@@ -76,6 +78,8 @@ class Housekeeping:
             return memory.hindrance
         if reason is Reason.CALIBRATION_DUE:
             return self._misfit(memory)
+        if reason is Reason.STOP_CALLED:
+            return self.stop_words
         if memory.found is not None and memory.found.reason is reason:
             return self._named(memory.found.tendon)
         return ""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import online
-from slave import control, gate, standing, watch
+from slave import control, gate, port, standing, watch
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
@@ -21,13 +21,17 @@ from slave.rig import RigSample
 from slave.standing import Standing
 from slave.watch import Finding, Motors, Watch
 from teleop import session
+from teleop.coupling import Bilateral, Side
 from teleop.messages import Command
 from teleop.session import Reason, Session
 
 EstimatorState = NDArray[np.float64]
 
+DIRECT = Bilateral()
+
 OVERLOAD = 1.2  # times the gate's tension limit; noise and stretch reach over the limit itself
 OVERLOAD_S = 0.020  # [s] a collision's peak passes sooner
+_ABSURD = 1e3  # [m], [m/s] no tip goes there or as fast; NaN is not below it either
 
 NO_SAMPLE = "the rig has given no sample yet"
 NO_POSITION = "no encoder reading tells where the motors stand, and the rig does not start at zero"
@@ -67,6 +71,7 @@ class Memory(NamedTuple):
     found: Finding | None = None  # what the watch found wrong last, and where
     monitors: tuple[monitor.Watch, ...] = ()  # of each tendon's calibration
     advice: Advice = Advice.NONE
+    port: Side = Side()  # of the coupling
     following: Control = Control()
     silence: float = 0.0  # [s] since the last sample that was new and could be used
     overload: float = 0.0  # [s] for which a tension has been far over its limit, engaged
@@ -122,6 +127,9 @@ def step(
     fresh: bool,
     fault: Reason,
     dt: float,
+    bilateral: Bilateral = DIRECT,
+    stop: Reason = Reason.NONE,
+    reset: bool = False,
 ) -> tuple[Output, Memory]:
     """Advance the slave by one tick.
 
@@ -144,6 +152,10 @@ def step(
         What is wrong on this side now, as far as the caller knows; `Reason.NONE` if nothing.
     dt : float
         Time since the last tick [s].
+    bilateral : Bilateral
+        What the session's config says of confidence and coupling.
+    stop, reset : Reason, bool
+        Why another process wants everything to stop, if one does; whether one takes that back.
     """
     after, rows, found = memory, [], None
     for sample in samples:
@@ -184,11 +196,22 @@ def step(
             peer_state=master,
             engage=session.switch_of(master),
             fault=fault if fault is not Reason.NONE else own_fault(config, after, asked + speed),
+            hindrance=Reason.COUPLING_DIFFERS
+            if command is not None and bilateral.differs(command.coupling)
+            else Reason.NONE,
+            clutch=master is session.State.CLUTCHED,
+            stop=stop,
+            reset=reset,
+            peer=command.sender if command is not None else 0,
         ),
         dt,
     )
-    after = after._replace(session=side, hindrance=hindrance)
     engaged = side.may_move and asks
+    told = joint_estimates(known, after) if engaged else ()
+    asked, speed, ports = port.step(
+        bilateral, memory.port, command, asked, speed, told, engaged, dt
+    )
+    after = after._replace(session=side, hindrance=hindrance, port=ports)
     if newest is None or not (memory.motor or engaged):
         return Output((), gate.Verdict.HELD, tuple(rows)), after
     wanted, following = control.step(
@@ -202,8 +225,23 @@ def step(
         dt,
         speed,
     )
+    reach = (
+        gate.reaches(
+            config.gate, known.joints, [joint.position for joint in told], [j.force for j in told]
+        )
+        if told
+        else ()
+    )
     motor, verdict = gate.step(
-        config.gate, motor, wanted, tension(newest), after.silence, engaged, dt
+        config.gate,
+        motor,
+        wanted,
+        tension(newest),
+        after.silence,
+        engaged,
+        dt,
+        reach,
+        side.may_yield,
     )
     return Output(motor, verdict, tuple(rows)), after._replace(motor=motor, following=following)
 
@@ -218,7 +256,8 @@ def own_fault(config: SlaveConfig, memory: Memory, asked: Sequence[float]) -> Re
         return memory.found.reason
     if memory.advice is Advice.DEMANDED:
         return Reason.CALIBRATION_DUE
-    return Reason.NONE if all(map(math.isfinite, asked)) else Reason.NOT_FINITE
+    sound = all(abs(value) < _ABSURD for value in asked)
+    return Reason.NONE if sound else Reason.NOT_FINITE
 
 
 def overload(limits: gate.GateConfig, newest: Row | None) -> bool:

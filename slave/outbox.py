@@ -8,6 +8,7 @@ from slave.control import JointEstimate
 from slave.loop import Row
 from slave.rig import Array
 from teleop import messages
+from teleop.coupling import Side
 from teleop.messages import MAX_JOINTS, MAX_SECTIONS, MAX_TENDONS, PROFILE_POINTS, padded
 from teleop.session import Session
 
@@ -15,12 +16,18 @@ _MISSING = (math.nan,) * MAX_TENDONS
 
 
 def slave_state(
-    side: Session, echo_stamp_ns: int, joints: Sequence[JointEstimate], sample_age: float
+    side: Session,
+    echo_stamp_ns: int,
+    joints: Sequence[JointEstimate],
+    sample_age: float,
+    port: Side,
+    signature: int,
 ) -> messages.SlaveState:
     """Return the state of a tick.
 
     `joints` are what is known of them, none before the first sample; `sample_age` [s] is the time
-    since the newest sample that could be used.
+    since the newest sample that could be used; `signature` is that of the coupling whose `port`
+    this is.
     """
     return messages.SlaveState(
         state=side.state,
@@ -33,6 +40,10 @@ def slave_state(
         force_low=padded([joint.low for joint in joints], MAX_JOINTS),
         force_high=padded([joint.high for joint in joints], MAX_JOINTS),
         status=_flags([joint.status for joint in joints], MAX_JOINTS),
+        stops=side.stops,
+        coupling=signature,
+        energy=port.energy,
+        wave=port.wave,
     )
 
 

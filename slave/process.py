@@ -7,7 +7,7 @@
 Without a master the motors hold, but for one thing: with `slave.initialise.at_start` the rig is
 calibrated first, and every motor moves, whoever is there. When commands stop coming for longer than
 `slave.freshness`, or anything else goes wrong, the motors hold too, until the operator lets go and
-engages again.
+engages again; after an emergency stop (`teleop stop`) that has to be reset first.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from estimator.effects.friction import VISCOUS_FRICTION
 from slave import loop, models, outbox
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
+from slave.control import JointEstimate
 from slave.housekeeping import Housekeeping, calibrating
 from slave.loop import Known, Memory
 from slave.rig import Rig, RigFault, RigFinished, RigSample
@@ -31,20 +32,23 @@ from slave.rigs.effect_words import late
 from slave.rigs.simulated import SimulatedRigConfig
 from slave.score import Score
 from slave.tendon_config import TendonConfig
-from teleop.clock import Grid, Tick, now_ns, quiet_garbage
+from teleop.clock import STALL_NS, Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
+from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.launch.summary import force_line, loop_lines
 from teleop.link import Counts, Link
-from teleop.messages import MAX_JOINTS, PROFILE_POINTS
-from teleop.meter import LoopMeter
+from teleop.messages import MAX_JOINTS, PROFILE_POINTS, SlaveState
+from teleop.meter import LoopMeter, in_words
 from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
+from teleop.remote.door import Door, call_stop
 from teleop.run_config import RunConfig
 from teleop.session import Reason, Session, State
 from teleop.tell import tell
 from teleop.topics import (
     COMMAND,
+    LEDGER,
     REPORT,
     STATE,
     TENDONS,
@@ -78,11 +82,13 @@ class Slave:
         known: Known,
         grid: Grid,
         past: Past | None = None,
+        bilateral: Bilateral = loop.DIRECT,
+        door: Door | None = None,
     ) -> None:
         self.error: TeleopError | None = None
         self.ended = ""
         self._config, self._link, self._rig = config, link, rig
-        self._known = known
+        self._known, self._bilateral = known, bilateral
         past = past or Past(now_ns(), ())
         self.memory = loop.start(known, rig.starts_at_zero, past.samples)
         self._meter = LoopMeter(Role.SLAVE, grid)
@@ -92,7 +98,8 @@ class Slave:
         self._freshness_ns = round(config.freshness * 1e9)
         self._start_ns = past.start_ns
         self._echo_ns = 0  # stamp of the newest command heard
-        link.subscribe_latest(COMMAND)
+        self._ledger_due_ns = 0
+        self._door = door or Door(link)
 
     def tick(self, tick: Tick) -> None:
         """Read, step, write, publish."""
@@ -100,14 +107,30 @@ class Slave:
         samples, fault = self._read(time_s)
         latest = self._link.latest(COMMAND)
         command = latest.message
-        fresh = latest.is_fresh(now_ns(), self._freshness_ns)
+        now = now_ns()
+        asked = self._door(now, self.memory.session.stops)
+        if asked.words and self.memory.session.state is not State.STOPPED:  # the first caller's
+            self._housekeeping.stop_words = asked.words
 
-        def step(fault: Reason) -> tuple[loop.Output, Memory]:
+        def step(fault: Reason, late_s: float = 0.0) -> tuple[loop.Output, Memory]:
             return loop.step(
-                self._known, self._config, self.memory, samples, command, fresh, fault, tick.dt
+                self._known,
+                self._config,
+                self.memory,
+                samples,
+                command,
+                latest.is_fresh(now_ns(), self._freshness_ns),
+                fault,
+                tick.dt + late_s,
+                self._bilateral,
+                asked.stop,
+                asked.reset,
             )
 
         output, memory = step(fault)
+        late_ns = now_ns() - now
+        if late_ns > STALL_NS:
+            output, memory = step(fault, late_ns * 1e-9)
         if output.motor and fault is Reason.NONE:
             try:
                 self._rig.write(np.array(output.motor))
@@ -116,6 +139,8 @@ class Slave:
         self.memory = memory
         self._echo_ns = command.stamp_ns if command else 0
         self._publish(output)
+        self._door.relay(Role.SLAVE, memory.session, asked.words)
+        self._publish_ledger(tick.stamp_ns)
         self._verdicts[str(output.verdict.name)] += 1
         self._housekeeping(time_s, memory)
         self._report(tick.stamp_ns, latest.counts)
@@ -124,8 +149,8 @@ class Slave:
     def close(self) -> None:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
         side = self.memory.session
-        last = side if side.state in (State.OFF, State.FAULT) else Session()
-        self._link.publish(STATE, outbox.slave_state(last, self._echo_ns, (), 0.0))
+        last = side if side.state in (State.OFF, State.FAULT, State.STOPPED) else Session()
+        self._link.publish(STATE, self._state(last, (), 0.0))
         tell(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
@@ -153,11 +178,24 @@ class Slave:
     def _publish(self, output: loop.Output) -> None:
         memory = self.memory
         joints = loop.joint_estimates(self._known, memory)
-        state = outbox.slave_state(memory.session, self._echo_ns, joints, memory.silence)
-        self._link.publish(STATE, state)
+        self._link.publish(STATE, self._state(memory.session, joints, memory.silence))
         for row in output.rows:
             self._link.publish(TENDONS, outbox.tendon_state(row, output.motor))
             self._score.add_row(row)
+
+    def _publish_ledger(self, stamp_ns: int) -> None:
+        if stamp_ns >= self._ledger_due_ns:
+            self._ledger_due_ns = stamp_ns + LEDGER_PERIOD_NS
+            joints = len(self._known.joints)
+            self._link.publish(LEDGER, ledger_message(Role.SLAVE, self.memory.port, joints))
+
+    def _state(
+        self, side: Session, joints: Sequence[JointEstimate], sample_age: float
+    ) -> SlaveState:
+        signature = self._bilateral.signature
+        return outbox.slave_state(
+            side, self._echo_ns, joints, sample_age, self.memory.port, signature
+        )
 
     def _report(self, stamp_ns: int, counts: Counts) -> None:
         report = self._meter.report(stamp_ns, self.memory.session, counts)
@@ -207,12 +245,14 @@ def main(args: argparse.Namespace) -> int:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         require_carried(rig)
-        for doubt in doubts(config):
+        for doubt in doubts(config, shared.coupling):
             print(doubt, flush=True)
         stop = Stop(args.duration)
-        known, past = known_before(config, rig, link, stop, shared.rate_hz, files)
+        door = Door(link)
+        link.subscribe_latest(COMMAND, round(config.freshness * 1e9))
+        known, past = known_before(config, rig, link, door, stop, shared.rate_hz, files)
         grid = Grid(shared.rate_hz, stop, phase=0.5)
-        slave = Slave(config, link, rig, known, grid, past)
+        slave = Slave(config, link, rig, known, grid, past, shared.bilateral, door)
         run(slave, grid, stop.request)
         summary = slave.summary()
     if isinstance(config.rig, SimulatedRigConfig):
@@ -236,12 +276,19 @@ def require_carried(rig: Rig) -> None:
 
 
 def known_before(
-    config: SlaveConfig, rig: Rig, link: Link, stop: Stop, rate_hz: float, files: models.Given
+    config: SlaveConfig,
+    rig: Rig,
+    link: Link,
+    door: Door,
+    stop: Stop,
+    rate_hz: float,
+    files: models.Given,
 ) -> tuple[Known, Past]:
     """Return what is known of a rig when the loop begins, and what it has measured before.
 
     Model `files` stand in for what the config says of the sheaths. If the config asks for it, the
-    rig is calibrated first, in its quick form; `TeleopError` if that has to be given up.
+    rig is calibrated first, in its quick form; `TeleopError` if that has to be given up. An
+    emergency stop at the `door` ends it where the motors are.
     """
     past = Past(now_ns(), ())
     if not config.initialise.at_start:
@@ -250,13 +297,24 @@ def known_before(
             print(line, flush=True)
         barred = hindrance_of(config, rig, modelled=bool(files))
         return loop.know(rig.joints, [tendon.model() for tendon in tendons], barred), past
+
+    def stopped() -> str:
+        asked = door(now_ns())
+        master = link.latest(COMMAND).message
+        if asked.stop:
+            call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
+            raise TeleopError(f"calibration given up: {in_words(asked.stop, asked.words)}")
+        if master is not None and State(master.state) is State.STOPPED:
+            raise TeleopError(f"calibration given up: {Reason.PEER_STOPPED.text}")
+        return stop.reason if stop() else ""
+
     tell(link, Role.SLAVE, Session(), f"off: calibrating {rig.name}; keep its joints free")
     done = initialise(
         rig,
         config,
         Grid(rate_hz, lambda: False, phase=0.5),
         past.start_ns,
-        stopped=lambda: stop.reason if stop() else "",
+        stopped=stopped,
         progress=calibrating(rig),
     )
     tell(link, Role.SLAVE, Session(), f"off: {rig.name} is calibrated")

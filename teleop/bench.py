@@ -1,7 +1,8 @@
-"""Experiments with published figures to stand beside.
+"""Experiments, with published figures or criteria to stand beside.
 
   teleop bench paper
   teleop bench paper --sheaths 12 --out results
+  teleop bench transparency --quick
 
 `teleop bench NAME --help` says what an experiment does and takes.
 """
@@ -16,6 +17,10 @@ BENCHES = {
     "paper": (
         "slave.experiment.command",
         "repeat the experiment of Phee et al. 2009 over random sheaths",
+    ),
+    "transparency": (
+        "teleop.transparency.command",
+        "how transparent and how stable each coupling is, over each delay",
     ),
 }
 

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+STALL_NS = 5_000_000  # [ns] a loop that decided longer ago than this must decide again
+
 _ANCHOR_NS = time.time_ns() - time.monotonic_ns()
 
 

@@ -35,8 +35,8 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 from teleop import strict_yaml
 from teleop.errors import UsageError
 
-SHARED = ("session", "rate_hz", "link")  # teleop.run_config.RunConfig
-SECTIONS = ("record", "view", "master", "slave")
+SHARED = ("session", "rate_hz", "link", "confidence", "coupling")  # teleop.run_config.RunConfig
+SECTIONS = ("record", "view", "master", "slave", "impair")
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 
 T = TypeVar("T")

@@ -20,6 +20,10 @@ from teleop.process import has_display
 
 DISTRIBUTION = "tendon-teleop"
 
+HID_NODES = Path("/dev")
+HID_DESCRIPTORS = Path("/sys/class/hidraw")
+_STICKS = (b"\x05\x01\x09\x04", b"\x05\x01\x09\x05", b"\x05\x01\x09\x08")  # HID usages, see below
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -113,16 +117,29 @@ def screen() -> Finding:
 
 
 def hid_nodes() -> Finding:
-    """Check that HID devices can be opened."""
-    nodes = sorted(Path("/dev").glob("hidraw*"))
+    """Check that wheels, sticks and their like can be opened.
+
+    They call themselves joystick, gamepad or multi-axis controller at the beginning of their report
+    descriptor. Whether a keyboard or a mouse may be opened is nothing to us.
+    """
+    nodes = sorted(filter(_is_stick, HID_NODES.glob("hidraw*")))
     denied = [node.name for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
     if not nodes:
-        return Finding("HID devices", True, "none attached; the virtual device needs none")
+        return Finding("haptic devices", True, "none attached; the virtual device needs none")
     detail = f"{len(nodes)} attached" + (f", no permission: {' '.join(denied)}" if denied else "")
     return Finding(
-        "HID devices", not denied, detail,
-        "add a udev rule with TAG+=\"uaccess\" for the device, then replug it",
+        "haptic devices", not denied, detail,
+        "teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules, then "
+        "sudo udevadm control --reload, and plug them in anew",
     )  # fmt: skip
+
+
+def _is_stick(node: Path) -> bool:
+    try:
+        data = (HID_DESCRIPTORS / node.name / "device/report_descriptor").read_bytes()
+    except OSError:
+        return False
+    return data.startswith(_STICKS)
 
 
 def disk() -> Finding:

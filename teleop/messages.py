@@ -9,7 +9,8 @@ natural alignment. So the bytes that cross the network go into a recording as th
 Every message begins with the same five fields, which the link fills in and checks:
 
 ========== ==== ==========================================================================
-checksum   u32  CRC-32 of everything after it: a corrupted message is dropped and counted
+checksum   u32  CRC-32 of the message's name and of everything after it: one that was damaged
+                or is of another kind is dropped and counted
 layout     u32  CRC-32 of the declarations: a peer built from other ones is refused
 sender     u64  a nonce drawn when the process started: a restarted peer is a new sender
 sequence   u64  one more for each message of a topic: loss, repetition and reordering show
@@ -37,6 +38,9 @@ TEXT_BYTES = 256
 PHASE_NAMES = ("slack", "virgin", "pull", "pull to release", "release", "release to pull")
 # The bits of SlaveState.status and TendonState.status, lowest first: estimator.online.Status
 STATUS_NAMES = ("tension only", "uninitialised", "tip moved", "slack", "invalid input")
+
+# What EmergencyStop.action counts
+STOP_ACTIONS = ("stop", "reset", "watch", "leave")
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
 _CHECKED_FROM = len(ENCAPSULATION) + 4  # the checksum covers all that follows it
@@ -128,6 +132,7 @@ class Schema:
         hints = get_type_hints(cls, include_extras=True)
         self.cls = cls
         self.name = cls.__name__
+        self._seed = zlib.crc32(self.name.encode())
         self.wires: dict[str, Wire] = {}
         for item in fields(cls):
             self.wires[item.name] = next(
@@ -172,7 +177,11 @@ class Schema:
             else:
                 flat.extend(value)
         body = self._struct.pack(*flat)[4:]
-        return ENCAPSULATION + struct.pack("<I", zlib.crc32(body)) + body
+        return ENCAPSULATION + struct.pack("<I", self.checksum(body)) + body
+
+    def checksum(self, body: bytes | memoryview) -> int:
+        """Return the checksum of a message of this class from what follows the checksum in it."""
+        return zlib.crc32(body, self._seed)
 
     def sender(self, data: bytes) -> int:
         """Return whom `data` claims to be from, unchecked; 0 if it is too short to say."""
@@ -184,7 +193,7 @@ class Schema:
         if len(data) != self.size:
             raise MessageError("layout", f"{self.name} has {self.size} bytes, got {len(data)}")
         checksum, layout, sender, sequence, stamp_ns = _HEAD.unpack_from(data, len(ENCAPSULATION))
-        if checksum != zlib.crc32(data[_CHECKED_FROM:]) or data[:4] != ENCAPSULATION:
+        if checksum != self.checksum(data[_CHECKED_FROM:]) or data[:4] != ENCAPSULATION:
             raise MessageError("corruption", f"{self.name} fails its checksum")
         if layout != LAYOUT:
             theirs, ours = f"{layout:08x}", f"{LAYOUT:08x}"
@@ -232,6 +241,11 @@ class Command(Message):
     echo_stamp_ns: I64 = 0  # stamp_ns of the newest SlaveState received, 0 = none
     position: Joints = NO_JOINTS  # [m] tip travel asked for, positive = pulled in
     velocity: Joints = NO_JOINTS  # [m/s]
+    stops: U32 = 0  # calls for a stop that began or ended here; a reset names this number
+    coupling: U32 = 0  # which one, teleop.coupling.Bilateral.signature; 0 = not told
+    force_max: F64 = 0.0  # [N] at the tip; the hand is given no more
+    energy: Joints = NO_JOINTS  # [J] passed on to the slave since the sender started
+    wave: Joints = NO_JOINTS  # [sqrt(J s)] integral of the waves sent to it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,6 +262,10 @@ class SlaveState(Message):
     force_high: Joints = NO_JOINTS  # [N]
     status: JointFlags = NO_JOINT_FLAGS  # bits named by STATUS_NAMES, all tendons of the joint
     sample_age_ns: I64 = 0  # since the newest sample that could be used; 0 while there is none
+    stops: U32 = 0  # as in Command
+    coupling: U32 = 0  # as in Command
+    energy: Joints = NO_JOINTS  # [J] passed on to the master since the sender started
+    wave: Joints = NO_JOINTS  # [sqrt(J s)] integral of the waves sent to it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -310,6 +328,25 @@ class Sheath(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Ledger(Message):
+    """Master and slave to listeners: what became of the energy at the ports of one side.
+
+    All in tip units, since the process started:
+    credit = granted + put_in + heard - taken_out - passed_on - dissipated.
+    """
+
+    role: U32 = 0  # teleop.topics.Role of the sender
+    joints: U32 = 0  # how many entries of the arrays are in use
+    credit: Joints = NO_JOINTS  # [J] that may be taken out now
+    put_in: Joints = NO_JOINTS  # [J] work of hand or tip on the network
+    taken_out: Joints = NO_JOINTS  # [J] of it on them
+    passed_on: Joints = NO_JOINTS  # [J] to the other side
+    heard: Joints = NO_JOINTS  # [J] from the other side
+    dissipated: Joints = NO_JOINTS  # [J] given up
+    granted: Joints = NO_JOINTS  # [J] reserves given at engagements, and what hands dissipate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Event(Message):
     """Any process to all, reliable: a change of session state, or something worth a line."""
 
@@ -330,15 +367,55 @@ class LoopReport(Message):
     overruns: U64 = 0  # whole periods skipped
     received: U64 = 0  # of the peer's messages, since the loop began
     lost: U64 = 0  # gaps in the peer's sequence numbers, latest-value overwrites not counted
-    rejected: U64 = 0  # corrupted, repeated, out of order, foreign
+    rejected: U64 = 0  # corrupted, layout, repeated, out of order, foreign
+    corrupted: U64 = 0  # of them: damaged on the way
+    repeated: U64 = 0
+    out_of_order: U64 = 0
+    foreign: U64 = 0  # from another sender while the peer is alive
+    unknown: U64 = 0  # from a sender that nobody announced
+    delayed: U64 = 0  # too old when they came
+    clock_jumps: U64 = 0  # of the peer's clock
+    restarts: U64 = 0  # of the peer's process
     rate_hz: F64 = 0.0  # achieved over the last report's span
     lateness_max_ns: I64 = 0  # the latest tick since the loop began
     latency_p50_ns: I64 = 0  # command to force, over the last report's span (master only)
     latency_p99_ns: I64 = 0  # the same
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EmergencyStop(Message):
+    """Any process to both sides, reliable: stop everything, or take a stop back."""
+
+    role: U32 = 0  # teleop.topics.Role of the sender
+    action: U32 = 0  # index into STOP_ACTIONS: a "watch" that falls silent without "leave" stops
+    side: U32 = 0  # of a reset: teleop.topics.Role of the side it is for
+    number: U32 = 0  # of a reset: `stops` of that side; any other is out of date, and ignored
+    text: TextBytes = NO_TEXT  # UTF-8, zero-padded: who or what wanted it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting(Message):
+    """Any process to the master, reliable: change one value of its config while it runs."""
+
+    role: U32 = 0  # teleop.topics.Role of the sender
+    key: TextBytes = NO_TEXT  # UTF-8, zero-padded, e.g. operator.position_scale
+    value: TextBytes = NO_TEXT  # UTF-8, zero-padded: a number, or axes as in "[0, 2]"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer(Message):
+    """Master to whoever sent a Setting, reliable: whether it was taken."""
+
+    role: U32 = 0  # teleop.topics.Role of the sender
+    asker: U64 = 0  # `sender` of the Setting
+    asked: U64 = 0  # its `sequence`
+    accepted: U32 = 0  # 1 = yes
+    text: TextBytes = NO_TEXT  # UTF-8, zero-padded: the new value, or why not
+
+
 MESSAGES: tuple[type[Message], ...] = (
-    Command, SlaveState, TendonState, Hand, TensionProfile, Sheath, Event, LoopReport,
+    Command, SlaveState, TendonState, Hand, TensionProfile, Sheath, Ledger, Event, LoopReport,
+    EmergencyStop, Setting, Answer,
 )  # fmt: skip
 
 for _cls in MESSAGES:

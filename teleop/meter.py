@@ -42,7 +42,7 @@ class LoopMeter:
         self._in_state[side.state] += 1
         if side.state is State.FAULT and self._state is not State.FAULT:
             self._faults.append(self._words)
-            if self._state is State.ENGAGED:
+            if self._state in (State.ENGAGED, State.CLUTCHED, State.HOLDING):
                 self._pending = self._words
         if side.state is State.ENGAGED:
             self._pending = ""
@@ -68,6 +68,14 @@ class LoopMeter:
             received=counts.received,
             lost=counts.lost,
             rejected=counts.rejected,
+            corrupted=counts.corrupted,
+            repeated=counts.repeated,
+            out_of_order=counts.out_of_order,
+            foreign=counts.foreign,
+            unknown=counts.unknown,
+            delayed=counts.delayed,
+            clock_jumps=counts.clock_jumps,
+            restarts=counts.restarts,
             rate_hz=rate_hz,
             lateness_max_ns=stats.lateness_max_ns,
             latency_p50_ns=p50,
@@ -93,6 +101,9 @@ class LoopMeter:
                 kind: getattr(counts, kind)
                 for kind in ("corrupted", "layout", "repeated", "out_of_order", "foreign")
             },
+            "unknown": counts.unknown,
+            "delayed": counts.delayed,
+            "clock_jumps": counts.clock_jumps,
             "restarts": counts.restarts,
             "gate": dict(verdicts),
             "ticks_in": {state.name.lower(): self._in_state[state] for state in State},
@@ -100,7 +111,9 @@ class LoopMeter:
             "final_state": side.state.name.lower(),
             "reason": self._words,
             "not_usable": self._not_usable,
-            "ended_in": self._words if side.state is State.FAULT else self._pending,
+            "ended_in": self._words
+            if side.state in (State.FAULT, State.STOPPED)
+            else self._pending,
         }
 
 

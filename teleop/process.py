@@ -44,19 +44,23 @@ interruption = _Interruption()
 class Stop:
     """Asked by a loop before each tick; becomes true and stays so.
 
-    SIGINT and SIGTERM set it, so does the end of `duration_s`, and `request` from inside.
+    SIGINT and SIGTERM set it, so does the end of `duration_s`, counted from the first asking since
+    setting up can take long, and `request` from inside.
     """
 
     def __init__(self, duration_s: float | None = None) -> None:
         self.reason = ""
-        self._end_ns = None if duration_s is None else time.monotonic_ns() + round(duration_s * 1e9)
+        self._duration_s = math.inf if duration_s is None else duration_s
+        self._began_s: float | None = None
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
 
     def __call__(self) -> bool:
         """Return whether to stop."""
-        if not self.reason and self._end_ns is not None and time.monotonic_ns() >= self._end_ns:
-            self.reason = "duration reached"
+        now = time.monotonic()
+        self._began_s = now if self._began_s is None else self._began_s
+        if now - self._began_s >= self._duration_s:
+            self.request("duration reached")
         return bool(self.reason)
 
     def request(self, reason: str) -> None:

@@ -3,16 +3,26 @@
 import re
 from dataclasses import dataclass, field
 
+from teleop.confidence import ConfidenceConfig
+from teleop.coupling.config import Bilateral, CouplingConfig
+from teleop.coupling.passivity import PassivityConfig
 from teleop.link.config import LinkConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """The session's name, its rate and its link; `teleop.config.load(path, RunConfig, None)`."""
+    """Name, rate, link and coupling of a session; `teleop.config.load(path, RunConfig, None)`."""
 
     session: str = "demo"  # root of every key: sessions on one network do not hear each other
     rate_hz: float = 1000.0  # [Hz] of both control loops; 200 to 8000
     link: LinkConfig = field(default_factory=LinkConfig)
+    confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
+    coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip
+
+    @property
+    def bilateral(self) -> Bilateral:
+        """What both sides must agree on about the force."""
+        return Bilateral(self.confidence, self.coupling)
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.session):

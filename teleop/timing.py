@@ -2,12 +2,13 @@
 
 from array import array
 
-_BIN_NS = 1_000
-_BINS = 100_000  # 0.1 s; what is longer is counted in the last one
+_FINE_NS, _FINE = 1_000, 100_000  # bins up to 0.1 s
+_COARSE_NS, _COARSE = 100_000, 19_000  # and on to 2 s; what is longer is counted in the last one
+_TURN_NS = _FINE_NS * _FINE
 
 
 class Durations:
-    """A histogram with 1 µs bins, and the values since the last report.
+    """A histogram with bins of 1 µs (0.1 ms beyond 0.1 s), and the values since the last report.
 
     Examples
     --------
@@ -20,13 +21,17 @@ class Durations:
 
     def __init__(self) -> None:
         self.count = 0
-        self._bins = array("Q", bytes(8 * (_BINS + 1)))
+        self._bins = array("Q", bytes(8 * (_FINE + _COARSE + 1)))
         self._span: list[int] = []
 
     def add(self, duration_ns: int) -> None:
         """Count one duration [ns]."""
         self.count += 1
-        self._bins[min(max(duration_ns // _BIN_NS, 0), _BINS)] += 1
+        if duration_ns < _TURN_NS:
+            index = max(duration_ns // _FINE_NS, 0)
+        else:
+            index = _FINE + min((duration_ns - _TURN_NS) // _COARSE_NS, _COARSE)
+        self._bins[index] += 1
         self._span.append(duration_ns)
 
     def percentile_ns(self, percent: float) -> int | None:
@@ -37,7 +42,7 @@ class Durations:
         while seen <= rank:
             index += 1
             seen += self._bins[index]
-        return index * _BIN_NS
+        return min(index, _FINE) * _FINE_NS + max(index - _FINE, 0) * _COARSE_NS
 
     def take_span(self) -> tuple[int, int]:
         """Return median and 99th percentile [ns] since the last call, and begin a new span."""

@@ -9,11 +9,15 @@ from enum import IntEnum
 from typing import Any, Generic, TypeVar
 
 from teleop.messages import (
+    Answer,
     Command,
+    EmergencyStop,
     Event,
     Hand,
+    Ledger,
     LoopReport,
     Message,
+    Setting,
     Sheath,
     SlaveState,
     TendonState,
@@ -29,6 +33,8 @@ class Role(IntEnum):
     SLAVE = 2
     RECORDER = 3
     VIEWER = 4
+    REMOTE = 5  # `teleop stop`, `teleop set`
+    WATCH = 6  # `teleop stop --watch`: its end stops the session
 
 
 def role_name(number: int) -> str:
@@ -59,7 +65,13 @@ TENDONS = Topic("tendons", TendonState, Role.SLAVE, 1000, live=True)
 HAND = Topic("hand", Hand, Role.MASTER, 1000, live=True)
 PROFILE = Topic("profile", TensionProfile, Role.SLAVE, 50, live=True)
 SHEATH = Topic("sheath", Sheath, Role.SLAVE, 1, live=False)
+LEDGER = Topic("ledger", Ledger, None, 100, live=True)
 EVENT = Topic("event", Event, None, 0, live=False)
 REPORT = Topic("report", LoopReport, None, 2, live=False)
+STOP = Topic("stop", EmergencyStop, None, 0, live=False)
+SETTING = Topic("setting", Setting, None, 0, live=False)
+ANSWER = Topic("answer", Answer, Role.MASTER, 0, live=False)
 
-TOPICS: tuple[Topic[Any], ...] = (COMMAND, STATE, TENDONS, HAND, PROFILE, SHEATH, EVENT, REPORT)
+TOPICS: tuple[Topic[Any], ...] = (
+    COMMAND, STATE, TENDONS, HAND, PROFILE, SHEATH, LEDGER, EVENT, REPORT, STOP, SETTING, ANSWER,
+)  # fmt: skip

@@ -4,11 +4,44 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from teleop import compile_cache
 
 ROOT = Path(__file__).parents[1]
 compile_cache.choose()  # before anything imports numba
+settings.register_profile("short", deadline=None, max_examples=50)  # a busy machine takes long
+settings.load_profile("short")
+REAL_TIME = (  # loops, sockets, clocks
+    "system",
+    "faults",
+    "master/test_process.py",
+    "master/test_unplug.py",
+    "master/hid/test_command.py",
+    "master/hid/test_device.py",
+    "master/hid/test_guard.py",
+    "master/hid/test_seeker.py",
+    "master/hid/test_writer.py",
+    "slave/test_process.py",
+    "teleop/test_clock.py",
+    "teleop/test_impair.py",
+    "teleop/test_keys.py",
+    "teleop/test_launch.py",
+    "teleop/test_link.py",
+    "teleop/test_meter.py",
+    "teleop/test_process.py",
+    "teleop/test_recording.py",
+    "teleop/test_replay.py",
+    "teleop/test_view.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what must not share the processors with other tests."""
+    alone = tuple(Path(__file__).parent / place for place in REAL_TIME)
+    for item in items:
+        if any(item.path.is_relative_to(place) for place in alone):
+            item.add_marker("real_time")
 
 
 @pytest.fixture

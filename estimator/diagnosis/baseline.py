@@ -5,7 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.fit import Bench, Fit, Model, improved, own_start, residual, simulated
+from estimator.diagnosis.bench import Bench, Fit, Model, residual, simulated
+from estimator.diagnosis.fit import improved, own_start
 from estimator.diagnosis.model import scene_of
 from estimator.diagnosis.record import Record
 from estimator.effects.effect import (

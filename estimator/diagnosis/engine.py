@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from estimator.diagnosis import experiments
 from estimator.diagnosis.baseline import baseline
-from estimator.diagnosis.fit import (
+from estimator.diagnosis.bench import (
     NOISE,
     Bench,
     Fit,
     bench_of,
-    improved,
     mean_noise,
-    own_only,
-    parameters,
-    refitted,
     rescaled,
     scenes,
     scenes_without,
     tolerance,
+    whole,
 )
+from estimator.diagnosis.course import wanders
+from estimator.diagnosis.fit import improved, own_only, refitted
+from estimator.diagnosis.intervals import parameters
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
@@ -36,7 +36,7 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
-from estimator.diagnosis.record import Record, RecordError, felt, in_full
+from estimator.diagnosis.record import Record, RecordError, felt
 from estimator.diagnosis.score import (
     Errors,
     better_by,
@@ -251,14 +251,15 @@ def _outcome(
     usable: Sequence[Effect],
     validate: Sequence[Record],
 ) -> Diagnosis:
-    whole = rescaled(bench._replace(records=tuple(map(in_full, bench.records))), fit)
-    last = improved(whole, scenes(bench, plain), fit.model, LAST)
+    full = rescaled(whole(bench), fit)
+    last = improved(full, scenes(bench, plain), fit.model, LAST)
     folds = _folds(bench, plain, last)
     before, after = (joined([errors(one.bench, one.fits[k]) for one in folds]) for k in (0, 1))
     left = left_of(after, before)
+    astray = not _is_noise(bench, after) and wanders(bench, fit)
     if not steps:
         verdict = Verdict.CLEAN if _is_noise(bench, before) else Verdict.UNEXPLAINED
-    elif left > EXPLAINED and not _is_noise(bench, after):
+    elif astray or (left > EXPLAINED and not _is_noise(bench, after)):
         verdict = Verdict.UNEXPLAINED
     elif any(step.rivals for step in steps):
         verdict = Verdict.AMBIGUOUS
@@ -266,7 +267,7 @@ def _outcome(
         verdict = Verdict.NAMED
     numbers = {
         one.name: Number(one.value, one.low, one.high, one.parameter.unit)
-        for one in parameters(whole, scenes(bench, plain), last)
+        for one in parameters(full, scenes(bench, plain), last)
     }
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
     return Diagnosis(
@@ -284,6 +285,7 @@ def _outcome(
         },
         noise=mean_noise(bench),
         left=left,
+        wanders=astray,
         structure=structure(bench, fit),
         visible=visible(bench, plain, usable) if verdict is Verdict.CLEAN else {},
         experiments=experiments.settling(alike, bench.records[0].signals),
@@ -301,11 +303,11 @@ class Fold(NamedTuple):
 def _folds(bench: Bench, plain: Fit, fit: Fit) -> tuple[Fold, Fold]:
     """Return both ways to fit one half of the samples and to be judged by the other."""
     about = scenes(bench, plain)
-    whole = bench._replace(records=tuple(map(in_full, bench.records)))
+    full = whole(bench)
 
     def fold(half: Bench) -> Fold:
         before, after = (
-            refitted(rescaled(half, one), rescaled(whole, one), about, one, LAST)
+            refitted(rescaled(half, one), rescaled(full, one), about, one, LAST)
             for one in (plain, fit)
         )
         return Fold(half, (before, after))
@@ -341,6 +343,6 @@ def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fi
 
 def _validated(fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
     """Return how far a model is off in records it was not fitted to, but for where they start."""
-    bench = bench_of([in_full(record) for record in validate])
+    bench = whole(bench_of(validate))
     start = own_only(bench, fit)
     return _fitness([Fold(bench, (start, start))], 0, fitted=True)

@@ -3,7 +3,7 @@
 from enum import StrEnum
 from typing import NamedTuple
 
-from estimator.diagnosis.fit import Bench, Fit
+from estimator.diagnosis.bench import Bench, Fit
 from estimator.diagnosis.record import Trouble
 from estimator.effects.effect import Effect
 
@@ -101,6 +101,7 @@ class Diagnosis(NamedTuple):
     gain: dict[str, Gain]
     noise: dict[str, float]
     left: float  # share of what noise does not explain that the extended model leaves
+    wanders: bool  # friction changes with time, and not as the causes say
     structure: tuple[Structure, ...]  # of what the extended model leaves
     visible: dict[str, Visible]  # by effect; of a clean bench
     experiments: tuple[str, ...]  # that would settle what is ambiguous

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.fit import Bench, Fit
+from estimator.diagnosis.bench import Bench, Fit
 
 Array = NDArray[np.float64]
 

@@ -13,19 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.diagnosis.baseline import by_most
-from estimator.diagnosis.fit import (
+from estimator.diagnosis.bench import (
     Bench,
     Fit,
     Model,
-    improved,
-    moved,
+    cost,
     rescaled,
     residual,
     scenes,
     scenes_without,
     simulated,
-    slopes_of,
 )
+from estimator.diagnosis.fit import improved, moved, slopes_of
 from estimator.diagnosis.record import thin
 from estimator.diagnosis.score import Errors, errors
 from estimator.effects.effect import Effect, Scene, Values
@@ -137,7 +136,7 @@ def promised(
     begin = [(effect, values) for effect in effects for values in effect.starts(about[0])]
 
     def start(model: Model) -> Start:
-        return Start(model, _cost(bench, simulated(bench, about, model)))
+        return Start(model, cost(bench, simulated(bench, about, model)))
 
     def promise(one: tuple[Effect, Values]) -> tuple[Start, Start] | None:
         effect, values = one
@@ -202,11 +201,7 @@ def _candidate(bench: Bench, about: Sequence[Scene], start: Model, rounds: int) 
 
 
 def _scored(bench: Bench, fit: Fit) -> Candidate:
-    return Candidate(fit.model.effects[-1][0], fit, errors(bench, fit), _cost(bench, fit))
-
-
-def _cost(bench: Bench, fit: Fit) -> float:
-    return float(np.sum(residual(bench, fit) ** 2))
+    return Candidate(fit.model.effects[-1][0], fit, errors(bench, fit), cost(bench, fit))
 
 
 def _best_of_each(found: Iterable[Candidate]) -> list[Candidate]:

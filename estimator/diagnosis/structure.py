@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.fit import Bench, Fit
+from estimator.diagnosis.bench import Bench, Fit
 from estimator.diagnosis.outcome import Structure
 from estimator.effects.effect import PROXIMAL_TENSION
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.fit import (
+from estimator.diagnosis.bench import (
     NOISE,
     Bench,
     Fit,
@@ -14,9 +14,9 @@ from estimator.diagnosis.fit import (
     residual,
     scenes,
     simulated,
-    slopes_of,
     tolerance,
 )
+from estimator.diagnosis.fit import slopes_of
 from estimator.diagnosis.outcome import Visible
 from estimator.effects.effect import Effect
 

@@ -4,13 +4,17 @@ from collections.abc import Callable
 from typing import Any
 
 from master.device import Device, DeviceFault
+from master.devices.hid.config import HidConfig
+from master.devices.hid.device import HidDevice
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.errors import UsageError
 
-DeviceConfig = VirtualConfig  # all of them, joined by `|`; the key `type` in a config chooses
+# all of them, joined by `|`; the key `type` in a config chooses
+DeviceConfig = VirtualConfig | HidConfig
 
 DEVICES: dict[type, Callable[[Any], Device]] = {
     VirtualConfig: VirtualDevice,
+    HidConfig: HidDevice,
 }
 
 

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from estimator.diagnosis.fit import Model
+from estimator.diagnosis.bench import Model
 from estimator.diagnosis.model import COMPLIANCE, FRICTION, TIP
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
 from slave.diagnosis.names import nearest

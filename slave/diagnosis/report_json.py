@@ -49,6 +49,7 @@ def tree(
         "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
         "noise": dict(found.noise),
         "left": found.left,
+        "wanders": found.wanders,
         "structure": [one._asdict() for one in found.structure],
         "visible": {name: least._asdict() for name, least in found.visible.items()},
         "sheath": {

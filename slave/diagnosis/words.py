@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
+from estimator.diagnosis.bench import NOISE, tolerance
 from estimator.diagnosis.engine import EXPLAINED
-from estimator.diagnosis.fit import NOISE, tolerance
 from estimator.diagnosis.outcome import (
     Diagnosis,
     Fitnesses,
@@ -40,6 +40,12 @@ def sentence(found: Diagnosis) -> str:
     if found.verdict is Verdict.CLEAN:
         return f"Nothing is wrong with the model beyond noise{_least_seen(found.visible)}."
     if found.verdict is Verdict.UNEXPLAINED:
+        if found.wanders:
+            labels = " and ".join(step.effect.label for step in found.steps)
+            return (
+                f"The model is wrong, and nothing in the catalogue explains it: friction changes "
+                f"with time, and {labels} is only the nearest to the course that it takes."
+            )
         if names := _unsure(found):
             return (
                 f"The model is wrong, and these data do not tell why: {' or '.join(names)} would "

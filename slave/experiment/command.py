@@ -12,10 +12,8 @@ gives the same figures.
 
 import argparse
 import os
-import signal
 import sys
-from collections.abc import Callable, Iterator
-from multiprocessing import get_context
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,13 +25,13 @@ from slave.experiment.page import Page
 from slave.experiment.sheaths import Specimen, random_sheaths
 from slave.experiment.study import experiment, judge
 from teleop.errors import UsageError
+from teleop.jobs import each
 from teleop.process import destination, make_folder, write_summary, write_whole
 
 MOST_SHEATHS = 1000
 TITLE = "The experiment of Phee et al. 2009, repeated"
 UNITS = "Errors in % of full scale, the largest true value of the run."
 
-Task = TypeVar("Task")
 Done = TypeVar("Done")
 
 
@@ -90,7 +88,7 @@ def main(args: argparse.Namespace) -> int:
 def run(sheaths: int, seed: int, jobs: int) -> tuple[Demonstration, list[Outcome]]:
     """Return the sheath of the figures in full, and how the random ones came out."""
     tasks = [(specimen, seed) for specimen in (None, *random_sheaths(sheaths, seed))]
-    done = list(_with_progress(_in_processes(_one, tasks, jobs), len(tasks)))
+    done = list(_with_progress(each(_one, tasks, jobs), len(tasks)))
     (shown,) = (one for one in done if isinstance(one, Demonstration))
     return shown, [one for one in done if isinstance(one, Outcome)]
 
@@ -136,21 +134,6 @@ def page_of(
 def _one(task: tuple[Specimen | None, int]) -> Demonstration | Outcome:
     specimen, seed = task
     return demonstrate(seed) if specimen is None else judge(experiment(specimen, seed))
-
-
-def _in_processes(work: Callable[[Task], Done], tasks: list[Task], jobs: int) -> Iterator[Done]:
-    """Yield what `work` makes of each task, in their order."""
-    if jobs == 1:
-        yield from map(work, tasks)
-        return
-    # spawned, as numba's and the BLAS's threads do not survive a fork
-    with get_context("spawn").Pool(min(jobs, len(tasks)), _quiet) as pool:
-        yield from pool.imap(work, tasks)
-
-
-def _quiet() -> None:
-    """Leave Ctrl-C to the parent, who ends the pool."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _with_progress(done: Iterator[Done], count: int) -> Iterator[Done]:

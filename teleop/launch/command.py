@@ -4,6 +4,7 @@
   teleop run --config configs/demo.yaml --duration 30 --record recordings --json run.json
   teleop run --replay bench.csv --calibration sheath.yaml     measured data as the rig
   teleop run --config rig.yaml --model diagnosis/model.yaml   with what a diagnosis found
+  teleop run --set impair.to_slave.delay=0.02           through a worse network: `teleop impair`
 
 Each of the four also starts alone, on a machine of its own: see `teleop slave --help` and so on.
 """
@@ -20,8 +21,10 @@ from typing import Any
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
+from teleop.impair.config import wanted
 from teleop.launch import summary as summaries
 from teleop.launch import watch
+from teleop.launch.keys import HELP, Keys
 from teleop.launch.status import StatusLine
 from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Link
@@ -45,8 +48,9 @@ SECTIONS = {
     "slave": ("slave.config", "SlaveConfig"),
     "record": ("teleop.recording.config", "RecordConfig"),
     "view": ("teleop.view.config", "ViewConfig"),
+    "impair": ("teleop.impair.config", "ImpairConfig"),
 }
-ENDING = ("master", "slave", "view", "record")  # the recorder last: it hears the others out
+ENDING = ("master", "slave", "impair", "view", "record")  # the last one hears the others out
 _NEVER_BEGAN = (INTERRUPTED, -signal.SIGTERM)  # exit codes of a child told to end while it started
 
 
@@ -89,6 +93,8 @@ def main(args: argparse.Namespace) -> int:
     shared = [f"--set={text}" for text in overrides]
     if args.config:
         shared = ["--config", str(args.config), *shared]
+    impair = wanted(args.config, overrides)
+    to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
     view = args.view or ("native" if has_display() else "web")
 
     status = StatusLine()
@@ -101,14 +107,22 @@ def main(args: argparse.Namespace) -> int:
         listener, hearing = link.listen((EVENT, REPORT)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
+        if impair is not None:
+            family.start("impair", shared)
         family.start("slave", [*shared, *(f"--model={word}" for word in args.model)])
         if view != "none":
             family.start("view", [*shared, "--view", view])
+        keys = stack.enter_context(Keys())
+        keyboard = watch.Keyboard(keys, link)
+        if keys.there:
+            status.say(HELP)
         try:
-            ended = watch.wait_for_slave(link, listener, hearing, family, status, stop)
+            ended = watch.wait_for_slave(link, listener, hearing, family, status, stop, keyboard)
             if not ended and not stop():
-                family.start("master", shared)
-                ended = watch.watch(link, listener, hearing, family, status, stop, args.duration)
+                family.start("master", [*shared, *to_slave])
+                ended = watch.watch(
+                    link, listener, hearing, family, status, stop, args.duration, keyboard
+                )
         finally:
             status.clear()
             family.stop(ENDING)
@@ -134,9 +148,9 @@ def _conclude(summary: dict[str, Any], path: Path | None) -> int:
 def _rig_overrides(args: argparse.Namespace) -> list[str]:
     out = []
     if args.replay:
-        out.append(
-            "slave.rig=" + json.dumps({"type": "replayed", "file": str(args.replay.absolute())})
-        )
+        rig = {"type": "replayed", "file": str(args.replay.absolute())}
+        # a tip that the hand does not move pushes it with energy that nobody put in
+        out += [f"slave.rig={json.dumps(rig)}", "coupling={type: direct}"]
     if args.calibration:
         out += [
             "slave.tendons=[]",

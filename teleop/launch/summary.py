@@ -28,6 +28,8 @@ FROM_AFAR = (
     Reason.PEER_FAULT.text,
     Reason.PEER_LEFT.text,
     Reason.PEER_DECLINED.text,
+    Reason.PEER_STOPPED.text,
+    Reason.PEER_RESTARTED.text,
 )
 
 
@@ -77,6 +79,9 @@ def lines(summary: Mapping[str, Any]) -> list[str]:
     slave = summary.get("slave")
     if slave is not None and ran(slave):
         out.append(f"force     {force_line(slave.get('force_error'))}")
+    impair = summary.get("impair")
+    if impair:
+        out += impair_lines(impair)
     recorder = summary.get("record")
     if recorder:
         gaps = sum(recorder["gaps"].values())
@@ -138,3 +143,13 @@ def force_line(error: Mapping[str, Any] | None) -> str:
         f"of {error['full_scale_N']:.1f} N; "
         f"inside its interval {100 * error['inside_interval']:.1f} % of the time"
     )
+
+
+def impair_lines(counts: Mapping[str, Any]) -> list[str]:
+    """Return what a proxy did to the messages, one topic a line."""
+    out = []
+    for way in ("to_slave", "to_master"):
+        for topic, numbers in counts[way].items():
+            told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in numbers.items() if n)
+            out.append(f"{way:9} {topic}: {told}")
+    return out

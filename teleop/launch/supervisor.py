@@ -13,7 +13,7 @@ from pathlib import Path
 from teleop.errors import UsageError
 from teleop.process import SUPERVISED
 
-VITAL = ("master", "slave")  # a session does without the others
+VITAL = ("master", "slave", "impair")  # a session does without the others
 COMPLAINT = "teleop: "  # what the command line begins the one line of an error with
 _PATIENCE_S = 5.0  # a child that has not ended by then, nor said a word since, is killed
 _LONGEST_S = 90.0  # and so is one that goes on talking

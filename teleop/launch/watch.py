@@ -4,11 +4,15 @@ import time
 from collections.abc import Iterable
 
 from teleop.errors import PeerError, TeleopError
+from teleop.launch.keys import Keys
 from teleop.launch.status import StatusLine, status_text
 from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Heard, Link, Listener
 from teleop.messages import Event, LoopReport, text_of
 from teleop.process import Stop
+from teleop.remote.door import call_reset, call_stop
+from teleop.remote.stop import SIDES, state_of, stops_of
+from teleop.session import State
 from teleop.topics import REPORT, STATE, TENDONS, Role, role_name
 
 START_S = 120.0  # without a word of the slave; the first start compiles estimator and plant
@@ -44,6 +48,38 @@ class Hearing:
         return lines
 
 
+class Keyboard:
+    """What the terminal's keys ask of a session: space a stop, `r` to take it back.
+
+    A stop is called for at every look until both sides say that they have stopped: one that is only
+    starting hears of it too. A reset is repeated until it has been obeyed, or a newer stop called.
+    """
+
+    def __init__(self, keys: Keys, link: Link) -> None:
+        self._keys, self._link = keys, link
+        self._wanted = False
+        self._resets: dict[Role, int] = {}  # the stops of each side that are to be taken back
+
+    def look(self, seconds: float) -> None:
+        """Wait for keys for `seconds` [s] at most, and do what they ask; of several, a stop."""
+        pressed = self._keys.wait(seconds)
+        stops = {
+            side: stops_of(self._link, side)
+            for side in SIDES
+            if state_of(self._link, side) is State.STOPPED
+        }
+        if " " in pressed:
+            self._wanted, self._resets = True, {}
+        elif "r" in pressed:
+            self._wanted, self._resets = False, stops
+        self._wanted = self._wanted and (" " in pressed or len(stops) < len(SIDES))
+        if self._wanted:
+            call_stop(self._link, Role.LAUNCHER, "the space bar of its terminal")
+        self._resets = {s: n for s, n in self._resets.items() if stops.get(s) == n}
+        for side, number in self._resets.items():
+            call_reset(self._link, Role.LAUNCHER, "the terminal", side, number)
+
+
 def require_free(link: Link) -> None:
     """Raise `PeerError` if the session has a slave or a master before we start ours."""
     for role in (Role.SLAVE, Role.MASTER):
@@ -61,6 +97,7 @@ def wait_for_slave(
     family: Supervisor,
     status: StatusLine,
     stop: Stop,
+    keyboard: Keyboard,
 ) -> Child | None:
     """Wait for the slave to answer; return a child whose end came first, if one's did.
 
@@ -75,7 +112,7 @@ def wait_for_slave(
             return child
         if time.monotonic() > family.children["slave"].heard_s + START_S:
             raise TeleopError(f"the slave did not start within {START_S:g} s")
-        time.sleep(_LOOK_S)
+        keyboard.look(_LOOK_S)
     return None
 
 
@@ -87,6 +124,7 @@ def watch(
     status: StatusLine,
     stop: Stop,
     duration_s: float | None,
+    keyboard: Keyboard,
 ) -> Child | None:
     """Look after a session until it is to end; return the child that ended it, if one did.
 
@@ -98,6 +136,8 @@ def watch(
         What has been heard so far.
     duration_s : float or None
         [s] of running, counted from when both loops have reported; None for ever.
+    keyboard : Keyboard
+        Keys that are pressed meanwhile.
     """
     link.subscribe_latest(TENDONS)
     patience = time.monotonic() + START_S
@@ -116,5 +156,5 @@ def watch(
             raise TeleopError(f"the loops did not start within {START_S:g} s")
         state, tendons = link.latest(STATE).message, link.latest(TENDONS).message
         status.show(status_text(hearing.reports, state, tendons))
-        time.sleep(_LOOK_S)
+        keyboard.look(_LOOK_S)
     return None

@@ -14,7 +14,7 @@ from teleop.link.config import LinkConfig
 from teleop.link.listener import Listener
 from teleop.link.network import declare_publisher, open_session
 from teleop.link.presence import Stage, Token
-from teleop.link.reception import Counts, Latest
+from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.roster import Roster
 from teleop.messages import LAYOUT, Message
 from teleop.topics import Role, Topic
@@ -40,6 +40,9 @@ class Link:
     role : Role
         Who this process is. The master listens and connects to the slave, the slave listens, the
         others connect to both.
+    at_once : bool
+        Whether to enter without looking about, which takes up to twice `SETTLE_S`: for a role that
+        takes nobody's place and repeats what it has to say until it is heard.
 
     Raises
     ------
@@ -49,7 +52,10 @@ class Link:
         On entering: an endpoint cannot be listened on.
     """
 
-    def __init__(self, config: LinkConfig, session: str, role: Role) -> None:
+    def __init__(self, config: LinkConfig, session: str, role: Role, at_once: bool = False) -> None:
+        if at_once and role in presence.EXCLUSIVE:
+            raise ValueError(f"a {role!r} must look about before it takes its place")
+        self._at_once = at_once
         self.config, self.session, self.role = config, session, role
         self.nonce = presence.new_nonce()
         self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
@@ -64,7 +70,8 @@ class Link:
             self._roster = Roster(self._zenoh, self.session, self.nonce, relay)
             liveliness = self._zenoh.liveliness()
             claim = liveliness.declare_token(self._token.key(self.session))
-            self._settle()
+            if not self._at_once:
+                self._settle()
             self._token = Token(self.role, LAYOUT, self.nonce, Stage.HELD)
             self._held = liveliness.declare_token(self._token.key(self.session))
             claim.undeclare()
@@ -102,11 +109,14 @@ class Link:
             publisher = self._publishers[topic.name] = self._declare(topic, patient=True)
         publisher.put(data)
 
-    def subscribe_latest(self, topic: Topic[M]) -> Latest[M]:
-        """Begin to receive `topic`; call it before a loop so that the first tick does not."""
+    def subscribe_latest(self, topic: Topic[M], limit_ns: int = NEVER_NS) -> Latest[M]:
+        """Begin to receive `topic`; call it before a loop so that the first tick does not.
+
+        Messages older than `limit_ns` [ns] when they come are counted as delayed.
+        """
         if topic.publisher is None:
             raise ValueError(f"{topic.name} has several publishers, so no one latest value")
-        latest = Latest(topic, lambda nonce: self._visit(topic, nonce))
+        latest = Latest(topic, lambda nonce: self._visit(topic, nonce), limit_ns)
         ring = self._zenoh.declare_subscriber(self._key(topic), zenoh.handlers.RingChannel(RING))
         self._subscribers.append(ring)
         self._latest[topic.name] = latest, ring.try_recv
@@ -133,9 +143,16 @@ class Link:
             self._subscribers.append(subscriber)
         return listener
 
-    def present(self, role: Role) -> bool:
-        """Return whether a process of `role` is connected to this one and has finished starting."""
-        return self._roster.present(role)
+    def present(self, role: Role, nonce: int | None = None) -> bool:
+        """Return whether a process of `role` is connected to this one and has finished starting.
+
+        With a `nonce`: whether that very process is.
+        """
+        return self._roster.present(role, nonce)
+
+    def announced(self, nonce: int) -> bool:
+        """Return whether the process of this nonce is in the session, whoever it is."""
+        return self._roster.announced(nonce)
 
     def check_peers(self) -> None:
         """Raise `PeerError` if this process must leave the session; costs microseconds."""

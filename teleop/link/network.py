@@ -69,12 +69,13 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
 
 
 def declare_publisher(
-    session: zenoh.Session, key: str, live: bool, patient: bool
+    session: zenoh.Session, key: str, live: bool, patient: bool, to_remote: bool = False
 ) -> zenoh.Publisher:
     """Declare a publisher of a live topic (old values are dropped) or of a reliable one.
 
     Neither waits for room unless it is `patient`: reliable means that the wire repeats what it
-    lost, but a control loop that waits for a stalled recorder has lost more than an event.
+    lost, but a control loop that waits for a stalled recorder has lost more than an event. What is
+    sent only `to_remote` is not heard by subscribers of the same Zenoh session.
     """
     drop, block = zenoh.CongestionControl.DROP, zenoh.CongestionControl.BLOCK
     return session.declare_publisher(
@@ -84,6 +85,7 @@ def declare_publisher(
         priority=zenoh.Priority.REAL_TIME if live else zenoh.Priority.INTERACTIVE_HIGH,
         reliability=zenoh.Reliability.BEST_EFFORT if live else zenoh.Reliability.RELIABLE,
         express=True,
+        allowed_destination=zenoh.Locality.REMOTE if to_remote else zenoh.Locality.ANY,
     )
 
 

@@ -9,6 +9,7 @@ from teleop.topics import Topic
 
 M = TypeVar("M", bound=Message)
 
+CLOCK_JUMP_NS = 1_000_000_000  # a message that much quicker than any before: the clock jumped
 NEVER_NS = 2**63 - 1  # the age of what has not come: beyond every limit
 DRIFT = 1000  # two clocks drift apart by at most 1 part in this; NTP slews by half of that
 
@@ -25,6 +26,9 @@ class Counts:
     repeated: int = 0
     out_of_order: int = 0
     foreign: int = 0  # from another sender while ours is alive
+    unknown: int = 0  # from a sender that nobody announced, passed over
+    delayed: int = 0  # let in, but too old when first seen
+    clock_jumps: int = 0  # the sender's clock was set, forward or back
     restarts: int = 0  # the sender's process was replaced
 
     @property
@@ -60,8 +64,8 @@ class Reception:
 
         `overflowed` says that the channel was full, so that a gap before `data` is our own doing.
 
-        A sender not (yet) announced is passed over uncounted: its first messages may overtake its
-        token.
+        A sender not (yet) announced is passed over: its first messages may overtake its token, so
+        `unknown` is not among the rejected.
         """
         counts = self.counts
         try:
@@ -86,6 +90,7 @@ class Reception:
             counts.foreign += 1
             return None
         elif not self._visit(head.sender):
+            counts.unknown += 1
             return None
         else:
             counts.restarts += self.sender is not None
@@ -111,9 +116,21 @@ class Latest(Generic[M]):
     A machine that slept comes back with its clock behind, by far more than drift. It comes back
     over a connection of its own, on which nothing old can be under way: its token has vanished and
     returned, and `least` is learnt anew, as of a new sender.
+
+    A clock that is set back makes all that follows old, and so nothing is acted upon; one that is
+    set forward is learnt anew. Both are counted.
+
+    Parameters
+    ----------
+    topic, visit
+        See `Reception`.
+    limit_ns : int
+        Age [ns] from which on a message that has just come is counted as delayed.
     """
 
-    def __init__(self, topic: Topic[M], visit: Callable[[int], int]) -> None:
+    def __init__(
+        self, topic: Topic[M], visit: Callable[[int], int], limit_ns: int = NEVER_NS
+    ) -> None:
         self.message: M | None = None
         self.new = False  # whether the last look brought a new message
         self.received_ns = 0  # when the message was first seen
@@ -121,6 +138,8 @@ class Latest(Generic[M]):
         self._visit = visit
         self._seen_visit = (0, 0)  # sender, and which visit of it the clocks were compared in
         self._message = topic.message
+        self._limit_ns = limit_ns
+        self._stamp_ns = 0  # of the message
         self._least_ns = 0
         self._late_ns = 0
 
@@ -153,12 +172,17 @@ class Latest(Generic[M]):
         delay = now_ns - newest_head.stamp_ns
         sender, visit = newest_head.sender, self._visit(newest_head.sender)
         known, seen = self._seen_visit
+        counts = self._reception.counts
         if sender == known and visit in (0, seen):  # 0: between two visits
+            set_back = newest_head.stamp_ns < self._stamp_ns
+            counts.clock_jumps += set_back or delay < self._least_ns - CLOCK_JUMP_NS
             risen = self._least_ns + max(0, now_ns - self.received_ns) // DRIFT
             self._least_ns = min(risen, delay)
         else:
             self._seen_visit = sender, visit
             self._least_ns = delay
+        self._stamp_ns = newest_head.stamp_ns
         self._late_ns = delay - self._least_ns
+        counts.delayed += self._late_ns > self._limit_ns
         self.received_ns = now_ns
         self.message = self._message.unpack(newest)

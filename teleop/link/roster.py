@@ -43,6 +43,10 @@ class Roster:
             for t in self.others
         )
 
+    def announced(self, nonce: int) -> bool:
+        """Return whether a process of this nonce is there and has finished starting."""
+        return any(t.nonce == nonce and t.stage == Stage.HELD for t in self.others)
+
     def visit(self, role: Role, nonce: int) -> int:
         """Return which visit of `nonce` in `role` this is, from 1; 0 if it is not there now."""
         return self._visits.get(nonce, 1) if self.present(role, nonce) else 0

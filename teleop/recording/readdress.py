@@ -1,6 +1,5 @@
 """Recorded messages under a new address: the same content from another sender."""
 
-import zlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -56,5 +55,5 @@ class Readdress:
         row["sender"], row["sequence"] = self._nonces[role], sequence
         row["stamp_ns"] = head.stamp_ns + shift_ns
         checked_from = schema.dtype.fields["layout"][1]
-        row["checksum"] = zlib.crc32(memoryview(content)[checked_from:])
+        row["checksum"] = schema.checksum(memoryview(content)[checked_from:])
         return Addressed(role, topic, bytes(content))

@@ -1,4 +1,4 @@
-"""The colour of a tension: one fixed, perceptually uniform scale, the same in every picture."""
+"""The colours: a fixed, perceptually uniform scale of tension, and those that stand for a thing."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,25 @@ _VIRIDIS = np.array(
     dtype=np.float64,
 )  # fmt: skip
 UNKNOWN = 0x808080FF  # grey: a tension that is not finite
+
+# 0xRRGGBBAA, the same in scene and curves; mostly Okabe and Ito's, made for colour-blind eyes too
+ESTIMATE, INTERVAL, TRUTH = 0x56B4E9FF, 0xA9D4EEFF, 0xE69F00FF
+HAND, ASKED, HOUSING, FRONT = 0xCC79A7FF, 0x909090FF, 0x009E73FF, 0xFF4B4BFF
+SECOND = 0xE5D86BFF  # the estimate of a joint's other tendon, in T(x)
+BODY, ENVIRONMENT = 0xD8D8D8FF, 0xB4654ACC
+
+# index into teleop.messages.PHASE_NAMES: slack, virgin, pull, pull to release, release, ...
+PHASES = (0x606060FF, 0xF0F0F0FF, 0xD55E00FF, 0xF0E442FF, 0x0072B2FF, 0x4FD1C5FF)
+# a session's states by name
+STATES = {
+    "off": 0x606060FF,
+    "ready": 0x56B4E9FF,
+    "engaged": 0x009E73FF,
+    "clutched": 0xF0E442FF,
+    "holding": 0xE69F00FF,
+    "fault": 0xD55E00FF,
+    "stopped": 0xFF2020FF,
+}
 
 
 def rgba(tension: NDArray[np.float64], scale_N: float) -> NDArray[np.uint32]:

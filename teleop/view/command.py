@@ -11,8 +11,10 @@ It only listens: neither loop ever waits for it. See docs/viewing.md.
 """
 
 import argparse
+import os
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +33,12 @@ from teleop.recording.reader import open_recording
 from teleop.recording.replay import require_playable
 from teleop.run_config import RunConfig
 from teleop.topics import TOPICS, Role
-from teleop.view.config import ViewConfig
-from teleop.view.feed import Fed, Show, discard, from_link, from_recording
+from teleop.view.config import LAYOUTS, ViewConfig
+from teleop.view.feed import Discard, Fed, Show, from_link, from_recording
 from teleop.view.scene import Scene
 from teleop.view.sinks import MODES, Mode, Sink
+
+_NICENESS = 5  # where loops and view share a processor, the loops go first
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,6 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: native with a screen, web without)",
     )
     parser.add_argument(
+        "--layout",
+        choices=LAYOUTS,
+        help="few and large, everything, or the scene alone (default: view.layout of the config)",
+    )
+    parser.add_argument(
         "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"
     )
     parser.add_argument("--duration", type=seconds, metavar="S", help="stop after S seconds")
@@ -59,16 +68,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
     config = configuration.load(args.config, ViewConfig, "view", args.overrides)
+    config = replace(config, layout=args.layout or config.layout)
     run = configuration.load(args.config, RunConfig, None, args.overrides)
     mode: Mode = args.view or ("native" if has_display() else "web")
     if args.file is not None:
         require_playable(open_recording(args.file))
+    os.nice(_NICENESS)
     stop = Stop(args.duration)
     name = Path(args.file).stem if args.file else run.session
     summary: dict[str, Any] = {"session": run.session, "view": mode, "source": args.file or "link"}
     with ExitStack() as stack:
         sink = stack.enter_context(Sink(mode, config, name, args.out, live=args.file is None))
-        show = discard if sink.stream is None else Scene(config, sink.stream).send
+        show: Show = Discard()
+        if sink.stream is not None:
+            show = Scene(config, sink.stream, sink.lay_out)
         for line in sink.lines:
             print(line, flush=True)
         if args.file is not None:

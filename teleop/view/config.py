@@ -1,7 +1,14 @@
 """The `view:` section of a config file."""
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from teleop.config import MAY_BE_INFINITE
+
+Layout = Literal["surgeon", "experiment", "presentation"]
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +22,10 @@ class ViewRates:
     state: float = 100.0
     tendons: float = 100.0
     hand: float = 100.0
-    profile: float = 30.0  # of each tendon
+    ledger: float = 20.0  # of each side
+    profile: float = 30.0  # of each tendon: tube, T(x) and X'
+    levers: float = 30.0  # joint, hand and their forces in the scene
+    loop: float = 30.0  # pieces of each hysteresis loop
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
@@ -28,16 +38,25 @@ class ViewRates:
 class ViewConfig:
     """What the view shows, how often, and how much memory it may take."""
 
+    layout: Layout = "experiment"
     rate_hz: ViewRates = field(default_factory=ViewRates)
-    drain_hz: float = 25.0  # [Hz] how often the link is emptied and the sheath drawn
+    drain_hz: float = 25.0  # [Hz] how often the link is emptied and the scene drawn
     curves_hz: float = (
         10.0  # [Hz] how often the curves over time grow: each growth of each costs 0.2 ms
     )
     file_period_s: float = 1.0  # [s] of data per block when only a file is written
     tension_scale_N: float = 20.0  # [N] the bright end of the colour scale  # noqa: N815
+    hand_scale_N: float = 4.0  # [N] on the hand, drawn as long as tension_scale_N at the tip  # noqa: N815
     window_s: float = 10.0  # [s] of the past in the curves over time
-    tube_radius_m: float = 0.003  # [m] of a sheath as drawn
-    tendon_spacing_m: float = 0.02  # [m] between the sheaths as drawn
+    loop_window_s: float = 30.0  # [s] of the past in the hysteresis loop
+    bend_planes: tuple[float, ...] = ()  # [rad] by which each section's bend leaves the last plane
+    environment_m: tuple[float, ...] = field(  # [m] travel of each joint where it meets something
+        default=(), metadata=MAY_BE_INFINITE
+    )
+    joint_radius_m: float = 0.012  # [m] of the pulley a joint is drawn on: angle = travel / radius
+    hand_radius_m: float = 0.05  # [m] likewise of the hand
+    tube_radius: float = 0.012  # of the size of the scene; a sheath where its tendon slides
+    tendon_spacing: float = 0.05  # of the size of the scene, between sheaths
     server_memory_mb: int = 512  # [MB] of the past kept for a browser that opens late
     web_port: int = 9090  # first choice; a free port is taken if it is in use
     grpc_port: int = 9876  # likewise
@@ -49,9 +68,13 @@ class ViewConfig:
             ("curves_hz", 1, 100, " Hz"),
             ("file_period_s", 0.05, 60, " s"),
             ("tension_scale_N", 0.1, 1e4, " N"),
+            ("hand_scale_N", 0.01, 1e4, " N"),
             ("window_s", 0.5, 3600, " s"),
-            ("tube_radius_m", 1e-4, 1, " m"),
-            ("tendon_spacing_m", 1e-4, 10, " m"),
+            ("loop_window_s", 0.5, 3600, " s"),
+            ("joint_radius_m", 1e-4, 10, " m"),
+            ("hand_radius_m", 1e-4, 10, " m"),
+            ("tube_radius", 1e-4, 0.1, ""),
+            ("tendon_spacing", 1e-3, 1, ""),
             ("server_memory_mb", 16, 65536, " MB"),
             ("web_port", 1024, 65535, ""),
             ("grpc_port", 1024, 65535, ""),
@@ -59,5 +82,11 @@ class ViewConfig:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ValueError(f"{name}: {value:g}{unit} is outside {low:g} to {high:g}{unit}")
+        for i, angle in enumerate(self.bend_planes):
+            if not abs(angle) <= math.tau:
+                raise ValueError(f"bend_planes.{i}: {angle:g} rad is outside -6.28 to 6.28 rad")
+        for i, travel in enumerate(self.environment_m):
+            if math.isnan(travel) or travel == -math.inf:
+                raise ValueError(f"environment_m.{i}: a travel [m], or .inf for none")
         if not self.directory:
             raise ValueError("directory: is empty, give a path (recordings)")

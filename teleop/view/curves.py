@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from teleop.topics import COMMAND, HAND, REPORT, STATE, TENDONS, Topic
+from teleop.topics import COMMAND, HAND, LEDGER, REPORT, STATE, TENDONS, Topic
+from teleop.view import colours
 
-GREEN, BLUE, PALE_BLUE, ORANGE, RED, GREY = (
-    0x2CA02CFF, 0x1F77B4FF, 0x9DC7E6FF, 0xFF7F0EFF, 0xD62728FF, 0x808080FF,
-)  # fmt: skip
+LOSS, LATENESS = colours.PHASES[2], colours.PHASES[4]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,55 +30,90 @@ class Curve:
 class CurveGroup:
     """The curves drawn from one topic, and what their fields are arrays over."""
 
-    over: Literal["tendon", "joint", "role"]
+    over: Literal["tendon", "joint", "role", "role and joint", "sender"]
     curves: tuple[Curve, ...]
 
 
-CURVES: dict[Topic[Any], CurveGroup] = {
-    TENDONS: CurveGroup(
+_MS = 1e-6  # of nanoseconds
+MILLI = 1e3  # of metres, of joules
+
+CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
+    TENDONS: (CurveGroup(
         "tendon",
         (
-            Curve("tension/{}/in", "proximal_tension", "T_in", GREEN),
-            Curve("tension/{}/out", "distal_tension", "T_out", BLUE, 2.0),
-            Curve("tension/{}/out_low", "distal_tension_low", "T_out low", PALE_BLUE, 1.0),
-            Curve("tension/{}/out_high", "distal_tension_high", "T_out high", PALE_BLUE, 1.0),
-            Curve("tension/{}/out_measured", "bench_distal_tension", "T_out bench", ORANGE),
-            Curve("displacement/{}/in", "proximal_displacement", "q_p", GREEN),
-            Curve("displacement/{}/asked", "commanded_displacement", "q_p asked", GREY),
-            Curve("displacement/{}/out_measured", "bench_distal_displacement", "q_d", ORANGE),
-            Curve("displacement/{}/elongation", "elongation", "e", BLUE),
-            Curve("front/{}", "front", "X'", RED),
+            Curve("tension/{}/in", "proximal_tension", "T_in", colours.HOUSING),
+            Curve("tension/{}/out", "distal_tension", "T_out", colours.ESTIMATE, 2.0),
+            Curve("tension/{}/out_true", "bench_distal_tension", "T_out true", colours.TRUTH),
+            Curve("displacement/{}/in", "proximal_displacement", "q_p",
+                  colours.HOUSING, factor=MILLI),
+            Curve("displacement/{}/asked", "commanded_displacement", "q_p asked",
+                  colours.ASKED, factor=MILLI),
+            Curve("displacement/{}/out_true", "bench_distal_displacement", "q_d true",
+                  colours.TRUTH, factor=MILLI),
+            Curve("elongation/{}", "elongation", "e", colours.ESTIMATE, factor=MILLI),
+        ),
+    ),),
+    STATE: (
+        CurveGroup(
+            "joint",
+            (
+                Curve("force/{}/tip_low", "force_low", "tip low", colours.INTERVAL, 1.0),
+                Curve("force/{}/tip_high", "force_high", "tip high", colours.INTERVAL, 1.0),
+                Curve("force/{}/tip", "force", "tip", colours.ESTIMATE, 2.0),
+                Curve("position/{}/tip", "position", "estimated", colours.ESTIMATE,
+                      2.0, factor=MILLI),
+            ),
+        ),
+        CurveGroup(
+            "sender",
+            (Curve("age/slave/sample", "sample_age_ns", "newest sample", LATENESS, factor=_MS),),
         ),
     ),
-    STATE: CurveGroup(
-        "joint",
+    HAND: (
+        CurveGroup(
+            "joint",
+            (
+                Curve("hand/{}/force", "force", "hand", colours.HAND, 2.0),
+            ),
+        ),
+        CurveGroup(
+            "sender",
+            (
+                Curve("age/master/state", "state_age_ns", "newest state", colours.HAND,
+                      factor=_MS, positive_only=True),
+                Curve("age/master/round_trip", "round_trip_ns", "round trip", colours.ASKED,
+                      factor=_MS, positive_only=True),
+            ),
+        ),
+    ),
+    COMMAND: (
+        CurveGroup(
+            "joint",
+            (Curve("position/{}/asked", "position", "asked", colours.ASKED, factor=MILLI),),
+        ),
+    ),
+    LEDGER: (CurveGroup(
+        "role and joint",
         (
-            Curve("force/{}/tip", "force", "tip", BLUE, 2.0),
-            Curve("force/{}/tip_low", "force_low", "tip low", PALE_BLUE, 1.0),
-            Curve("force/{}/tip_high", "force_high", "tip high", PALE_BLUE, 1.0),
-            Curve("position/{}/tip", "position", "tip", BLUE),
+            Curve("energy/{}/put_in", "put_in", "put in", colours.HOUSING, factor=MILLI),
+            Curve("energy/{}/taken_out", "taken_out", "taken out", colours.TRUTH, factor=MILLI),
+            Curve("energy/{}/heard", "heard", "heard", colours.ESTIMATE, factor=MILLI),
+            Curve("energy/{}/dissipated", "dissipated", "dissipated", LOSS, factor=MILLI),
+            Curve("energy/{}/credit", "credit", "credit", colours.HAND, 2.0, factor=MILLI),
         ),
-    ),
-    HAND: CurveGroup(
-        "joint",
-        (
-            Curve("force/{}/hand", "force", "hand", RED, 2.0),
-            Curve("position/{}/hand", "position", "hand", GREEN),
-        ),
-    ),
-    COMMAND: CurveGroup("joint", (Curve("position/{}/asked", "position", "tip asked", GREY),)),
-    REPORT: CurveGroup(
+    ),),
+    REPORT: (CurveGroup(
         "role",
         (
-            Curve("loop/{}/rate_hz", "rate_hz", "rate [Hz]", GREEN),
-            Curve("loop/{}/overruns", "overruns", "overruns", ORANGE),
-            Curve("loop/{}/lost", "lost", "lost", RED),
-            Curve("loop/{}/rejected", "rejected", "rejected", GREY),
-            Curve("loop/{}/lateness_ms", "lateness_max_ns", "lateness [ms]", BLUE, factor=1e-6),
-            Curve("loop/{}/latency_p50_ms", "latency_p50_ns", "latency, median [ms]", BLUE,
-                  factor=1e-6, positive_only=True),
-            Curve("loop/{}/latency_p99_ms", "latency_p99_ns", "latency, 99 % [ms]", PALE_BLUE,
-                  factor=1e-6, positive_only=True),
+            Curve("rate/{}", "rate_hz", "rate", colours.HOUSING),
+            Curve("latency/{}/p50", "latency_p50_ns", "median", colours.ESTIMATE, 2.0, factor=_MS,
+                  positive_only=True),
+            Curve("latency/{}/p99", "latency_p99_ns", "99 %", colours.INTERVAL, factor=_MS,
+                  positive_only=True),
+            Curve("latency/{}/late", "lateness_max_ns", "latest tick", LATENESS, factor=_MS),
+            Curve("loss/{}/lost", "lost", "lost", LOSS),
+            Curve("loss/{}/rejected", "rejected", "rejected", colours.ASKED),
+            Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH),
         ),
-    ),
+    ),),
 }  # fmt: skip

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from teleop.clock import Grid
 from teleop.link import Listener
@@ -14,7 +15,16 @@ from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.curves import CURVES
 from teleop.view.sinks import Sink
 
-Show = Callable[[Mapping[AnyTopic, Rows]], int]  # takes a batch, returns how many rows it showed
+
+class Show(Protocol):
+    """What takes the batches: pictures often, curves less often, since every growth costs."""
+
+    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
+        """Draw what stands in space."""
+
+    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
+        """Draw what grows over time."""
+
 
 _PROBE_EVERY_NS = 5_000_000_000
 _BY_NAME = {topic.name: topic for topic in TOPICS}
@@ -79,17 +89,17 @@ def from_link(
     pictures, curves = Paced(periods_s[0]), Paced(periods_s[1])
 
     def pass_on(now_ns: int, all_of_it: bool) -> None:
-        for held in (pictures, curves):
+        for held, draw in ((pictures, show.pictures), (curves, show.curves)):
             block = held.take(now_ns, all_of_it)
             if block:
-                fed.shown += show(decode(block))
+                fed.shown += draw(decode(block))
 
     probe_ns = 0
     for tick in Grid(drain_hz, stop):
         heard = [(h.topic, h.data) for h in listener.drain()]
         fed.received += len(heard)
         curves.add(m for m in heard if m[0] in CURVES)
-        pictures.add(m for m in heard if m[0] not in CURVES)
+        pictures.add(heard)
         pass_on(tick.stamp_ns, all_of_it=False)
         if not sink.alive():
             fed.fault = (
@@ -105,7 +115,7 @@ def from_link(
     return fed
 
 
-def from_recording(path: str, show: Show, stop: Stop, period_s: float) -> Fed:
+def from_recording(path: str, show: Show, stop: Callable[[], bool], period_s: float) -> Fed:
     """Show a whole recording, a block of `period_s` [s] at a time."""
     fed = Fed()
     for block in _blocks(path, round(period_s * 1e9)):
@@ -113,17 +123,23 @@ def from_recording(path: str, show: Show, stop: Stop, period_s: float) -> Fed:
             break
         fed.received += len(block)
         try:
-            fed.shown += show(decode(block))
+            batches = decode(block)
         except MessageError as error:
             raise RecordingError(
                 f"{path}: {error}; view it with the version that recorded it"
             ) from error
+        fed.shown += show.pictures(batches) + show.curves(batches)
     return fed
 
 
-def discard(batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG001 - a `Show`
-    """Show nothing."""
-    return 0
+class Discard:
+    """Shows nothing."""
+
+    def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:  # noqa: ARG002 - a `Show`
+        """Show nothing."""
+        return 0
+
+    curves = pictures
 
 
 def _blocks(path: str, period_ns: int) -> Iterator[list[tuple[AnyTopic, bytes]]]:

@@ -1,6 +1,8 @@
 """The shape of a sheath in space, from its sections."""
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,13 +10,28 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def centreline(length: Array, radius: Array, s: Array, turn_gap: float = 0.0) -> Array:
+class Line(NamedTuple):
+    """A sheath's centre line and the frame at its end."""
+
+    points: Array  # [m], shape (n, 3)
+    along: Array  # unit vector, how the sheath runs at its end
+    aside: Array  # unit vector, across it, in the plane of the last bend
+
+
+def centreline(
+    length: Array,
+    radius: Array,
+    s: Array,
+    turn_gap: float = 0.0,
+    planes: Sequence[float] = (),
+) -> Line:
     """Return the points of a sheath at the given arc lengths.
 
-    The sheath starts at the origin along +x. Each section is straight or an arc in the x-y plane
-    that turns by length / radius, to the left for a positive radius, and continues in the direction
-    in which the last one ended. A section of more than a full turn would run into itself, so it
-    climbs along z by `turn_gap` a turn, as a helix of the same length and the same bend angle.
+    The sheath starts at the origin along +x. Each section is straight or an arc that turns by
+    length / radius, to the left for a positive radius, and continues in the direction in which
+    the last one ended. All bends lie in the x-y plane unless `planes` turns one out of it. A
+    section of more than a full turn would run into itself, so it climbs across its plane by
+    `turn_gap` a turn, as a helix of the same length and the same bend angle.
 
     Parameters
     ----------
@@ -26,15 +43,16 @@ def centreline(length: Array, radius: Array, s: Array, turn_gap: float = 0.0) ->
         [m] arc lengths, 0 at the housing.
     turn_gap : float
         [m]
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        [m]
+    planes : sequence of float
+        [rad] by which the plane of bending turns about the sheath where each section begins, to the
+        right seen from the housing. Sections that are not named have 0.
     """
     points = np.zeros((len(s), 3))
-    position, heading, begin = np.zeros(3), 0.0, 0.0
+    position, begin = np.zeros(3), 0.0
+    frame = np.eye(3)  # rows: along the sheath, to the left, up
     for k, (l_k, r_k) in enumerate(zip(length, radius, strict=True)):
+        if k < len(planes):
+            frame = _turned(planes[k], 0) @ frame
         curvature = 1.0 / r_k if math.isfinite(r_k) and r_k != 0.0 else 0.0
         rise = 0.0
         if abs(l_k * curvature) > 2 * math.pi:
@@ -42,20 +60,29 @@ def centreline(length: Array, radius: Array, s: Array, turn_gap: float = 0.0) ->
         inside = s >= begin
         if k < len(length) - 1:
             inside &= s < begin + l_k
-        points[inside] = position + _along(s[inside] - begin, curvature, heading, rise)
-        position = position + _along(np.array([l_k]), curvature, heading, rise)[0]
-        heading += l_k * curvature
+        points[inside] = position + _along(s[inside] - begin, curvature, rise) @ frame
+        position = position + _along(np.array([l_k]), curvature, rise)[0] @ frame
+        frame = _turned(l_k * curvature, 2) @ frame
         begin += l_k
-    return points
+    return Line(points, frame[0], frame[1])
 
 
-def _along(d: Array, curvature: float, heading: float, rise: float) -> Array:
-    """Return the way travelled [m] after arc length `d` of one section; `rise` is dz/ds."""
+def _along(d: Array, curvature: float, rise: float) -> Array:
+    """Return the way travelled [m] after arc length `d` of one section, in the frame it began with.
+
+    `rise` is the climb across the plane for a way of 1.
+    """
     flat = math.sqrt(1.0 - rise * rise)
-    if curvature == 0.0:
-        x, y = d * math.cos(heading), d * math.sin(heading)
-    else:
-        angle = heading + d * curvature
-        x = (np.sin(angle) - math.sin(heading)) / curvature
-        y = (math.cos(heading) - np.cos(angle)) / curvature
+    angle = d * curvature
+    x = d if curvature == 0.0 else np.sin(angle) / curvature
+    y = np.zeros_like(d) if curvature == 0.0 else (1.0 - np.cos(angle)) / curvature
     return np.stack([flat * x, flat * y, rise * d], axis=1)
+
+
+def _turned(angle: float, axis: int) -> Array:
+    """Return the rows of a frame turned about its own row `axis`."""
+    turned = np.eye(3)
+    i, k = (axis + 1) % 3, (axis + 2) % 3
+    turned[i, i] = turned[k, k] = math.cos(angle)
+    turned[i, k], turned[k, i] = math.sin(angle), -math.sin(angle)
+    return turned

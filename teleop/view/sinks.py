@@ -2,6 +2,7 @@
 
 import sys
 import threading
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
@@ -12,8 +13,8 @@ import rerun as rr
 
 from teleop.errors import UsageError
 from teleop.process import has_display
-from teleop.view.blueprint import default_blueprint
 from teleop.view.config import ViewConfig
+from teleop.view.layouts import blueprint
 from teleop.view.page import Page
 from teleop.view.viewer_process import ViewerProcess, free_port
 
@@ -45,8 +46,10 @@ class Sink:
     ) -> None:
         self.lines: list[str] = []
         self._mode = mode
+        self._config = config
         self.file = _new_file(config, session) if mode == "rrd" and out is None else out
         self._viewer: ViewerProcess | None = None
+        self._joints: Mapping[int, Sequence[int]] = {}  # as laid out
         self._sinks: list[rr.GrpcSink | rr.FileSink] = []
         with ExitStack() as stack:  # the programs first: a child is best started before any thread
             if mode == "native":
@@ -60,7 +63,7 @@ class Sink:
             if self._sinks:
                 self.stream = rr.RecordingStream(APPLICATION)
                 stack.callback(self.stream.disconnect)
-                self.stream.set_sinks(*self._sinks, default_blueprint=default_blueprint(config))
+                self.stream.set_sinks(*self._sinks, default_blueprint=blueprint(config, {}))
                 self.stream.send_recording_name(session)
             self._stack = stack.pop_all()
 
@@ -85,9 +88,20 @@ class Sink:
         """Whether it is a window, which the user may close."""
         return self._mode == "native"
 
+    @property
+    def pid(self) -> int | None:
+        """The process id of the viewer program, if there is one."""
+        return None if self._viewer is None else self._viewer.pid
+
     def alive(self) -> bool:
         """Return whether the viewer program, if any, still runs."""
         return self._viewer is None or self._viewer.running()
+
+    def lay_out(self, joints: Mapping[int, Sequence[int]]) -> None:
+        """Lay the views out for these joints, each with its tendons."""
+        if self.stream is not None and joints != self._joints:
+            self._joints = joints
+            self.stream.send_blueprint(blueprint(self._config, joints))
 
     def stuck(self) -> bool:
         """Return whether the viewer has stopped taking data, which would pile up here."""
@@ -142,7 +156,8 @@ class Sink:
                 pass
         except OSError as error:
             raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
-        self._sinks.append(rr.FileSink(path))
+        # a footer names every chunk, and all of them are kept in memory until the file is closed
+        self._sinks.append(rr.FileSink(path, write_footer=False))
         self.lines.append(f"View file: {path}")
 
 

@@ -10,7 +10,7 @@ from estimator.diagnosis.record import RecordError, prepare
 from estimator.effects import CATALOGUE, NAMES
 from tests import hidden
 
-NAMED_IN_THE_ISSUE = 34
+NAMES_ASKED_FOR = 34
 
 # seed, what is hidden, where; test_diagnosis_matrix.py has all of them
 HIDDEN = [(3, "creep", "blocked"), (4, "joint_friction", "spring")]
@@ -39,6 +39,18 @@ def test_nothing_is_named_where_nothing_is_wrong(bench):
     assert found.verdict is Verdict.CLEAN
     assert found.causes == ()
     assert 0.0 < found.visible["viscous_friction"].size < 500.0
+
+
+@pytest.mark.parametrize("bench", ["blocked", "spring"])
+def test_friction_that_wanders_is_no_drift_and_no_step(bench):
+    in_time = {"friction_step", "friction_drift"}
+    _, found = diagnosed(7, "outside:wandering_friction", bench, among=in_time)
+    assert found.verdict is Verdict.UNEXPLAINED
+    for effect in in_time:
+        _, found = diagnosed(7, effect, bench, among=in_time)
+        assert found.verdict is Verdict.NAMED
+        assert found.causes == (effect,)
+        assert not found.wanders
 
 
 def test_what_two_channels_cannot_tell_apart_is_said_to_be_so():
@@ -82,7 +94,7 @@ def test_a_catalogue_without_the_cause_does_not_explain_it():
 
 
 def test_every_effect_has_all_that_a_person_wants_to_know():
-    assert len(NAMES) == NAMED_IN_THE_ISSUE
+    assert len(NAMES) == NAMES_ASKED_FOR
     assert set(NAMES) == set(hidden.EFFECTS)
     for effect in CATALOGUE:
         assert effect.cause

@@ -18,7 +18,7 @@ from tests import hidden
 from tests.hidden.campaign import Case, judge
 
 SHORT = {"duration": 30.0, "rate": 50.0}
-RIVALS = 4  # causes beside the true ones, in a case
+RIVALS = 2  # causes beside the true ones, in a case
 
 
 def _case(seed, effects, bench):
@@ -67,8 +67,7 @@ def named(case):
 def test_what_was_hidden_is_in_the_answer(case):
     found = results()[case]
     print(found)
-    if found.absorbed:
-        pytest.skip("the plain law takes it up: nothing is there to be found")
+    assert not found.absorbed, "too small for a test: the plain law takes it up"
     assert found.right
 
 

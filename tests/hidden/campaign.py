@@ -58,7 +58,7 @@ class Result(NamedTuple):
         effects = self.case.effects
         if effects and effects[0] in hidden.OUTSIDE:
             return self.verdict in (Verdict.CLEAN, Verdict.UNEXPLAINED)
-        if not effects or self.absorbed:
+        if not effects or (self.absorbed and self.verdict == Verdict.CLEAN):
             return self.verdict == Verdict.CLEAN
         named = self.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
         said = {*self.causes, *self.rivals}

@@ -347,6 +347,7 @@ def saturation(plant, depth, peak, channel):
 @effect(
     "gain",
     lambda r, s: {"gain": either(r, 0.04), "channel": str(r.choice(encoders(s)))},
+    benches=("spring",),  # with a blocked tip it is a stiffer tendon
     read=True,
 )
 def encoder_scale(plant, gain, channel):
@@ -379,7 +380,14 @@ def on_pulley(rng, amplitude, order):
     }
 
 
-@effect("amplitude", lambda r, _: on_pulley(r, 3e-5, 1), read=True, amplitude="m", radius="m")
+@effect(
+    "amplitude",
+    lambda r, _: on_pulley(r, 2e-4, 1),
+    benches=("spring",),  # over the short travel of a blocked tip it is a stiffer tendon
+    read=True,
+    amplitude="m",
+    radius="m",
+)
 def pulley_eccentricity(plant, **ripple):
     plant.read("proximal_displacement", sensors.wave(**ripple))
 

@@ -8,12 +8,14 @@ from master import devices
 from master.config import MasterConfig
 from master.device import DeviceFault
 from master.devices import DEVICES, open_device
+from master.devices.hid.config import AxisConfig, ButtonsConfig
 from master.devices.references import Reaches
 from master.devices.virtual import VirtualConfig
 from teleop.config import load
 from teleop.errors import UsageError
 
 DOCS = Path(__file__).parents[2] / "docs" / "devices.md"
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def written(tmp_path, text):
@@ -26,10 +28,19 @@ def test_without_a_file_everything_has_a_default():
     assert load(None, MasterConfig, "master") == MasterConfig()
 
 
-def test_the_example_in_the_docs_is_a_config(tmp_path):
-    (_, example) = DOCS.read_text().split("```yaml\n")
-    path = written(tmp_path, example.split("```")[0])
-    device = load(path, MasterConfig, "master").device
+def examples(tmp_path):
+    """The devices of the examples in the docs."""
+    for text in DOCS.read_text().split("```yaml\n")[1:]:
+        yield load(written(tmp_path, text.split("```")[0]), MasterConfig, "master").device
+
+
+def test_the_examples_in_the_docs_are_configs(tmp_path):
+    device, hid = examples(tmp_path)
+    assert hid.axes == (
+        AxisConfig("x", travel=0.06, force=2.5),
+        AxisConfig("y", joint=1, speed=0.02, dead_zone=0.1),
+    )
+    assert (hid.find, hid.buttons) == ("1209:ffb0", ButtonsConfig(1, 2, 3))
     assert device.reference == Reaches()
     assert device.engage == ((0.5, 9.5),)
     assert device.pressed(9.0)
@@ -41,7 +52,8 @@ def test_the_new_device_in_the_docs_takes_less_than_50_lines_and_runs():
     blocks = DOCS.read_text().split("```python\n")[1:]
     driver, lines = (block.split("```")[0] for block in blocks)
     assert len([line for line in driver.splitlines() if line.strip()]) + 2 < 50
-    assert f"{VirtualConfig.__name__}: {DEVICES[VirtualConfig].__name__}" in lines
+    for config, device in DEVICES.items():
+        assert f"{config.__name__}: {device.__name__}" in lines
     scope = {"__name__": "example"}
     exec(compile(driver, "example", "exec"), scope)  # noqa: S102 - our own page
     assert scope["ExampleDevice"].axes == 1
@@ -60,6 +72,10 @@ def test_the_new_device_in_the_docs_takes_less_than_50_lines_and_runs():
         ("master.device.mas=1", "mass"),
         ("master.device.reference.type=jump", "reaches"),
         ("master.device.engage=[[2, 1]]", "engage"),
+        ("master.device={type: hid, axes: [{name: x}]}", "travel and speed"),
+        ("master.device={type: hid, driver: usb}", "spacemouse"),
+        ("master.device={type: hid, buttons: {engage: 0}}", "buttons.engage"),
+        ("master.device={type: hid, find: 4711}", "quotes"),
         ("master.operator.position_scale=0", "position_scale"),
     ],
 )
@@ -67,6 +83,12 @@ def test_a_mistake_is_one_line_that_names_it(override, complaint):
     with pytest.raises(UsageError, match=complaint) as caught:
         load(None, MasterConfig, "master", [override])
     assert "\n" not in str(caught.value)
+
+
+def test_the_master_of_every_config_that_comes_along_is_understood():
+    paths = [path for path in CONFIGS.glob("*.yaml") if "\nmaster:" in path.read_text()]
+    devices = {load(path, MasterConfig, "master").device.type for path in paths}
+    assert devices == {"virtual", "hid"}
 
 
 def test_a_hand_may_press_for_ever():

@@ -6,10 +6,12 @@ from hypothesis import strategies as st
 
 from master import feedback
 from master.feedback import FeedbackConfig
+from teleop.confidence import ConfidenceConfig, attenuated
 from teleop.messages import MAX_JOINTS, SlaveState, padded
 
 FORCES = st.floats(-100.0, 100.0)
 BAD = st.sampled_from([math.nan, math.inf, -math.inf])
+CONFIDENCE = ConfidenceConfig()
 
 
 def slave_state(*force, width=0.0, joints=None, status=0):
@@ -22,73 +24,64 @@ def slave_state(*force, width=0.0, joints=None, status=0):
     )
 
 
-@given(st.lists(FORCES, min_size=1, max_size=8))
-def test_the_hand_is_pushed_against_what_resists_pulling(forces):
-    config = FeedbackConfig(scale=0.1, limit=2.0)
-    wanted = feedback.step(config, slave_state(*forces), len(forces))
-    for tip, hand in zip(forces, wanted, strict=True):
-        assert hand * tip <= 0.0
-        assert abs(hand) == pytest.approx(min(0.1 * abs(tip), 2.0))
+@given(st.floats(0.01, 10.0), FORCES)
+def test_the_hand_is_pushed_against_what_resists_pulling(scale, force):
+    assert feedback.reflect(scale, force) * force <= 0.0
+    assert abs(feedback.reflect(scale, force)) == pytest.approx(scale * abs(force))
 
 
-@given(BAD, st.sampled_from(["estimate", "certified"]))
-def test_a_force_that_is_no_number_is_not_turned_into_one(bad, source):
-    state = slave_state(bad)
-    (wanted,) = feedback.step(FeedbackConfig(source=source), state, 1)
-    assert not math.isfinite(wanted)
+@given(BAD)
+def test_a_force_that_is_no_number_is_not_turned_into_one(bad):
+    (felt,) = feedback.felt(CONFIDENCE, slave_state(bad), 1)
+    assert not math.isfinite(felt)
+    for link in (feedback.reflect(0.2, felt), feedback.clamp(1.0, felt)):
+        assert not math.isfinite(link)
+    assert not math.isfinite(feedback.slewed(10.0, 0.0, felt, 1e-3))
 
 
-@given(FORCES, FORCES, FORCES)
-def test_no_force_beyond_the_certified_interval_is_felt(force, one, other):
-    low, high = min(one, other), max(one, other)
-    felt = feedback.bounded(force, low, high)
-    assert low <= felt <= high
-    assert felt == force or not low <= force <= high
-    ends = {"force_low": padded((low,), MAX_JOINTS), "force_high": padded((high,), MAX_JOINTS)}
-    state = SlaveState(joints=1, force=padded((force,), MAX_JOINTS), **ends)
-    (wanted,) = feedback.step(FeedbackConfig(scale=0.1, limit=100.0), state, 1)
-    assert wanted == pytest.approx(-0.1 * felt)
+@given(FORCES, st.floats(0.0, 200.0))
+def test_a_force_is_felt_as_far_as_its_interval_allows(force, width):
+    (felt,) = feedback.felt(CONFIDENCE, slave_state(force, width=width), 1)
+    assert felt == attenuated(CONFIDENCE, force, force - width, force + width)
 
 
-@pytest.mark.parametrize("source", ["estimate", "certified"])
 @pytest.mark.parametrize("force", [5.0, math.nan])
-def test_a_joint_whose_sample_was_refused_is_not_felt_and_the_others_are(source, force):
-    config = FeedbackConfig(scale=0.1, source=source)
+def test_a_joint_whose_sample_was_refused_is_not_felt_and_the_others_are(force):
     for other_flags in (0, 0b1111):
         state = slave_state(force, 5.0, status=feedback.INVALID | other_flags)
-        assert feedback.step(config, state, 2) == (0.0, -0.5)
+        assert feedback.felt(CONFIDENCE, state, 2) == (0.0, 5.0)
     merely_doubtful = slave_state(5.0, 5.0, status=0b1111)
-    assert feedback.step(config, merely_doubtful, 2) == (-0.5, -0.5)
+    assert feedback.felt(CONFIDENCE, merely_doubtful, 2) == (5.0, 5.0)
 
 
-@given(FORCES, st.floats(0.0, 100.0))
-def test_the_certified_force_is_in_the_interval_and_nothing_there_is_smaller(middle, width):
-    low, high = middle - width, middle + width
-    certain = feedback.certified(low, high)
-    assert low <= certain <= high
-    assert abs(certain) == min(abs(low), abs(high)) or (certain == 0.0 and low <= 0.0 <= high)
-
-
-@pytest.mark.parametrize("ends", [(1.0, -1.0), (math.nan, 1.0), (1.0, math.nan), (-1.0, math.nan)])
-def test_an_interval_that_is_none_certifies_nothing(ends):
-    assert math.isnan(feedback.certified(*ends))
-    assert math.isnan(feedback.bounded(0.0, *ends))
-
-
-def test_uncertainty_softens_the_certified_force_only():
-    state = slave_state(10.0, width=4.0)
-    assert feedback.step(FeedbackConfig(scale=0.1), state, 1) == pytest.approx((-1.0,))
-    certain = FeedbackConfig(scale=0.1, source="certified")
-    assert feedback.step(certain, state, 1) == pytest.approx((-0.6,))
-
-
-def test_axes_without_a_joint_feel_nothing():
+def test_axes_without_a_joint_feel_nothing_and_neither_does_anyone_before_the_first_state():
     state = slave_state(5.0, 5.0, 5.0, joints=1)
-    assert feedback.step(FeedbackConfig(scale=0.1), state, 3) == (-0.5, 0.0, 0.0)
+    assert feedback.felt(CONFIDENCE, state, 3) == (5.0, 0.0, 0.0)
+    assert feedback.felt(CONFIDENCE, None, 3) == (0.0, 0.0, 0.0)
+
+
+@given(FORCES, FORCES, st.floats(0.0, 0.1))
+def test_a_force_grows_slowly_and_falls_at_once(last, force, dt):
+    after = feedback.slewed(100.0, last, force, dt)
+    assert abs(after) <= abs(force)
+    assert after * force >= 0.0
+    same_side = abs(last) if last * force > 0.0 else 0.0
+    assert abs(after) <= same_side + 100.0 * min(dt, 0.005) + 1e-12
+    assert feedback.slewed(100.0, last, 0.0, dt) == 0.0
+
+
+@given(FORCES)
+def test_rendering_saturates_where_the_slave_is_told_that_it_does(force):
+    config = FeedbackConfig(scale=0.2, limit=2.5)
+    rendered = feedback.clamp(config.limit, feedback.reflect(config.scale, force))
+    most = feedback.saturation(config)
+    assert rendered == pytest.approx(-config.scale * min(max(force, -most), most))
+    assert feedback.saturation(FeedbackConfig(scale=0.0)) == 0.0
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"scale": -0.1}, {"scale": math.nan}, {"limit": 0.0}, {"limit": math.inf}]
+    "wrong",
+    [{"scale": -0.1}, {"scale": math.nan}, {"limit": 0.0}, {"limit": math.inf}, {"slew": 0.0}],
 )
 def test_bad_values_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

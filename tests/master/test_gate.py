@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from master import gate
-from master.gate import GateConfig, Verdict
+from master.gate import FADE_S, GateConfig, Verdict
+from tests.anything import CASES, Anything
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 LIMITS = st.floats(1e-3, 1e3)
@@ -108,3 +109,57 @@ def test_total_limit_keeps_the_direction():
 def test_limits_that_limit_nothing_are_refused(field, value):
     with pytest.raises(ValueError, match=field):
         GateConfig(**{field: value})
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=3), st.floats(1e-4, 0.01))
+def test_a_force_that_fades_only_shrinks_and_is_gone_in_time(start, dt):
+    config = GateConfig(total_max=10.0)
+    force, passed = tuple(start), 0.0
+    while passed < FADE_S - 1e-9:
+        faded, verdict = gate.step(config, force, force, False, False, dt, fades=True)
+        assert verdict == Verdict.NOT_ENGAGED | Verdict.STALE
+        for was, now in zip(force, faded, strict=True):
+            assert now == 0.0 or (abs(now) < abs(was) and now * was > 0.0)
+        force, passed = faded, passed + dt
+    assert not any(force)
+
+
+@pytest.mark.parametrize("dt", [0.0, -1.0, math.nan, math.inf])
+def test_where_time_cannot_be_told_a_force_is_gone_at_once(dt):
+    assert gate.step(GateConfig(), (2.0,), (2.0,), False, False, dt, fades=True).force == (0.0,)
+
+
+def test_what_is_not_a_number_does_not_fade_but_is_gone():
+    gated = gate.step(GateConfig(), (2.0,), (math.nan,), True, False, 1e-3, fades=True)
+    assert gated.force == (0.0,)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_rest_that_is_no_number_is_none(bad):
+    gated = gate.step(GateConfig(), (0.0,), (1.0,), True, False, 1e-3, rest=(bad,))
+    assert gated.force == (0.0,)
+
+
+def test_a_long_run_of_anything_stays_within_all_limits():
+    """GATE_CASES of them; every output is finite, bounded, slewed, and zero if it has to be."""
+    draw = Anything(seed=1)
+    config = GateConfig(axis_max=2.0, total_max=2.5, slew_max=150.0)
+    force = (0.0, 0.0)
+    for _ in range(CASES):
+        wanted = (draw.number(-6.0, 6.0), draw.number(-6.0, 6.0))
+        fresh, may_render, fades = draw.flag(0.8), draw.flag(0.8), draw.flag(0.2)
+        dt = draw.number(0.0, 0.01)
+        after, _ = gate.step(config, force, wanted, fresh, may_render, dt, fades)
+        assert all(map(math.isfinite, after))
+        assert all(abs(f) <= 2.0 for f in after)
+        assert math.hypot(*after) <= 2.5 * (1 + 1e-12)
+        growth = 150.0 * min(dt, 0.005) if dt > 0.0 else 0.0
+        for was, now in zip(force, after, strict=True):
+            assert now <= max(was, 0.0) + growth + 1e-12
+            assert now >= min(was, 0.0) - growth - 1e-12
+        if not (fresh and may_render and all(map(math.isfinite, wanted))):
+            shrunk = fades and all(map(math.isfinite, wanted))
+            for was, now in zip(force, after, strict=True):
+                by = 2.0 * dt / FADE_S if 0.0 < dt < FADE_S else math.inf
+                assert abs(now) <= max(abs(was) - by, 0.0) + 1e-12 if shrunk else now == 0.0
+        force = after

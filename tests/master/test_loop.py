@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -8,7 +9,7 @@ from master import loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
-from master.gate import GateConfig, Verdict
+from master.gate import FADE_S, GateConfig, Verdict
 from teleop import session
 from teleop.link import NEVER_NS
 from teleop.messages import MAX_JOINTS, SlaveState, padded
@@ -16,11 +17,11 @@ from teleop.session import Reason, Session, State
 
 MS = 1_000_000
 EPOCH = 1_700_000_000 * 10**9
-CONFIG = MasterConfig(force=FeedbackConfig(scale=0.2), gate=GateConfig(slew_max=1e6))
+CONFIG = MasterConfig(force=FeedbackConfig(scale=0.2, slew=1e6), gate=GateConfig(slew_max=1e6))
 
 
-def hand(position=0.0, engage=True, velocity=0.0):
-    return HandState((position,), (velocity,), engage)
+def hand(position=0.0, engage=True, velocity=0.0, **buttons):
+    return HandState((position,), (velocity,), engage, **buttons)
 
 
 def answer(now, state=State.ENGAGED, force=5.0, echo=None, sender=7, sample_age=0):
@@ -45,10 +46,10 @@ class Run:
         self.memory = loop.start(1, self.now)
         self.output = None
 
-    def tick(self, the_hand, state=None, age=0, fault=Reason.NONE):
+    def tick(self, the_hand, state=None, age=0, fault=Reason.NONE, **asked):
         self.now += MS
         self.output, self.memory = loop.step(
-            self.config, self.memory, the_hand, state, age, self.now, 1e-3, fault
+            self.config, self.memory, the_hand, state, age, self.now, 1e-3, fault, **asked
         )
         return self.output
 
@@ -99,9 +100,78 @@ def test_releasing_lets_go_at_once_and_pressing_again_resumes_without_a_jump():
     assert run.output.command.position == pytest.approx(there)
 
 
-@pytest.mark.parametrize("how", ["silent", "never", "old answer", "unheard", "gone", "rig"])
-def test_a_stale_state_is_never_felt_and_is_a_fault(how):
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-0.2, 0.2), min_size=1, max_size=20), st.floats(-0.2, 0.2))
+def test_the_clutch_frees_the_hand_and_letting_it_go_resumes_without_a_jump(way, before):
     run = Run().engaged()
+    run.answered(hand(before))
+    there = run.output.command.position
+    for position in way:
+        output = run.answered(hand(position, clutch=True), State.CLUTCHED)
+        assert output.force == (0.0,)
+        assert output.command.position == there
+        assert not any(output.command.velocity)
+        assert run.memory.session == Session(State.CLUTCHED, Reason.CLUTCH_HELD)
+    output = run.answered(hand(way[-1]), State.CLUTCHED)
+    assert run.state == State.ENGAGED
+    assert output.command.position == pytest.approx(there, abs=1e-15)
+    assert output.force == (0.0,)  # until the slave has engaged again too
+    assert run.answered(hand(way[-1])).force != (0.0,)
+
+
+def test_the_emergency_stop_lasts_until_it_is_reset_and_then_everything_is_let_go_of():
+    run = Run().engaged()
+    assert run.answered(hand(stop=True)).force == (0.0,)
+    stopped = Session(State.STOPPED, Reason.EMERGENCY_STOP)
+    assert run.memory.session == stopped
+    for engage, clutch, stop in itertools.product((True, False), repeat=3):
+        if engage or clutch or stop:
+            run.answered(hand(engage=engage, clutch=clutch, stop=stop))
+            assert run.memory.session == stopped
+            assert run.output.force == (0.0,)
+    for _ in range(5):
+        run.answered(hand(engage=False), State.STOPPED)
+        assert run.memory.session == stopped
+    run.tick(hand(), answer(run.now + MS, State.READY), reset=True)
+    assert run.memory.session == Session(State.READY, Reason.RESET)
+    run.answered(hand(), State.READY)
+    assert run.memory.session == Session(State.READY, Reason.RELEASE_FIRST)
+    run.answered(hand(engage=False), State.READY)
+    run.answered(hand(), State.READY)
+    assert run.state == State.ENGAGED
+
+
+def test_a_button_that_is_still_pressed_cannot_be_reset():
+    run = Run().engaged()
+    run.answered(hand(stop=True))
+    run.tick(hand(stop=True), answer(run.now + MS, State.READY), reset=True)
+    assert run.state == State.STOPPED
+
+
+def test_a_stop_from_elsewhere_takes_the_force_away_in_the_same_tick():
+    run = Run().engaged()
+    output = run.tick(hand(), answer(run.now + MS), stop=Reason.STOP_CALLED)
+    assert output.force == (0.0,)
+    assert output.command.state == State.STOPPED
+    assert run.memory.session == Session(State.STOPPED, Reason.STOP_CALLED)
+
+
+@pytest.mark.parametrize("engaged", [True, False])
+def test_the_emergency_stop_counts_whether_engaged_or_not(engaged):
+    run = Run()
+    if engaged:
+        run.engaged()
+    run.answered(hand(engage=False, stop=True), State.READY)
+    assert run.memory.session == Session(State.STOPPED, Reason.EMERGENCY_STOP)
+
+
+@pytest.mark.parametrize("how", ["silent", "never", "old answer", "unheard", "gone", "rig"])
+def test_after_a_stale_state_the_force_fades_and_nothing_couples_until_let_go(how):
+    run = Run().engaged()
+    for _ in range(5):
+        run.answered(hand(), force=11.0)
+    felt = run.output.force[0]
+    assert felt < 0.0
     now = run.now + MS
     state, age = answer(now), 0
     if how == "silent":
@@ -116,13 +186,16 @@ def test_a_stale_state_is_never_felt_and_is_a_fault(how):
         state, age = answer(now, sample_age=20 * MS + 1), 10 * MS
     else:
         state = None
-    output = run.tick(hand(), state, age)
-    assert output.force == (0.0,)
-    assert output.verdict & Verdict.STALE
-    assert run.memory.session == Session(State.FAULT, Reason.PEER_SILENT)
+    for _ in range(math.ceil(FADE_S / 1e-3)):
+        output = run.tick(hand(), state, age)
+        assert output.verdict & Verdict.STALE
+        assert felt < output.force[0] <= 0.0 or felt == output.force[0] == 0.0
+        felt = output.force[0]
+    assert felt == 0.0
+    assert run.memory.session == Session(State.HOLDING, Reason.PEER_SILENT)
     for _ in range(5):  # it comes back, but the switch was never let go of
         assert run.answered(hand()).force == (0.0,)
-        assert run.state == State.FAULT
+        assert run.memory.session == Session(State.HOLDING, Reason.RELEASE_FIRST)
     run.answered(hand(engage=False), State.READY)
     assert run.state == State.READY
 
@@ -248,16 +321,19 @@ def test_over_any_session_the_force_is_safe_and_a_fault_lasts_until_release(scri
         state = None
         if number is not None:
             state = answer(now, number, step["force"], now - step["delay"], step["sender"])
-        before = run.state
+        before, felt = run.state, run.memory.force
         output = run.tick(the_hand, state, step["age"], step["fault"])
         force, command = output.force, output.command
 
         fresh = state is not None and step["age"] <= 30 * MS and step["delay"] <= 100 * MS
         pressed = the_hand is not None and step["engage"]
         assert all(math.isfinite(f) and abs(f) <= 1.5 for f in force)
-        if not (fresh and pressed and number == State.ENGAGED and step["fault"] == Reason.NONE):
+        if run.state == State.HOLDING:  # it fades
+            assert abs(force[0]) == 0.0 or abs(force[0]) < abs(felt[0])
+            assert force[0] * felt[0] >= 0.0
+        elif not (fresh and pressed and number == State.ENGAGED and step["fault"] == Reason.NONE):
             assert force == (0.0,)
-        if any(force):
+        if any(force) and run.state != State.HOLDING:
             assert math.isfinite(step["force"])
             assert math.copysign(1.0, force[0]) == -math.copysign(1.0, step["force"])
             assert run.state == before == State.ENGAGED
@@ -303,7 +379,7 @@ def test_with_a_real_slave_session_and_an_outage_the_force_ends_in_time(outages,
         output = run.tick(hand(engage=tick > 40 + 4 * delay), newest, age)
         if any(output.force):
             felt += 1
-            assert age <= 30 * MS
+            assert age <= 30 * MS + FADE_S * 1e9
         to_slave.append((now, output.command))
         if alive and len(to_slave) > delay:
             command, last_commanded = to_slave[-1 - delay], tick

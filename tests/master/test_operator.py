@@ -8,6 +8,7 @@ from master import operator
 from master.device import HandState
 from master.operator import Memory, OperatorConfig
 from teleop.messages import MAX_JOINTS, SlaveState, padded
+from teleop.session import Reason
 
 CONFIG = OperatorConfig(position_scale=0.25)
 METRES = st.floats(-0.5, 0.5)
@@ -71,3 +72,74 @@ def test_where_the_slave_cannot_tell_its_travel_it_counts_from_zero():
 def test_scales_that_reverse_freeze_or_explode_are_refused(scale):
     with pytest.raises(ValueError, match="position_scale"):
         OperatorConfig(position_scale=scale)
+
+
+SCALES = st.floats(0.01, 10.0)
+LOCKS = st.sampled_from([(), (0,), (1,), (0, 1)])
+
+
+@given(st.lists(st.tuples(METRES, METRES, SCALES, LOCKS, st.integers(0, 4)), max_size=40))
+def test_no_change_of_scale_lock_or_clutch_moves_a_tip_further_than_the_hand_did(script):
+    """Whatever changes in a tick, a tip moves by the new scale times what the hand moved in it."""
+    state, memory = slave_at(0.01, -0.02), Memory()
+    tip, last, was_engaged = state.position, None, False
+    for *hands, scale, lock, dice in script:
+        config, engaged = OperatorConfig(position_scale=scale, lock=lock), dice > 0
+        command, memory = operator.step(config, memory, hand(*hands), state, engaged)
+        for k in range(2):
+            moves = engaged and was_engaged and k not in lock
+            expected = scale * (hands[k] - last[k]) if moves else 0.0
+            assert command.position[k] - tip[k] == pytest.approx(expected, abs=1e-12)
+            if k in lock or not engaged:
+                assert command.position[k] == tip[k]
+                assert command.velocity[k] == 0.0
+        tip, last, was_engaged = command.position, hands, engaged
+
+
+@given(st.lists(METRES, min_size=1, max_size=30), st.floats(-0.3, 0.0), st.floats(0.01, 0.3))
+def test_the_tip_stays_within_what_the_workspace_of_the_hand_can_reach(way, low, high):
+    config = OperatorConfig(position_scale=0.25, workspace=((low, high),))
+    memory, state = Memory(), slave_at(0.0)
+    for position in way:
+        command, memory = operator.step(config, memory, hand(position, velocity=1.0), state, True)
+        start = min(max(way[0], low), high)
+        inside = min(max(position, low), high)
+        assert command.position[0] == pytest.approx(0.25 * (inside - start), abs=1e-12)
+        assert (command.velocity[0] == 0.0) == (not low <= position <= high)
+
+
+def test_aligned_engagement_waits_for_the_hand_to_be_where_the_tip_is():
+    config = OperatorConfig(position_scale=0.25, align=0.002)
+    state = slave_at(0.0)
+    assert operator.hindrance(config, Memory(), hand(0.3), state) == Reason.NONE  # the first time
+    _, memory = operator.step(config, Memory(), hand(0.1), state, True)
+    _, memory = operator.step(config, memory, hand(0.14), state, True)
+    there = slave_at(0.010)
+    _, memory = operator.step(config, memory, hand(0.14), there, False)
+    assert operator.hindrance(config, memory, hand(0.14), there) == Reason.NONE
+    assert operator.hindrance(config, memory, hand(0.14), slave_at(0.007)) == Reason.ALIGN_FIRST
+    assert operator.hindrance(config, memory, hand(0.129), slave_at(0.007)) == Reason.NONE
+    assert operator.hindrance(config, memory, hand(0.2), there) == Reason.ALIGN_FIRST
+    anywhere = OperatorConfig(position_scale=0.25)
+    assert operator.hindrance(anywhere, memory, hand(0.2), there) == Reason.NONE
+    locked = OperatorConfig(position_scale=0.25, align=0.002, lock=(0,))
+    assert operator.hindrance(locked, memory, hand(0.2), there) == Reason.NONE
+    finer = OperatorConfig(position_scale=0.1, align=0.002)  # changed while apart: nothing moved
+    assert operator.hindrance(finer, memory, hand(0.14), there) == Reason.NONE
+    assert operator.hindrance(finer, memory, hand(0.165), there) == Reason.ALIGN_FIRST
+    command, _ = operator.step(config, memory, hand(0.129), slave_at(0.007), True)
+    assert command.position[0] == pytest.approx(0.007)  # from where the slave is, not was asked to
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("lock", (8,)), ("lock", (-1,)), ("align", 0.0), ("align", math.nan), ("presence", 0.0),
+        ("presence_motion", 0.0), ("workspace", ((0.1, 0.1),)), ("workspace", ((math.nan, 1.0),)),
+        ("wall", -1.0), ("wall_damping", math.nan), ("wall_max", 11.0), ("weight", (math.nan,)),
+        ("weight", (0.0,) * 9),
+    ],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_refused_by_name(field, value):
+    with pytest.raises(ValueError, match=f"^{field}: "):
+        OperatorConfig(**{field: value})

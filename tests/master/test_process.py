@@ -2,30 +2,57 @@ import argparse
 import json
 import signal
 import socket
+import time
+from dataclasses import replace
 
 import pytest
 
-from master import devices, process
+from master import devices, loop, process
 from master.config import MasterConfig
-from master.device import DeviceFault, HandState
+from master.device import DeviceFault, DeviceLost, HandState
 from master.devices.virtual import VirtualConfig
+from master.gate import FADE_S
 from master.process import Master, run
 from teleop.clock import Grid, now_ns
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
-from teleop.link import Latest
-from teleop.messages import Command, Event, Hand, LoopReport, SlaveState, padded, text_of
-from teleop.session import Reason, State
-from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE
+from teleop.link import Heard, Latest
+from teleop.messages import (
+    Command,
+    EmergencyStop,
+    Event,
+    Hand,
+    Ledger,
+    LoopReport,
+    Setting,
+    SlaveState,
+    padded,
+    text_bytes,
+    text_of,
+)
+from teleop.remote.door import CALL, RESET, Door
+from teleop.session import Reason, Session, State
+from teleop.topics import (
+    ANSWER,
+    COMMAND,
+    EVENT,
+    HAND,
+    LEDGER,
+    REPORT,
+    SETTING,
+    STATE,
+    STOP,
+    Role,
+)
 
 
 class Line:
     """Stands in for the link: keeps what is published, and answers as an obedient slave would."""
 
-    nonce = 5
+    nonce, role = 5, Role.MASTER
 
     def __init__(self):
-        self.sent = []
+        self.sent, self.heard = [], []
         self.latest_state = Latest(STATE, lambda _: True)
         self.sequence = 0
         self.conflict = None
@@ -49,11 +76,27 @@ class Line:
             self.latest_state.take([data], now_ns(), overflowed=False)
         return stamp
 
-    def subscribe_latest(self, topic):
+    def subscribe_latest(self, topic, limit_ns):
+        assert topic is STATE
+        assert limit_ns == 30_000_000
+
+    def latest(self, topic):
         assert topic is STATE
         return self.latest_state
 
-    latest = subscribe_latest
+    def listen(self, topics):
+        assert set(topics) == {STOP, SETTING}
+        return self
+
+    def drain(self):
+        heard, self.heard = self.heard, []
+        return heard
+
+    def present(self, role, nonce):  # noqa: ARG002
+        return False
+
+    def announced(self, nonce):
+        return nonce == 77
 
     def counts(self):
         return self.latest_state.counts
@@ -166,6 +209,60 @@ def test_a_device_that_fails_ends_the_session_in_fault_and_without_force(fails):
     assert texts[-2:] == [f"fault: {Reason.DEVICE_FAULT.text}", f"off: {master.error}"]
 
 
+def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
+    decided, whole = [], loop.step
+
+    def freezing(*args):
+        output = whole(*args)
+        decided.append(output[0].force)
+        if len(decided) == 30:
+            time.sleep(0.05)  # what a SIGSTOP between decision and write is
+        return output
+
+    monkeypatch.setattr(loop, "step", freezing)
+    device = Stylus()
+    driven(device)
+    assert decided[29][0] < -0.1
+    assert device.forces[28][0] < -0.1
+    assert device.forces[29] == (0.0,)
+
+
+class Plug(Stylus):
+    """A device that is away for a while, and whose switch is held when it is back."""
+
+    def __init__(self, away):
+        super().__init__()
+        self.away = away
+
+    def read(self, time_s):
+        hand = super().read(time_s)
+        if self.reads in self.away:
+            raise DeviceLost("pulled out")
+        return hand
+
+
+def test_a_device_that_is_looked_for_is_a_fault_told_once_and_the_master_goes_on():
+    device = Plug(away=range(20, 60))
+    master, line, stop = driven(device, ticks=100)
+    assert master.error is None
+    assert stop.reason == ""
+    assert device.reads == 100
+    states = [(State(c.state), Reason(c.reason)) for c in line.of(COMMAND)[:-1]]
+    assert states[18][0] == State.ENGAGED
+    # the switch is still held when it is back
+    assert set(states[19:]) == {(State.FAULT, Reason.DEVICE_FAULT)}
+    assert set(device.forces[20:]) == {(0.0,)}
+    assert len(line.of(HAND)) == 60
+    texts = [text_of(event.text) for event in line.of(EVENT)]
+    assert texts[-4:] == [
+        f"fault: {Reason.DEVICE_FAULT.text}",
+        "haptic device: pulled out",
+        "haptic device: it is back; let go of everything, then engage",
+        "off: ended",
+    ]
+    assert master.summary()["faults"] == [f"{Reason.DEVICE_FAULT.text}: pulled out"]
+
+
 def test_whatever_else_goes_wrong_the_hand_is_left_without_force():
     device = Stylus(read_fails_at=20, error=ZeroDivisionError)
     with pytest.raises(ZeroDivisionError):
@@ -195,10 +292,89 @@ def test_a_slave_that_stops_answering_is_felt_no_longer():
         line.answering = number < 100
         master.tick(tick)
         forces.append((line.of(HAND)[-1].state_age_ns, device.forces[-1][0]))
-    assert all(force == 0.0 for age, force in forces if age > 30_000_000)
+    assert all(force == 0.0 for age, force in forces if age > 30_000_000 + FADE_S * 1e9)
     assert any(force < 0.0 for age, force in forces)
     assert forces[-1][0] > 30_000_000
-    assert master.memory.session.reason == Reason.PEER_SILENT
+    assert master.memory.session == Session(State.HOLDING, Reason.PEER_SILENT)
+
+
+def called(topic, message, sender=77, sequence=1):
+    """What `link` hands over of a message from another process."""
+    data = message.pack(sender, sequence, now_ns())
+    return Heard(topic, data, now_ns(), sender, sequence, now_ns())
+
+
+def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset():
+    device, line = Stylus(), Line()
+    master = Master(MasterConfig(), line, device, Grid(1000.0, lambda: False))
+    ticks = iter(Grid(1000.0, lambda: False))
+    for _ in range(30):
+        master.tick(next(ticks))
+    assert device.forces[-1][0] < 0.0
+    words = text_bytes("a nurse")
+    line.heard = [called(STOP, EmergencyStop(role=Role.REMOTE, action=CALL, text=words))]
+    master.tick(next(ticks))
+    assert device.forces[-1] == (0.0,)
+    assert line.of(COMMAND)[-1].state == State.STOPPED
+    told = text_of(line.of(EVENT)[-1].text)
+    assert told == f"stopped: {Reason.STOP_CALLED.text}: remote: a nurse"
+    assert [text_of(call.text) for call in line.of(STOP)] == ["remote: a nurse"]  # relayed
+    for _ in range(20):
+        master.tick(next(ticks))
+    assert master.memory.session.state == State.STOPPED
+    stops = line.of(COMMAND)[-1].stops
+    for other in (stops - 1, stops + 1):
+        reset = EmergencyStop(role=Role.REMOTE, action=RESET, side=Role.MASTER, number=other)
+        line.heard = [called(STOP, reset)]
+        master.tick(next(ticks))
+        assert master.memory.session.state == State.STOPPED
+    reset = EmergencyStop(role=Role.REMOTE, action=RESET, side=Role.MASTER, number=stops)
+    line.heard = [called(STOP, reset)]
+    for _ in range(20):
+        master.tick(next(ticks))
+        assert device.forces[-1] == (0.0,)  # the switch is still held
+    assert master.memory.session == Session(State.READY, Reason.RELEASE_FIRST)
+
+
+def test_our_own_words_come_back_to_us_and_are_not_obeyed():
+    line = Line()
+    door = Door(line)
+    line.heard = [called(STOP, EmergencyStop(action=CALL), sender=line.nonce)]
+    assert door(now_ns()).stop is Reason.NONE
+    line.heard = [called(STOP, EmergencyStop(action=99))]  # of a later version: better stop
+    assert door(now_ns()).stop is Reason.STOP_CALLED
+
+
+class RedButton(Stylus):
+    def read(self, time_s):
+        hand = super().read(time_s)
+        return replace(hand, stop=self.reads in range(20, 25))
+
+
+def test_the_button_of_the_device_is_called_out_once_to_everybody():
+    _, line, _ = driven(RedButton())
+    (call,) = line.of(STOP)
+    assert (call.role, call.action) == (Role.MASTER, CALL)
+    assert text_of(call.text) == Reason.EMERGENCY_STOP.text
+
+
+def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
+    line = Line()
+    master = Master(MasterConfig(), line, Stylus(), Grid(1000.0, lambda: False))
+    ticks = iter(Grid(1000.0, lambda: False))
+    wishes = [("operator.position_scale", "0.1"), ("force.limit", "9"), ("force.scale", "99")]
+    line.heard = [
+        called(SETTING, Setting(key=text_bytes(key), value=text_bytes(value)), sequence=k)
+        for k, (key, value) in enumerate(wishes, start=1)
+    ]
+    master.tick(next(ticks))
+    answers = line.of(ANSWER)
+    assert [(a.asker, a.asked, a.accepted) for a in answers] == [(77, 1, 1), (77, 2, 0), (77, 3, 0)]
+    texts = [text_of(a.text) for a in answers]
+    assert texts[0] == "operator.position_scale = 0.1"
+    assert "force.limit: cannot be changed while the master runs (allowed: force.scale" in texts[1]
+    assert "master.force.scale: must be within 0 ... 10" in texts[2]
+    assert any("set: operator.position_scale = 0.1" in text_of(e.text) for e in line.of(EVENT))
 
 
 @pytest.fixture
@@ -288,5 +464,5 @@ def test_the_help_shows_settings_that_exist():
 
 def test_what_goes_out_is_what_the_table_says():
     _, line, _ = driven(Stylus())
-    kinds = {COMMAND: Command, HAND: Hand, EVENT: Event, REPORT: LoopReport}
+    kinds = {COMMAND: Command, HAND: Hand, EVENT: Event, REPORT: LoopReport, LEDGER: Ledger}
     assert all(type(message) is kinds[topic] is topic.message for topic, message in line.sent)

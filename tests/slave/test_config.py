@@ -8,6 +8,7 @@ from slave.config import SlaveConfig, TendonConfig, doubts
 from slave.control import ControlConfig
 from slave.gate import GateConfig
 from slave.rigs.replayed import ReplayedRigConfig
+from teleop.coupling import PassivityConfig
 
 
 @pytest.mark.parametrize("limit", [20.0, 15.0])
@@ -25,3 +26,5 @@ def test_a_model_without_noise_is_doubted_where_motors_move():
     assert doubts(SlaveConfig(tendons=(told,))) == []
     played = ReplayedRigConfig(file=Path("data.csv"))
     assert doubts(SlaveConfig(rig=played, tendons=(silent,))) == []
+    (line,) = doubts(SlaveConfig(rig=played, tendons=(silent,)), PassivityConfig())
+    assert "direct" in line

@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from estimator.diagnosis.fit import Model
+from estimator.diagnosis.bench import Model
 from estimator.effects import CATALOGUE
 from slave.diagnosis import model_file
 from teleop.errors import UsageError

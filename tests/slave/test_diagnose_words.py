@@ -54,6 +54,11 @@ def test_rivals_are_said_with_what_would_tell_them_apart(found):
     assert [line.partition(":")[0] for line in others] == [FAULT, RIVAL]
 
 
+def test_friction_that_wanders_is_said_to_do_so(found):
+    astray = found._replace(verdict=Verdict.UNEXPLAINED, wanders=True)
+    assert "friction changes with time" in words.sentence(astray)
+
+
 def test_a_clean_bench_is_said_with_what_would_have_been_seen(nothing):
     clean = nothing._replace(verdict=Verdict.CLEAN, visible={"slack": Visible("length", 2e-5, "m")})
     assert words.sentence(clean).endswith("slack would have been seen from a length of 20 µm on.")

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slave.gate import GateConfig, Verdict, step
+from slave.gate import GateConfig, Verdict, reaches, step
+from tests.anything import CASES, Anything
 
 LIMITS = GateConfig(displacement_min=-0.005, displacement_max=0.06, speed_max=0.1, tension_max=25.0)
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -105,3 +106,121 @@ def test_limits_that_limit_nothing_are_refused():
     ):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             GateConfig(**wrong)
+
+
+RANGE = GateConfig(joint_min=-0.004, joint_max=0.010, force_max=8.0)
+
+
+def test_a_joint_at_the_end_of_its_range_goes_nowhere_but_back():
+    pair = ((0, 1),)
+
+    def moved(position, force, wanted, tension=(5.0, 5.0)):
+        reach = reaches(RANGE, pair, [position], [force])
+        return step(RANGE, (0.0, 0.0), wanted, tension, 0.0, True, 1e-3, reach)
+
+    both = (5e-5, -5e-5)  # `a` pulls, `b` is paid out
+    back = (-5e-5, 5e-5)
+    assert moved(0.009, 0.0, both) == (both, Verdict.PASSED)
+    assert moved(0.010, 0.0, both) == ((0.0, -5e-5), Verdict.JOINT)
+    assert moved(0.011, 0.0, back) == (back, Verdict.PASSED)
+    assert moved(-0.004, 0.0, back) == ((-5e-5, 0.0), Verdict.JOINT)
+    assert moved(0.0, 7.9, both) == (both, Verdict.PASSED)
+    assert moved(0.0, 8.0, both) == ((0.0, -5e-5), Verdict.FORCE)
+    assert moved(0.0, 8.0, back) == (back, Verdict.PASSED)
+    assert moved(0.0, -8.0, back) == ((-5e-5, 0.0), Verdict.FORCE)
+    assert moved(0.011, 9.0, both)[1] == Verdict.JOINT | Verdict.FORCE
+
+
+def test_where_a_limited_joint_cannot_be_told_nothing_is_pulled():
+    reach = reaches(RANGE, ((0,),), [math.nan], [math.nan])
+    motor, verdict = step(RANGE, (0.0,), (5e-5,), (5.0,), 0.0, True, 1e-3, reach)
+    assert (motor, verdict) == ((0.0,), Verdict.JOINT | Verdict.FORCE)
+    unlimited = reaches(LIMITS, ((0,),), [math.nan], [math.nan])
+    assert step(LIMITS, (0.0,), (5e-5,), (5.0,), 0.0, True, 1e-3, unlimited) == (
+        (5e-5,),
+        Verdict.PASSED,
+    )
+
+
+def test_a_joint_of_one_tendon_is_not_let_out_beyond_its_range_unless_it_is_too_tight():
+    reach = reaches(RANGE, ((0,),), [-0.005], [0.0])
+    assert step(RANGE, (0.0,), (-5e-5,), (5.0,), 0.0, True, 1e-3, reach) == (
+        (0.0,),
+        Verdict.JOINT,
+    )
+    assert step(RANGE, (0.0,), (-5e-5,), (26.0,), 0.0, True, 1e-3, reach).displacement == (-5e-5,)
+
+
+@given(start=anywhere, tension=anything, age=anything, dt=anything)
+def test_what_holds_gives_way_to_too_large_a_tension_only(start, tension, age, dt):
+    (now,), verdict = step(LIMITS, (start,), (0.05,), (tension,), age, False, dt, may_yield=True)
+    assert math.isfinite(now)
+    assert now <= start
+    assert start - now <= LIMITS.speed_max * 0.005 * (1 + 1e-9)
+    assert now >= min(start, LIMITS.displacement_min)
+    if now != start:
+        assert tension > LIMITS.tension_max
+        assert age <= LIMITS.tension_age_max
+        assert verdict == Verdict.HELD | Verdict.YIELDED
+    held = step(LIMITS, (start,), (0.05,), (tension,), age, False, dt)
+    assert held == ((start,), Verdict.HELD)
+
+
+def test_giving_way_brings_a_tension_back_to_its_limit():
+    stiffness, motor, tension = 5000.0, 0.02, 40.0
+    for _ in range(1000):
+        (after,), _ = step(LIMITS, (motor,), (motor,), (tension,), 0.0, False, 1e-3, (), True)
+        tension, motor = tension + stiffness * (after - motor), after
+    assert tension == pytest.approx(LIMITS.tension_max, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"joint_min": 0.1, "joint_max": 0.1}, {"joint_min": math.nan}, {"force_max": 0.0},
+        {"force_max": math.nan}, {"yield_gain": -1.0}, {"yield_gain": math.nan},
+    ],
+)  # fmt: skip
+def test_ranges_that_are_none_are_refused(wrong):
+    with pytest.raises(ValueError, match=f"^{next(iter(wrong))}"):
+        GateConfig(**wrong)
+
+
+def test_a_long_run_of_anything_stays_within_all_limits():
+    """GATE_CASES of them, on a rig of a pair and a single tendon."""
+    draw = Anything(seed=2)
+    joints = ((0, 1), (2,))
+    motor = (0.0, 0.02, 0.01)
+    for _ in range(CASES):
+        wanted = tuple(draw.number(-0.02, 0.08) for _ in motor)
+        if draw.flag(0.5):
+            wanted = tuple(was + draw.number(-2e-4, 2e-4) for was in motor)
+        tension = tuple(draw.number(-1.0, 30.0) for _ in motor)
+        position = [draw.number(-0.006, 0.012) for _ in joints]
+        force = [draw.number(-10.0, 10.0) for _ in joints]
+        age, dt = draw.number(0.0, 0.04), draw.number(0.0, 0.008)
+        may_move, may_yield = draw.flag(0.8), draw.flag()
+        reach = reaches(RANGE, joints, position, force)
+        after, _ = step(RANGE, motor, wanted, tension, age, may_move, dt, reach, may_yield)
+        ends = (
+            (0, position[0] < 0.010, force[0] < 8.0),
+            (1, position[0] > -0.004, -force[0] < 8.0),
+        )
+        ends += ((2, position[1] < 0.010, force[1] < 8.0),)
+        stride = RANGE.speed_max * min(dt, 0.005) if dt > 0.0 else 0.0
+        for k, free, light in ends:
+            was, now = motor[k], after[k]
+            assert RANGE.displacement_min <= now <= RANGE.displacement_max
+            assert abs(now - was) <= stride * (1 + 1e-9) + 1e-15
+            if now > was:
+                assert may_move
+                assert free
+                assert light
+                assert tension[k] <= RANGE.tension_max
+                assert age <= RANGE.tension_age_max
+            if now < was and not may_move:
+                assert may_yield
+                assert tension[k] > RANGE.tension_max
+        if not position[1] > -0.004 and not tension[2] > RANGE.tension_max:
+            assert after[2] >= motor[2]
+        motor = after

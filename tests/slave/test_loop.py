@@ -1,6 +1,7 @@
 """One tick of the slave: commands move it only when engaged and fresh, samples count once."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -246,6 +247,64 @@ def test_engaging_on_a_command_that_is_no_number_does_not_spoil_what_follows():
     assert output.motor == pytest.approx((0.01,), abs=1e-12)
 
 
+def test_silence_is_held_and_a_tension_over_its_limit_is_given_way_to():
+    memory, time_s = engaged()
+    (start,) = memory.motor
+    for k in range(100):
+        tight = 30.0 if 40 <= k < 60 else 5.0
+        output, memory = tick(
+            memory, [sample(time_s + k * DT, tight)], command(State.ENGAGED, 0.01), fresh=False
+        )
+        assert memory.session == Session(State.HOLDING, Reason.PEER_SILENT)
+        if k < 40:
+            assert output.motor == (start,)
+    give = CONFIG.gate.yield_gain * (30.0 - CONFIG.gate.tension_max) * 20 * DT
+    assert output.motor[0] == pytest.approx(start - give, rel=1e-6)
+
+
+def test_while_clutched_the_motor_holds_and_resumes_without_a_jump():
+    memory, time_s = engaged()
+    held = memory.motor
+    for k, state in enumerate([State.CLUTCHED] * 50 + [State.ENGAGED] * 50):
+        output, memory = tick(memory, [sample(time_s + k * DT)], command(state))
+        assert output.motor == pytest.approx(held, abs=1e-12)
+        assert memory.session.state == state
+
+
+def test_a_stop_drops_what_was_commanded_for_good():
+    memory, time_s = engaged()
+    for k in range(300):
+        _, memory = loop.step(
+            KNOWN,
+            CONFIG,
+            memory,
+            [sample(time_s + k * DT)],
+            command(State.READY if k > 250 else State.ENGAGED, 0.01),
+            True,
+            Reason.NONE,
+            DT,
+            stop=Reason.STOP_CALLED if k == 20 else Reason.NONE,
+            reset=k == 150,
+        )
+        if k == 20:
+            held = memory.motor
+        if 20 <= k < 150:
+            assert memory.session == Session(State.STOPPED, Reason.STOP_CALLED)
+        if k >= 20:
+            assert memory.motor == held
+    assert memory.session.state == State.READY
+
+
+def test_a_master_that_was_restarted_is_not_followed():
+    memory, time_s = engaged()
+    held = memory.motor
+    for k in range(50):
+        other = replace(command(State.ENGAGED, 0.01), sender=9)
+        output, memory = tick(memory, [sample(time_s + k * DT)], other)
+        assert output.motor == held
+        assert memory.session == Session(State.FAULT, Reason.PEER_RESTARTED)
+
+
 @pytest.mark.parametrize("why", ["stale", "released", "fault", "silent"])
 def test_the_motor_holds_as_soon_as(why):
     memory, time_s = engaged()
@@ -321,5 +380,9 @@ def test_whatever_comes_in_the_motors_stay_within_their_limits(displacement, tic
         assert lowest - 1e-15 <= output.motor[0] <= highest + 1e-15
         assert abs(output.motor[0] - was) <= limits.speed_max * DT * (1 + 1e-9)
         if not (fresh and state == State.ENGAGED):
-            assert output.verdict == Verdict.HELD
-            assert output.motor[0] == was
+            assert Verdict.HELD in output.verdict
+            if output.motor[0] != was:  # too tight
+                assert output.verdict == Verdict.HELD | Verdict.YIELDED
+                assert output.motor[0] < was
+                assert tension >= limits.tension_max
+                assert memory.session.may_yield

@@ -4,21 +4,36 @@ import json
 import math
 import signal
 import socket
+import time
 
 import numpy as np
 import pytest
 
 from slave import loop, process, rigs
+from slave.calibration.config import InitialiseConfig
 from slave.config import SlaveConfig, TendonConfig
 from slave.process import Slave, run
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated import SimulatedRigConfig
 from teleop.clock import Grid, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
-from teleop.link import Latest
-from teleop.messages import MAX_JOINTS, Command, padded, text_of
-from teleop.session import Reason, State
-from teleop.topics import COMMAND, EVENT, PROFILE, REPORT, SHEATH, STATE, TENDONS, Role
+from teleop.link import Heard, Latest
+from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
+from teleop.remote.door import CALL, RESET, Door
+from teleop.session import Reason, Session, State
+from teleop.topics import (
+    COMMAND,
+    EVENT,
+    LEDGER,
+    PROFILE,
+    REPORT,
+    SETTING,
+    SHEATH,
+    STATE,
+    STOP,
+    TENDONS,
+    Role,
+)
 
 TENDON = TendonConfig(effective_friction=0.8)
 CONFIG = SlaveConfig(tendons=(TENDON,))
@@ -29,34 +44,45 @@ PULL = 2e-5  # [m] of every command further than the last
 class Line:
     """Stands in for the link: keeps what is published, and commands as a master would."""
 
-    nonce = 5
+    nonce, role = 5, Role.SLAVE
 
     def __init__(self, pressed_after=5):
-        self.sent = []
+        self.sent, self.heard = [], []
         self.latest_command = Latest(COMMAND, lambda _: True)
         self.pressed_after, self.sequence, self.conflict = pressed_after, 0, None
+        self.master_state = None  # whatever is pressed
 
     def publish(self, topic, message):
         stamp = now_ns()
         self.sent.append((topic, message))
         return stamp
 
-    def subscribe_latest(self, topic):
-        assert topic is COMMAND
-        return self.latest_command
-
     def latest(self, topic):
         assert topic is COMMAND
         self.sequence += 1
         pressed = self.sequence > self.pressed_after
         command = Command(
-            state=State.ENGAGED if pressed else State.READY,
+            state=self.master_state or (State.ENGAGED if pressed else State.READY),
             position=padded((self.sequence * PULL,), MAX_JOINTS),
         )
         stamp = now_ns()
         data = command.pack(self.nonce, self.sequence, stamp)
         self.latest_command.take([data], stamp, overflowed=False)
         return self.latest_command
+
+    def listen(self, topics):
+        assert set(topics) == {STOP, SETTING}
+        return self
+
+    def drain(self):
+        heard, self.heard = self.heard, []
+        return heard
+
+    def present(self, role, nonce):  # noqa: ARG002
+        return False
+
+    def announced(self, nonce):
+        return nonce == 77
 
     def counts(self):
         return self.latest_command.counts
@@ -211,12 +237,100 @@ def test_whatever_else_goes_wrong_the_others_are_told(fails):
     assert line.said()[-1].startswith("off: ")
 
 
+def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
+    decided, whole = [], loop.step
+
+    def freezing(*args):
+        output = whole(*args)
+        decided.append(output[0].motor)
+        if len(decided) == 20:
+            time.sleep(0.05)  # what a SIGSTOP between decision and write is
+        return output
+
+    monkeypatch.setattr(loop, "step", freezing)
+    rig = Bench()
+    _, line, _ = driven(rig)
+    assert decided[19] not in map(tuple, rig.writes)
+    assert rig.writes[14] == rig.writes[13]
+    assert Reason.PEER_SILENT in [state.reason for state in line.of(STATE)]
+
+
 def test_a_second_slave_ends_the_session():
     line = Line()
     line.conflict = "it has a slave already"
     slave, _, stop = driven(Bench(), line, ticks=200, rate_hz=100.0)
     assert isinstance(slave.error, PeerError)
     assert stop.reason == line.conflict
+
+
+def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master_s_help():
+    rig, line = Bench(), Line()
+    slave = Slave(CONFIG, line, rig, loop.know(rig.joints, [TENDON.model()]), Grid(1000.0, bool))
+    ticks = iter(Grid(1000.0, lambda: False))
+
+    def run_on(count):
+        for _ in range(count):
+            slave.tick(next(ticks))
+
+    def call(action, sequence, sender=77, **settings):
+        message = EmergencyStop(
+            role=Role.REMOTE, action=action, text=text_bytes("a nurse"), **settings
+        )
+        data = message.pack(sender, sequence, now_ns())
+        line.heard = [Heard(STOP, data, now_ns(), sender, sequence, now_ns())]
+
+    run_on(30)
+    assert rig.writes[-1] != rig.writes[-2]
+    call(CALL, 1)
+    run_on(1)
+    held = rig.writes[-1]
+    assert slave.memory.session == Session(State.STOPPED, Reason.STOP_CALLED)
+    assert line.said()[-1] == f"stopped: {Reason.STOP_CALLED.text}: remote: a nurse"
+    run_on(50)  # the master goes on commanding
+    stops = line.of(STATE)[-1].stops
+    call(RESET, 2, side=Role.SLAVE, number=stops - 1)  # of a stop before this one
+    run_on(1)
+    call(RESET, 3, side=Role.MASTER, number=stops)
+    run_on(1)
+    call(RESET, 4, 78, side=Role.SLAVE, number=stops)  # by nobody who is there
+    run_on(1)
+    assert slave.memory.session.state is State.STOPPED
+    call(RESET, 5, side=Role.SLAVE, number=stops)
+    run_on(50)
+    assert all(written == held for written in rig.writes[-100:])
+    assert slave.memory.session == Session(State.READY, Reason.PEER_NOT_READY)
+    assert line.of(STATE)[-60].state == State.STOPPED
+
+
+def test_a_stop_ends_a_calibration_at_the_start_where_the_motors_are(monkeypatch):
+    line = Line()
+    config = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(at_start=True))
+    message = EmergencyStop(role=Role.REMOTE, action=CALL, text=text_bytes("a nurse"))
+    data = message.pack(77, 1, now_ns())
+
+    def never_calibrated(_rig, _config, _grid, _start, stopped, progress):
+        assert stopped() == ""
+        line.heard = [Heard(STOP, data, now_ns(), 77, 1, now_ns())]
+        stopped()
+
+    monkeypatch.setattr(process, "initialise", never_calibrated)
+    with pytest.raises(TeleopError, match=r"calibration given up: .*remote: a nurse"):
+        process.known_before(config, Bench(), line, Door(line), Until(9), 1000.0, {})
+    (told,) = line.of(STOP)  # the master may not have heard it
+    assert told.action == CALL
+
+
+def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch):
+    line = Line()
+    line.master_state = State.STOPPED
+    config = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(at_start=True))
+
+    def never_calibrated(_rig, _config, _grid, _start, stopped, progress):
+        stopped()
+
+    monkeypatch.setattr(process, "initialise", never_calibrated)
+    with pytest.raises(TeleopError, match=r"calibration given up: .*emergency stop"):
+        process.known_before(config, Bench(), line, Door(line), Until(9), 1000.0, {})
 
 
 def test_the_state_tells_how_old_its_sample_is():
@@ -234,7 +348,9 @@ def test_the_state_tells_how_old_its_sample_is():
 
 def test_what_goes_out_is_what_the_table_says():
     _, line, _ = driven(Bench(), ticks=120, rate_hz=200.0)
-    assert {topic for topic, _ in line.sent} == {STATE, TENDONS, PROFILE, SHEATH, EVENT, REPORT}
+    assert {topic for topic, _ in line.sent} == {
+        *(STATE, TENDONS, PROFILE, SHEATH, EVENT, REPORT, LEDGER)
+    }
     for topic, message in line.sent:
         assert type(message) is topic.message
         assert topic.publisher in (None, Role.SLAVE)

@@ -8,8 +8,6 @@ from teleop.session import State
 from teleop.topics import COMMAND, HAND, STATE, TENDONS
 from tests.system.processes import Processes, pause
 
-pytestmark = pytest.mark.system
-
 LIMIT_NS = 50_000_000  # what the other side has to be safe, counted from the last message sent
 
 

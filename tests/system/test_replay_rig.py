@@ -11,8 +11,6 @@ from teleop.recording.reader import open_recording, read_columns
 from teleop.topics import HAND, TENDONS
 from tests.system.test_run import run
 
-pytestmark = pytest.mark.system
-
 
 def live_and_offline(data, folder, demo_config):
     """Fit and estimate offline, then play the same data live; return both and the summaries."""

@@ -20,8 +20,6 @@ from teleop.session import State
 from teleop.topics import HAND, TENDONS, TOPICS, Role
 from tests.system.processes import OURS, START_S, Processes, free_ports, pause
 
-pytestmark = pytest.mark.system
-
 
 def run(config, folder, *arguments, wait=True, environment=OURS):
     master, slave = free_ports(2)

@@ -10,6 +10,7 @@ import pytest
 
 from teleop import doctor
 from teleop.doctor import Finding
+from tests.hid.descriptors import LAYOUTS
 
 ROOT = Path(__file__).parents[2]
 
@@ -79,3 +80,41 @@ def test_only_what_is_essential_fails(monkeypatch, capsys, findings, code, verdi
     for finding, line in zip(findings, lines, strict=True):
         assert finding.detail in line
         assert (finding.remedy in line) or finding.good
+
+
+@pytest.fixture
+def plug(tmp_path, monkeypatch):
+    """Plug in a node of a descriptor, one that may not be opened if told so."""
+    barred = set()
+    monkeypatch.setattr(doctor, "HID_NODES", tmp_path / "dev")
+    monkeypatch.setattr(doctor, "HID_DESCRIPTORS", tmp_path / "sys")
+    monkeypatch.setattr(os, "access", lambda path, _mode: Path(path).name not in barred)
+
+    def plug(name, descriptor, may=True):
+        for folder in (tmp_path / "dev", place := tmp_path / "sys" / name / "device"):
+            folder.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "dev" / name).touch()
+        (place / "report_descriptor").write_bytes(descriptor)
+        if not may:
+            barred.add(name)
+
+    return plug
+
+
+@pytest.mark.parametrize(
+    "name", ["openffboard 2", "rhino", "ffbeast pid", "dualsense", "spacemouse", "logitech g29"]
+)
+def test_a_haptic_device_that_may_not_be_opened_is_a_note_with_the_remedy(plug, name):
+    plug("hidraw7", LAYOUTS[name], may=False)
+    finding = doctor.hid_nodes()
+    assert (finding.good, finding.essential) == (False, False)
+    assert finding.detail == "1 attached, no permission: hidraw7"
+    assert "teleop devices rules" in finding.remedy
+
+
+def test_keyboards_and_mice_do_not_matter(plug):
+    plug("hidraw0", b"\x05\x01\x09\x06\xa1\x01\xc0", may=False)
+    plug("hidraw1", b"\x05\x01\x09\x02\xa1\x01\xc0", may=False)
+    assert doctor.hid_nodes().detail.startswith("none attached")
+    plug("hidraw2", LAYOUTS["openffboard 1"])
+    assert (doctor.hid_nodes().good, doctor.hid_nodes().detail) == (True, "1 attached")

@@ -3,6 +3,7 @@
 import io
 import json
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,12 +11,14 @@ from teleop import cli, process
 from teleop.errors import PeerError, TeleopError
 from teleop.launch import command, watch
 from teleop.launch import summary as summaries
+from teleop.launch.keys import Keys
 from teleop.launch.status import StatusLine, status_text
 from teleop.launch.supervisor import Supervisor, wait_for
 from teleop.link import Heard
 from teleop.messages import Event, LoopReport, SlaveState, TendonState, padded, text_bytes
+from teleop.remote.door import CALL, RESET
 from teleop.session import State
-from teleop.topics import EVENT, REPORT, Role
+from teleop.topics import COMMAND, EVENT, REPORT, STATE, STOP, Role
 
 
 def loop(ticks=1000, latencies=0):
@@ -282,13 +285,79 @@ def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(famil
     child = family.start("slave", ["import signal; signal.pause()"])
     monkeypatch.setattr(watch, "START_S", 0.5)
     waiting = (Mute(), Mute(), watch.Hearing(), family, StatusLine(stream))
-    assert watch.wait_for_slave(*waiting, StopAt(2)) is None
+    keyboard = watch.Keyboard(Keys(), Mute())
+    assert watch.wait_for_slave(*waiting, StopAt(2), keyboard) is None
     assert stream.getvalue() == "[slave] off: calibrating\n"
     child.heard_s += 1.0
-    assert watch.wait_for_slave(*waiting, StopAt(7)) is None
+    assert watch.wait_for_slave(*waiting, StopAt(7), keyboard) is None
     child.heard_s -= 2.0
     with pytest.raises(TeleopError, match="did not start"):
-        watch.wait_for_slave(*waiting, StopAt(7))
+        watch.wait_for_slave(*waiting, StopAt(7), keyboard)
+
+
+class Pressed:
+    """Keys that are pressed one look after the other."""
+
+    def __init__(self, *keys):
+        self.keys = list(keys)
+
+    def wait(self, _seconds):
+        return self.keys.pop(0) if self.keys else ""
+
+
+class Sides:
+    """A link to two sides, each in the state and with the stops that a test says."""
+
+    def __init__(self):
+        self.states, self.stops, self.sent = {}, {}, []
+
+    def latest(self, topic):
+        side = {STATE: Role.SLAVE, COMMAND: Role.MASTER}[topic]
+        state = self.states.get(side)
+        told = (
+            None if state is None else SimpleNamespace(state=state, stops=self.stops.get(side, 0))
+        )
+        return SimpleNamespace(message=told)
+
+    def publish(self, topic, message):
+        assert topic is STOP
+        self.sent.append((message.action, message.side, message.number))
+
+
+STOPPING = (CALL, 0, 0)
+
+
+def test_a_stop_from_the_keyboard_is_called_until_both_sides_have_stopped():
+    sides = Sides()
+    keyboard = watch.Keyboard(Pressed(" "), sides)
+    for _ in range(3):  # nobody is there yet
+        keyboard.look(0.0)
+    sides.states[Role.SLAVE] = State.STOPPED
+    keyboard.look(0.0)
+    sides.states[Role.MASTER] = State.READY
+    keyboard.look(0.0)
+    assert sides.sent == [STOPPING] * 5
+    sides.states[Role.MASTER] = State.STOPPED
+    keyboard.look(0.0)
+    sides.states[Role.MASTER] = State.READY  # reset by another process
+    keyboard.look(0.0)
+    assert len(sides.sent) == 5
+
+
+def test_a_reset_from_the_keyboard_names_the_stops_that_it_takes_back_and_no_later_one():
+    sides = Sides()
+    sides.states = dict.fromkeys((Role.MASTER, Role.SLAVE), State.STOPPED)
+    sides.stops = {Role.MASTER: 4, Role.SLAVE: 6}
+    keyboard = watch.Keyboard(Pressed("r", "", " r"), sides)
+    keyboard.look(0.0)
+    assert sorted(sides.sent) == [(RESET, Role.MASTER, 4), (RESET, Role.SLAVE, 6)]
+    sides.sent.clear()
+    sides.stops[Role.SLAVE] = 7  # somebody has called anew
+    sides.states[Role.MASTER] = State.READY
+    keyboard.look(0.0)
+    assert sides.sent == []
+    keyboard.look(0.0)
+    assert sides.sent == [STOPPING]
 
 
 # the order of events

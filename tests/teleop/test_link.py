@@ -210,8 +210,9 @@ def test_a_gap_behind_a_full_channel_is_overwritten_not_lost() -> None:
 def test_another_sender_is_let_in_only_when_ours_is_gone_and_it_is_announced() -> None:
     there = {7}
     reception = Reception(COMMAND, visit=lambda nonce: nonce in there)
-    assert reception.admit(packed(1, sender=9)) is None  # unknown so far: passed over, uncounted
-    assert reception.counts == Counts()
+    assert reception.admit(packed(1, sender=9)) is None  # unknown so far: passed over
+    assert reception.counts == Counts(unknown=1)
+    assert reception.counts.rejected == 0
     assert reception.admit(packed(5, sender=7))
     there.add(9)
     assert reception.admit(packed(100, sender=9)) is None
@@ -219,7 +220,7 @@ def test_another_sender_is_let_in_only_when_ours_is_gone_and_it_is_announced() -
     there.discard(7)
     assert reception.admit(packed(1, sender=9))
     assert reception.admit(packed(6, sender=7)) is None
-    assert reception.counts == Counts(received=2, restarts=1, foreign=2)
+    assert reception.counts == Counts(received=2, restarts=1, foreign=2, unknown=1)
 
 
 def test_a_message_of_another_topic_or_layout_is_counted_as_layout() -> None:

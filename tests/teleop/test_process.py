@@ -14,6 +14,7 @@ import pytest
 from teleop.errors import TeleopError, UsageError
 from teleop.process import (
     SUPERVISED,
+    Stop,
     destination,
     die_with_launcher,
     die_with_parent,
@@ -31,6 +32,20 @@ def test_a_duration_is_a_number_above_0(text):
 
 def test_durations_are_seconds():
     assert [seconds(text) for text in ("0.5", "30", "1e3")] == [0.5, 30.0, 1000.0]
+
+
+def test_a_duration_counts_from_the_first_tick_however_long_setting_up_took(monkeypatch):
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    stop = Stop(2.0)
+    now[0] = 130.0
+    assert not stop()
+    now[0] = 131.9
+    assert not stop()
+    now[0] = 132.0
+    assert stop()
+    assert stop.reason == "duration reached"
 
 
 def test_an_impossible_destination_is_found_out_at_once(tmp_path):

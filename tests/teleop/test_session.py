@@ -2,29 +2,50 @@
 
 import itertools
 from collections import deque
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 
-from teleop.session import FOLLOW_LIMIT_S, Inputs, Reason, Session, State, step, switch_of
+from teleop.session import (
+    FOLLOW_LIMIT_S,
+    HOLD_LIMIT_S,
+    Inputs,
+    Reason,
+    Session,
+    State,
+    step,
+    switch_of,
+)
 
 DT = 0.001
 OWN_FAULTS = (Reason.RIG_FAULT, Reason.DEVICE_FAULT)
+STOP = Reason.STOP_CALLED
 EVERY_INPUT = [
-    Inputs(usable, fresh, peer, engage, fault)
-    for usable, fresh, peer, engage, fault in itertools.product(
-        (False, True), (False, True), State, (False, True), (Reason.NONE, *OWN_FAULTS)
+    Inputs(usable, fresh, peer, engage, fault, clutch, stop, reset, hindrance, nonce)
+    for usable, fresh, peer, engage, fault, clutch, stop, reset, (hindrance, nonce) in (
+        itertools.product(
+            *((False, True), (False, True), State, (False, True), (Reason.NONE, *OWN_FAULTS)),
+            *((False, True), (Reason.NONE, STOP), (False, True)),
+            ((Reason.NONE, 0), (Reason.NONE, 1), (Reason.ALIGN_FIRST, 0)),
+        )
     )
+    if not (stop and fault)
 ]
+COUPLES = (State.ENGAGED, State.CLUTCHED)
 CALM = Inputs(usable=True, peer_fresh=True, peer_state=State.READY, engage=False)
 PRESS = Inputs(usable=True, peer_fresh=True, peer_state=State.READY, engage=True)
 COUPLED = Inputs(usable=True, peer_fresh=True, peer_state=State.ENGAGED, engage=True)
 
 
 def whole(session: Session) -> tuple[object, ...]:
-    """All fields, also those that equality leaves out; the wait only by whether it has run out."""
+    """All fields, also those that equality leaves out; the wait only by whether it has run out.
+
+    But for the count of stops, on which nothing hangs.
+    """
     values = {f.name: getattr(session, f.name) for f in fields(session)}
-    values["waited_s"] = round(values["waited_s"] / FOLLOW_LIMIT_S, 6)
+    del values["stops"], values["calling"]
+    limit_s = FOLLOW_LIMIT_S if session.state == State.ENGAGED else HOLD_LIMIT_S
+    values["waited_s"] = values["waited_s"] > 0.5 * limit_s
     return tuple(values.values())
 
 
@@ -48,43 +69,106 @@ def explore(dt: float = FOLLOW_LIMIT_S * 0.6) -> list[tuple[Session, Inputs, Ses
     return transitions
 
 
-TRANSITIONS = explore()
+SHORT_TICKS = explore()
+TRANSITIONS = SHORT_TICKS + explore(HOLD_LIMIT_S * 0.6)
 
 
 def test_all_states_and_the_peer_reasons_are_reachable() -> None:
     reached = {(after.state, after.reason) for _, _, after in TRANSITIONS}
     assert {state for state, _ in reached} == set(State)
     faults = {reason for state, reason in reached if state == State.FAULT}
-    peer = {Reason.PEER_SILENT, Reason.PEER_FAULT, Reason.PEER_LEFT, Reason.PEER_DECLINED}
+    peer = {
+        Reason.PEER_SILENT,
+        Reason.PEER_FAULT,
+        Reason.PEER_LEFT,
+        Reason.PEER_DECLINED,
+        Reason.PEER_RESTARTED,
+    }
     assert faults == peer | set(OWN_FAULTS) | {Reason.NOT_USABLE}
+    holds = {reason for state, reason in reached if state == State.HOLDING}
+    assert holds == {Reason.PEER_SILENT, Reason.PEER_HOLDS, Reason.RELEASE_FIRST}
+    stops = {reason for state, reason in reached if state == State.STOPPED}
+    assert stops == {STOP, Reason.PEER_STOPPED}
 
 
 def test_engaged_only_with_usable_fresh_willing_and_asked_for() -> None:
-    for _, inputs, after in TRANSITIONS:
+    for before, inputs, after in TRANSITIONS:
         if after.state == State.ENGAGED:
             assert inputs.usable
             assert inputs.peer_fresh
             assert inputs.engage
+            assert not inputs.clutch
             assert inputs.fault == Reason.NONE
-            assert inputs.peer_state in (State.READY, State.ENGAGED)
+            assert inputs.stop == Reason.NONE
+            assert inputs.peer_state in (State.READY, *COUPLES)
+            assert inputs.peer == after.peer
+            if before.state == State.READY:
+                assert inputs.hindrance == Reason.NONE
 
 
-def test_engaged_is_entered_from_ready_only() -> None:
+def test_engaged_is_entered_from_ready_or_by_the_clutch_only() -> None:
     for before, inputs, after in TRANSITIONS:
         if after.state == State.ENGAGED and before.state != State.ENGAGED:
-            assert before.state == State.READY
-            assert inputs.peer_state in (State.READY, State.ENGAGED)
+            assert before.state in (State.READY, State.CLUTCHED)
+            if before.state == State.READY:
+                assert inputs.peer_state in (State.READY, State.ENGAGED)
 
 
-def test_an_own_fault_always_leads_to_fault() -> None:
-    for _, inputs, after in TRANSITIONS:
+def test_clutched_comes_from_engaged_and_ends_with_the_clutch_or_the_session() -> None:
+    for before, inputs, after in TRANSITIONS:
+        if after.state == State.CLUTCHED:
+            assert before.state in COUPLES
+            assert inputs.clutch
+            assert inputs.engage
+        if before.state == State.CLUTCHED and after.state == State.ENGAGED:
+            assert not inputs.clutch
+
+
+def test_an_own_fault_leads_to_fault_unless_stopped() -> None:
+    for before, inputs, after in TRANSITIONS:
         if inputs.fault != Reason.NONE:
-            assert after.state == State.FAULT
+            latched = before.state == State.STOPPED and not inputs.reset
+            assert after.state == (State.STOPPED if latched else State.FAULT)
+
+
+def test_a_stop_always_stops_and_only_a_reset_without_a_stop_ends_it() -> None:
+    for before, inputs, after in TRANSITIONS:
+        if inputs.stop != Reason.NONE:
+            assert after.state == State.STOPPED
+        if before.state == State.STOPPED:
+            assert after.state not in (*COUPLES, State.HOLDING)
+            if after.state == State.STOPPED:
+                assert after.reason == before.reason
+            else:
+                assert inputs.reset
+                assert inputs.stop == Reason.NONE
+                assert not after.open_seen  # the switch must be found open, then pressed
+
+
+def test_a_stop_of_the_peer_stops_whoever_is_coupled_to_it() -> None:
+    for before, inputs, after in TRANSITIONS:
+        calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable and inputs.peer_fresh
+        coupled = before.state in (*COUPLES, State.HOLDING)
+        if coupled and calm and inputs.peer_state == State.STOPPED:
+            assert after == Session(State.STOPPED, Reason.PEER_STOPPED)
+
+
+def test_silence_while_coupled_is_held_and_ends_in_ready_fault_or_stop() -> None:
+    for before, inputs, after in TRANSITIONS:
+        calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable
+        if before.state in COUPLES and calm and not inputs.peer_fresh:
+            assert after == Session(State.HOLDING, Reason.PEER_SILENT)
+        if before.state == State.HOLDING and after.state != State.HOLDING:
+            assert after.state in (State.READY, State.FAULT, State.STOPPED)
+            if after.state == State.READY:
+                assert inputs.peer_fresh
+                assert not inputs.engage
+                assert not after.open_seen
 
 
 def test_fault_is_left_only_with_the_switch_open_and_the_fault_gone() -> None:
     for before, inputs, after in TRANSITIONS:
-        if before.state == State.FAULT and after.state != State.FAULT:
+        if before.state == State.FAULT and after.state not in (State.FAULT, State.STOPPED):
             assert after.state == State.READY
             assert not inputs.engage
             assert inputs.usable
@@ -105,12 +189,13 @@ def test_a_fault_keeps_its_first_reason() -> None:
             assert after.reason == before.reason
 
 
-def test_leaving_engaged_by_anything_but_the_switch_or_an_end_is_a_fault() -> None:
+def test_leaving_engaged_for_ready_takes_the_switch_or_an_end() -> None:
     for before, inputs, after in TRANSITIONS:
-        if before.state == State.ENGAGED and after.state != State.ENGAGED:
-            ended = not inputs.engage or inputs.peer_state == State.OFF
-            calm = inputs.usable and inputs.peer_fresh and inputs.fault == Reason.NONE
-            assert (after.state == State.READY) == (ended and calm)
+        if before.state in COUPLES and after.state == State.READY:
+            assert not inputs.engage or inputs.peer_state == State.OFF
+            assert inputs.usable
+            assert inputs.peer_fresh
+            assert inputs.fault == inputs.stop == Reason.NONE
 
 
 def test_may_move_and_may_render_are_granted_only_while_engaged() -> None:
@@ -119,6 +204,11 @@ def test_may_move_and_may_render_are_granted_only_while_engaged() -> None:
             assert not after.may_move
             assert not after.may_render
         assert not after.may_render or after.may_move
+        assert not (after.fades and after.may_render)
+        assert not (after.may_yield and after.may_move)
+        if after.state in (State.STOPPED, State.FAULT, State.OFF, State.READY):
+            assert not after.may_yield
+            assert not after.fades
 
 
 def test_forces_wait_for_the_slave_to_engage() -> None:
@@ -128,7 +218,7 @@ def test_forces_wait_for_the_slave_to_engage() -> None:
 
 
 def test_step_is_a_function() -> None:
-    for before, inputs, after in TRANSITIONS[::7]:
+    for before, inputs, after in SHORT_TICKS[::7]:
         assert whole(step(before, inputs, FOLLOW_LIMIT_S * 0.6)) == whole(after)
 
 
@@ -166,9 +256,9 @@ def test_a_switch_held_from_the_start_does_not_engage() -> None:
 def test_no_engagement_by_itself_after_a_mishap(mishap: Inputs) -> None:
     engaged = run(Session(), CALM, CALM, PRESS, COUPLED)
     faulty = step(engaged, mishap, DT)
-    assert faulty.state == State.FAULT
+    assert faulty.state == (State.FAULT if mishap.peer_fresh else State.HOLDING)
     held = run(faulty, *[PRESS] * 500, *[COUPLED] * 500)
-    assert held.state == State.FAULT
+    assert held.state == faulty.state
     assert run(held, CALM).state == State.READY
     assert run(held, CALM, CALM, PRESS).state == State.ENGAGED
 
@@ -202,31 +292,111 @@ def pair(
     engage: bool,
     linked: bool,
     ok: bool,
+    clutch: bool = False,
+    stop: bool = False,
+    reset: bool = False,
 ) -> tuple[Session, Session, tuple[State, State]]:
     """One tick of both sides; each hears what the other was a tick ago, if they are linked."""
     slave_heard, master_heard = heard
-    new_master = step(master, Inputs(True, linked, slave_heard, engage), DT)
+    stopped = STOP if stop else Reason.NONE
+    new_master = step(
+        master,
+        Inputs(True, linked, slave_heard, engage, clutch=clutch, stop=stopped, reset=reset),
+        DT,
+    )
     fault = Reason.NONE if ok else Reason.RIG_FAULT
-    asked = switch_of(master_heard)
-    new_slave = step(slave, Inputs(True, linked, master_heard, asked, fault), DT)
+    asked, held = switch_of(master_heard), master_heard == State.CLUTCHED
+    new_slave = step(slave, Inputs(True, linked, master_heard, asked, fault, held, reset=reset), DT)
     heard = (new_slave.state, new_master.state) if linked else heard
     return new_master, new_slave, heard
 
 
+SILENT = Inputs(usable=True, peer_fresh=False, peer_state=State.ENGAGED, engage=True)
+
+
+def test_silence_that_lasts_becomes_a_fault() -> None:
+    session = run(Session(), CALM, CALM, PRESS, COUPLED)
+    ticks = 0
+    while session.state != State.FAULT:
+        session = step(session, SILENT, DT)
+        ticks += 1
+    assert session.reason == Reason.PEER_SILENT
+    assert ticks * DT == pytest.approx(HOLD_LIMIT_S, abs=3 * DT)
+
+
+def test_a_short_silence_says_what_to_do_and_does_not_become_a_fault() -> None:
+    session = run(Session(), CALM, CALM, PRESS, COUPLED)
+    for _ in range(20):
+        session = run(session, *[SILENT] * 1500, COUPLED)
+        assert session == Session(State.HOLDING, Reason.RELEASE_FIRST)
+
+
+def test_the_clutch_goes_and_comes_back_while_the_switch_is_held() -> None:
+    clutched = replace(COUPLED, clutch=True)
+    session = run(Session(), CALM, CALM, PRESS, COUPLED, clutched)
+    assert session == Session(State.CLUTCHED, Reason.CLUTCH_HELD)
+    answered = replace(clutched, peer_state=State.CLUTCHED)
+    session = run(session, *[answered] * 5000)
+    assert session.state == State.CLUTCHED
+    session = run(session, replace(answered, clutch=False))
+    assert session.state == State.ENGAGED
+    assert not session.may_render  # until the slave has engaged again too
+    assert run(session, COUPLED).may_render
+    assert run(session, replace(PRESS, engage=False)).state == State.READY
+
+
+def test_a_tap_on_the_clutch_over_a_long_line_is_no_fault() -> None:
+    """The peer's CLUTCHED comes when the clutch has long been let go of."""
+    session = run(Session(), CALM, CALM, PRESS, COUPLED, replace(COUPLED, clutch=True), COUPLED)
+    assert session.state == State.ENGAGED
+    session = run(session, *[replace(COUPLED, peer_state=State.CLUTCHED)] * 50)
+    assert session.state == State.ENGAGED
+    assert not session.may_render
+    assert run(session, COUPLED).may_render
+
+
+def test_a_restarted_peer_is_not_the_one_we_engaged_with() -> None:
+    session = run(Session(), CALM, CALM, PRESS, COUPLED)
+    assert run(session, replace(COUPLED, peer=1)) == Session(State.FAULT, Reason.PEER_RESTARTED)
+
+
+def test_after_a_reset_nothing_is_coupled_until_let_go_and_pressed() -> None:
+    stopped = run(Session(), CALM, CALM, PRESS, COUPLED, replace(COUPLED, stop=STOP))
+    assert run(stopped, *[CALM] * 1000, *[PRESS] * 1000) == Session(State.STOPPED, STOP)
+    assert run(stopped, replace(PRESS, reset=True, stop=STOP)).state == State.STOPPED
+    ready = run(stopped, replace(PRESS, reset=True))
+    assert ready == Session(State.READY, Reason.RESET)
+    assert run(ready, *[PRESS] * 1000) == Session(State.READY, Reason.RELEASE_FIRST)
+    assert run(ready, CALM, PRESS).state == State.ENGAGED
+
+
+def test_what_hinders_is_named_and_must_be_gone_to_engage() -> None:
+    astray = replace(PRESS, hindrance=Reason.ALIGN_FIRST)
+    session = run(Session(), CALM, CALM, *[astray] * 100)
+    assert session == Session(State.READY, Reason.ALIGN_FIRST)
+    assert run(session, PRESS).state == State.ENGAGED
+
+
 def test_two_sides_never_wait_for_each_other_for_ever() -> None:
-    """From whatever two linked sides can get into, a released switch leads both to READY."""
+    """From whatever two linked sides can get into, a released switch leads both to READY.
+
+    But for an emergency stop, which first takes a reset.
+    """
     start = (Session(), Session(), (State.OFF, State.OFF))
     todo, seen = deque([start]), set()
     while todo:
         master, slave, heard = todo.popleft()
         identity = (whole(master), whole(slave), heard)
-        if identity in seen or master.waited_s > 3 * DT:
+        if identity in seen or master.waited_s > 3 * DT or slave.waited_s > 3 * DT:
             continue
         seen.add(identity)
-        for engage, linked, ok in itertools.product((False, True), repeat=3):
-            todo.append(pair(master, slave, heard, engage, linked, ok))
-        for _ in range(6):
-            master, slave, heard = pair(master, slave, heard, False, True, True)
+        for held in itertools.product((False, True), repeat=3):
+            for more in ({}, {"clutch": True}, {"stop": True}, {"reset": True}):
+                todo.append(pair(master, slave, heard, *held, **more))
+        for k in range(8):
+            master, slave, heard = pair(
+                master, slave, heard, False, True, True, reset=State.STOPPED in heard and k < 4
+            )
         assert (master.state, slave.state) == (State.READY, State.READY)
         for _ in range(6):
             master, slave, heard = pair(master, slave, heard, True, True, True)
@@ -262,3 +432,13 @@ def test_every_reason_has_its_own_number_and_sentence() -> None:
 def test_numbers_of_a_later_version_are_read_as_unreliable() -> None:
     assert State(200) == State.FAULT
     assert Reason(200) == Reason.UNKNOWN
+
+
+def test_a_call_for_a_stop_is_counted_when_it_begins_and_when_it_ends():
+    side, counts = Session(), []
+    calls = [0, 1, 1, 1, 0, 0, 1, 0]
+    for call in calls:
+        stop = Reason.STOP_CALLED if call else Reason.NONE
+        side = step(side, replace(CALM, stop=stop), DT)
+        counts.append(side.stops)
+    assert counts == [0, 1, 1, 1, 2, 2, 3, 4]

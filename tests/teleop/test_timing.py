@@ -22,7 +22,16 @@ def test_absurd_durations_are_counted_and_not_lost():
         durations.add(value)
     assert durations.count == 2
     assert durations.percentile_ns(0.0) == 0
-    assert durations.percentile_ns(100.0) == 100_000_000
+    assert durations.percentile_ns(100.0) == 2_000_000_000
+
+
+@given(st.lists(st.integers(90_000_000, 2_000_000_000), min_size=1, max_size=50))
+def test_over_a_slow_line_percentiles_are_those_of_the_values_to_a_tenth_of_a_millisecond(values):
+    durations = Durations()
+    for value in values:
+        durations.add(value)
+    assert 0 <= max(values) - durations.percentile_ns(100.0) < 100_000
+    assert 0 <= min(values) - durations.percentile_ns(0.0) < 100_000
 
 
 def test_a_span_forgets_the_one_before():

@@ -1,0 +1,104 @@
+"""How surely the numbers of a model are known."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.diagnosis.bench import (
+    ACCURACY,
+    Bench,
+    Fit,
+    Model,
+    cost,
+    expected_taut,
+    residual,
+    simulated,
+)
+from estimator.diagnosis.fit import SEARCH, slopes_of
+from estimator.diagnosis.layout import Layout
+from estimator.effects.effect import Parameter, Scene
+
+Array = NDArray[np.float64]
+
+COVER = 1.96  # standard uncertainties on each side of a value
+FARTHEST = 60.0  # [s] that a time is tried to be wrong by
+HALVED = 5  # times, the step that is one too far
+
+
+class Named(NamedTuple):
+    """One number of a model with its 95 % interval."""
+
+    name: str
+    parameter: Parameter
+    value: float
+    low: float
+    high: float
+
+
+def parameters(bench: Bench, about: Sequence[Scene], fit: Fit) -> tuple[Named, ...]:
+    """Return all numbers of a model but those of single records, with their intervals.
+
+    From the scatter of the residuals and their correlation from one sample to the next, and from
+    what a simulation that is off by `ACCURACY` could make of a number at worst; of a time that no
+    slope leads to, by how far it can be moved until the residuals are as much larger.
+    """
+    layout = Layout(bench, fit.model)
+    J, r = slopes_of(bench, about, fit), residual(bench, fit)
+    inverse = np.linalg.pinv(J)
+    correlation = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-30)
+    correlation = min(max(correlation, 0.0), 0.995)
+    spread = float(r @ r) / max(len(r) - J.shape[1], 1) * (1.0 + correlation) / (1.0 - correlation)
+    sigma = np.sqrt((inverse**2).sum(axis=1) * spread)
+    most_off = np.abs(inverse) @ _inaccuracy(bench, fit.model)
+    found = []
+    for i, value in enumerate(layout.values(fit.model)[: layout.common]):
+        p = layout.parameters[i]
+        reach = math.hypot(COVER * float(sigma[i]), float(most_off[i])) * layout.step(i)
+        low, high = value - reach, value + reach
+        if p.jumps:
+            most = cost(bench, fit) + COVER**2 * spread
+            low = min(low, value + _reach(bench, about, layout, fit, i, -1.0, most))
+            high = max(high, value + _reach(bench, about, layout, fit, i, 1.0, most))
+        found.append(Named(layout.names[i], p, value, max(low, p.low), min(high, p.high)))
+    return tuple(found)
+
+
+def _inaccuracy(bench: Bench, model: Model) -> Array:
+    """Return by how much each residual may be off because a simulation is."""
+    parts = []
+    for record, scale in zip(bench.records, bench.scale, strict=True):
+        for channel in record.compared:
+            count = int((record.train & record.good[channel]).sum())
+            off = ACCURACY * float(np.ptp(record.signals[channel])) / scale[channel]
+            parts.append(np.full(count, off))
+        if expected_taut(record, model) is not None:
+            parts.append(np.zeros(1))
+    return np.concatenate(parts)
+
+
+def _reach(
+    bench: Bench,
+    about: Sequence[Scene],
+    layout: Layout,
+    fit: Fit,
+    i: int,
+    way: float,
+    most: float,
+) -> float:
+    """Return how far one number can go one way, in its unit, until the cost is more than `most`."""
+
+    def bears(off: float) -> bool:
+        x = layout.pack(fit.model)
+        x[i] += off / layout.step(i)
+        return cost(bench, simulated(bench, about, layout.unpack(x))) <= most
+
+    near, far = 0.0, way * SEARCH[-1]
+    while bears(far) and abs(far) < FARTHEST:
+        near, far = far, 2.0 * far
+    for _ in range(HALVED):
+        middle = 0.5 * (near + far)
+        near, far = (middle, far) if bears(middle) else (near, middle)
+    return near

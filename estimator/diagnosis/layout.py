@@ -1,0 +1,91 @@
+"""Where the numbers of a model are in the row that a fit searches."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.diagnosis.bench import Bench, Model
+from estimator.diagnosis.model import COMPLIANCE, own_bounds
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Layout:
+    """The numbers of a model in a row, each counted in its step."""
+
+    def __init__(self, bench: Bench, model: Model) -> None:
+        base = bench.base
+        effects = [effect for effect, _ in model.effects]
+        self.base, self.effects, self.records = base, effects, len(model.own)
+        self.names = [p.name for p in base.shared]
+        self.parameters = list(base.shared)
+        for effect in effects:
+            self.names += [f"{effect.name}.{p.name}" for p in effect.parameters]
+            self.parameters += effect.parameters
+        self.common = len(self.parameters)  # those of the bench come first
+        for k, record in enumerate(bench.records):
+            self.names += [f"{p.name} ({k + 1})" for p in base.own]
+            self.parameters += [
+                p._replace(low=low, high=high)
+                for p, (low, high) in zip(base.own, own_bounds(record), strict=True)
+            ]
+        self._steps = [p.step for p in self.parameters]
+        if COMPLIANCE in base.shared:  # known to a share of itself, whatever the tendon
+            for i, p in enumerate(base.shared):
+                if p.unit == "m/N":
+                    self._steps[i] = 0.03 * max(model.shared[1], 1e-7)
+
+    @property
+    def smooth(self) -> Mask:
+        """Which numbers a slope leads to."""
+        return np.array([not p.jumps for p in self.parameters])
+
+    @property
+    def when(self) -> Mask:
+        """Which numbers say when something happened, and how long it took."""
+        mask = np.zeros(len(self.parameters), dtype=np.bool_)
+        at = len(self.base.shared)
+        for effect in self.effects:
+            if any(p.jumps for p in effect.parameters):
+                for i, p in enumerate(effect.parameters, start=at):
+                    mask[i] = p.neutral is None
+            at += len(effect.parameters)
+        return mask
+
+    @property
+    def own(self) -> Mask:
+        """Which numbers are of single records."""
+        return np.arange(len(self.parameters)) >= self.common
+
+    def step(self, i: int) -> float:
+        """Return the step of a number."""
+        return self._steps[i]
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the least and the largest of each number."""
+        steps = np.array(self._steps)
+        low = np.array([p.low for p in self.parameters]) / steps
+        return low, np.array([p.high for p in self.parameters]) / steps
+
+    def values(self, model: Model) -> list[float]:
+        """Return the numbers of a model, in a row."""
+        of_effects = [value for _, values in model.effects for value in values]
+        return [*model.shared, *of_effects, *(value for own in model.own for value in own)]
+
+    def pack(self, model: Model) -> Array:
+        """Return them in their steps."""
+        return np.asarray(np.array(self.values(model)) / np.array(self._steps))
+
+    def unpack(self, x: Array) -> Model:
+        """Return the model of a row."""
+        values = [float(a * b) for a, b in zip(x, self._steps, strict=True)]
+        at = len(self.base.shared)
+        shared = tuple(values[:at])
+        effects = []
+        for effect in self.effects:
+            count = len(effect.parameters)
+            effects.append((effect, tuple(values[at : at + count])))
+            at += count
+        size = len(self.base.own)
+        own = tuple(tuple(values[at + k * size : at + (k + 1) * size]) for k in range(self.records))
+        return Model(shared, own, tuple(effects))

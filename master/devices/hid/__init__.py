@@ -1,0 +1,1 @@
+"""Haptic devices that speak HID: their bytes, and the one handle that carries them."""

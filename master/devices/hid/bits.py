@@ -1,0 +1,59 @@
+"""Fields in the bytes of a report."""
+
+import math
+
+from master.devices.hid.descriptor import Field
+
+
+def limits(field: Field) -> tuple[int, int]:
+    """Return the least and the greatest value that is both in the field's range and in its bits.
+
+    The least is above the greatest where no bit pattern is in range.
+    """
+    low, high = representable(field)
+    return max(low, field.minimum), min(high, field.maximum)
+
+
+def representable(field: Field) -> tuple[int, int]:
+    """Return the least and the greatest value that the field's bits can hold."""
+    if field.minimum < 0:
+        return -(1 << field.size - 1), (1 << field.size - 1) - 1
+    return 0, (1 << field.size) - 1
+
+
+def get(report: bytes, field: Field, k: int = 0) -> int:
+    """Return the value of the `k`-th of a field's elements; what is cut off reads as zero."""
+    first = field.offset + k * field.size
+    last = first + field.size
+    bits = int.from_bytes(report[first // 8 : (last + 7) // 8], "little") >> first % 8
+    value = bits & (1 << field.size) - 1
+    if field.minimum < 0 and value >> field.size - 1:
+        value -= 1 << field.size
+    return value
+
+
+def put(report: bytearray, field: Field, value: int, k: int = 0) -> None:
+    """Write the `k`-th of a field's elements into `report`, and leave all other bits.
+
+    A value that the bits cannot hold, or a report that does not reach there, raises `ValueError`.
+    One outside the declared range is written: to many fields that means "none".
+    """
+    low, high = representable(field)
+    if not low <= value <= high:
+        raise ValueError(f"{value} does not fit into {field.size} bits of {low} ... {high}")
+    first = field.offset + k * field.size
+    last = first + field.size
+    if last > 8 * len(report):
+        raise ValueError(f"bits {first} ... {last - 1} are not in {len(report)} bytes")
+    part = slice(first // 8, (last + 7) // 8)
+    shift, mask = first % 8, (1 << field.size) - 1
+    others = int.from_bytes(report[part], "little") & ~(mask << shift)
+    bits = others | (value & mask) << shift
+    report[part] = bits.to_bytes(part.stop - part.start, "little")
+
+
+def scaled(share: float, full: int) -> int:
+    """Return `share` (-1 ... 1) of `full`; a share beyond is taken as its end, NaN as zero."""
+    if math.isnan(share):
+        return 0
+    return round(max(-1.0, min(1.0, share)) * full)

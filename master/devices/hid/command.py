@@ -1,0 +1,266 @@
+"""See, check and calibrate haptic devices.
+
+  teleop devices list                 what is attached, which driver fits, what you may open
+  teleop devices probe 1209:ffb0      its report descriptor in words, and how often it reports
+  teleop devices test                 try axes and buttons, and find which way its force pushes
+  teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules
+
+A device is named as `find` in a config names it: vendor:product, serial number or path; without a
+name it is the only one that fits. An axis whose sign was never found with `test` renders no force.
+"""
+
+import argparse
+import itertools
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from master.device import DeviceFault
+from master.devices.hid import rules, search, signs, trial
+from master.devices.hid.descriptor import DescriptorError, parse
+from master.devices.hid.driver import Controls
+from master.devices.hid.drivers import DRIVERS, Attached
+from master.devices.hid.line import Line
+from master.devices.hid.node import Node
+from master.devices.hid.pid import PidConfig
+from master.devices.hid.signs import ForceSign
+from master.devices.hid.words import describe
+from teleop.errors import UsageError
+from teleop.launch.status import StatusLine
+from teleop.process import seconds
+
+_LOOK_S = 0.005  # [s] between two looks at a device
+_ANSWERS = {"l": 1, "s": -1, "n": 0}
+
+
+class Person(NamedTuple):
+    """Who stands at the device: told things and asked others."""
+
+    tell: Callable[[str], None] = print
+    ask: Callable[[str], str] = input
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `teleop devices` can do."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    actions.add_parser("list", help="what is attached, which driver fits, what you may open")
+    probe = actions.add_parser("probe", help="the report descriptor in words, and the report rate")
+    test = actions.add_parser("test", help="try axes and buttons, find the sign of the force")
+    actions.add_parser("rules", help="print udev rules that let you open haptic devices (Linux)")
+    for action, watched in ((probe, "count reports"), (test, "watch the inputs")):
+        action.add_argument("find", nargs="?", default="", help="which device")
+        action.add_argument(
+            "--seconds", type=seconds, metavar="S", default=None, help=f"{watched} so long"
+        )
+    test.add_argument("--driver", choices=("auto", *DRIVERS), default="auto", help="try this one")
+    test.add_argument(
+        "--signs", type=Path, metavar="FILE", help=f"where to keep signs ({signs.default_path()})"
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Do what was asked; returns the exit code."""
+    try:
+        if args.action == "list":
+            print("\n".join(listed(search.attached())))
+        elif args.action == "rules":
+            print(rules.rules(fitting(search.attached())), end="")
+        elif args.action == "probe":
+            print("\n".join(probed(the_one(args.find), args.seconds or 2.0)))
+        else:
+            test(args.find, args.driver, args.signs, args.seconds or 10.0, Person())
+    except DeviceFault as fault:
+        raise UsageError(str(fault)) from fault
+    return 0
+
+
+def listed(items: Sequence[Attached]) -> list[str]:
+    """Return a table of what is attached."""
+    if not items:
+        return ["no HID device is attached"]
+    rows = [("path", "model", "driver", "may be opened", "serial", "name")]
+    for one in map(search.examine, items):
+        item, driver = one.item, next(iter(one.fits), "-")
+        allowed = "no: teleop devices rules" if one.barred else "yes"
+        rows.append((item.path, item.model, driver, allowed, item.serial, item.name))
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def fitting(items: Sequence[Attached]) -> list[tuple[int, int, str]]:
+    """Return vendor, product and name of what a driver fits."""
+    return [
+        (item.vendor, item.product, item.name or item.model)
+        for item in items
+        if search.examine(item).fits
+    ]
+
+
+def the_one(find: str) -> Attached:
+    """Return the device that is meant, whether a driver fits it or not."""
+    everything = search.attached()
+    if not everything:
+        raise UsageError("no HID device is attached")
+    meant = [item for item in everything if search.matches(item, find)]
+    if len(meant) > 1:
+        driven = [item for item in meant if search.examine(item).fits]
+        meant = driven if len(driven) == 1 else meant
+    if len(meant) == 1:
+        return meant[0]
+    table = "\n".join(listed(meant or everything))
+    wanted = f"{find!r} is not attached" if not meant else "which of these is meant? name its path"
+    raise UsageError(f"{wanted}\n{table}")
+
+
+def probed(item: Attached, watched_s: float) -> list[str]:
+    """Return what a device says of itself, and how often it says anything."""
+    one = search.examine(item)
+    data = one.descriptor
+    if not data:
+        return [str(item), one.barred]
+    lines = [str(item)]
+    lines += [f"driver {name}: {why_not or 'fits'}" for name, why_not in one.misfits.items()]
+    try:
+        lines += ["", f"report descriptor, {len(data)} bytes", *describe(parse(data))]
+    except DescriptorError as error:
+        lines.append(f"report descriptor, {len(data)} bytes, cannot be read: {error}")
+    return [*lines, "", one.barred or rate(item, watched_s)]
+
+
+def rate(item: Attached, watched_s: float) -> str:
+    """Count the reports of a device for some time; return what came."""
+    node = Node(item.path, str(item))
+    try:
+        node.drain()
+        start, times = time.monotonic(), list[float]()
+        while (now := time.monotonic()) - start < watched_s:
+            times += [now] * len(node.drain())
+            time.sleep(_LOOK_S / 10.0)
+    finally:
+        node.close()
+    if len(times) < 2:
+        return f"{len(times)} reports in {watched_s:.1f} s: some devices report only while moved"
+    span = times[-1] - times[0]
+    gap = max(b - a for a, b in itertools.pairwise(times))
+    return (
+        f"{len(times)} reports in {watched_s:.1f} s: {(len(times) - 1) / max(span, 1e-3):.0f} Hz "
+        f"while it reported, longest gap {gap * 1e3:.1f} ms"
+    )
+
+
+def test(find: str, driver: str, file: Path | None, watched_s: float, person: Person) -> None:
+    """Guide a person through all inputs and forces of a device, and keep the signs found."""
+    found = search.choose(find, driver)
+    known = signs.load(file) if file is None or file.exists() else signs.Signs()
+    line = Line(found, PidConfig())
+    try:
+        person.tell(f"{found.item}, driver {found.kind}")
+        person.tell(f"Move every axis to both ends and press every button ({watched_s:g} s).")
+        for said in watched(line, watched_s):
+            person.tell(said)
+        if not line.driver.forces:
+            person.tell("It has no force to be tried.")
+        for axis in line.driver.forces:
+            sign = asked_sign(line, axis, person)
+            if not sign:
+                person.tell(f"{axis}: sign not found, so it will render no force")
+                continue
+            known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
+            signs.save(file, known)
+            person.tell(f"{axis}: sign {sign:+d}, kept in {file or signs.default_path()}")
+            if not found.item.serial:
+                person.tell(
+                    "It has no serial number: another one of its kind, wired the other way, would "
+                    "be taken for it. Test anew whatever you plug in instead."
+                )
+    finally:
+        line.end(1.0)
+
+
+def watched(line: Line, watched_s: float) -> list[str]:
+    """Show the inputs for some time; return how far each axis went and which buttons were seen."""
+    status, start = StatusLine(), time.monotonic()
+    low: dict[str, float] = {}
+    high: dict[str, float] = {}
+    pressed = 0
+    while (now := time.monotonic()) - start < watched_s:
+        controls = line.read(now - start)
+        for name, share in zip(line.driver.axes, controls.axes, strict=True):
+            if not math.isnan(share):
+                low[name] = min(low.get(name, share), share)
+                high[name] = max(high.get(name, share), share)
+        pressed |= controls.buttons
+        status.show(_shown(line, controls))
+        time.sleep(_LOOK_S)
+    status.clear()
+    axes = [
+        f"  {name:8s} {low[name]:+.2f} ... {high[name]:+.2f}" if name in low
+        else f"  {name:8s} never reported"
+        for name in line.driver.axes
+    ]  # fmt: skip
+    buttons = [str(k + 1) for k in range(line.driver.buttons) if pressed >> k & 1]
+    return [
+        "axes, shares of full scale:",
+        *axes,
+        f"buttons seen, of {line.driver.buttons}: {' '.join(buttons) or 'none'}",
+    ]
+
+
+def _shown(line: Line, controls: Controls) -> str:
+    axes = " ".join(
+        f"{name} {share:+.2f}" for name, share in zip(line.driver.axes, controls.axes, strict=True)
+    )
+    held = (str(k + 1) for k in range(line.driver.buttons) if controls.buttons >> k & 1)
+    return f"{axes}  buttons {' '.join(held)}"
+
+
+def asked_sign(line: Line, axis: str, person: Person) -> int:
+    """Push one axis and see where it goes, or else ask; return its sign, 0 = not found."""
+    most = f"{trial.GENTLE[-1]:.0%}"
+    answer = _answer(
+        person,
+        f"Let go of the device and keep clear of it: {axis} is pushed with up to {most} of its "
+        "force. Enter to go on, s to leave it out: ",
+    )
+    if answer.startswith("s"):
+        return 0
+    place, force = line.driver.axes.index(axis), line.driver.forces.index(axis)
+    count = len(line.driver.forces)
+    sign = trial.find_sign(line, place, force, count, time.monotonic, time.sleep)
+    if sign:
+        return sign
+    person.tell(f"{axis} did not move by itself.")
+    answer = _answer(
+        person,
+        "Hold it half-way, or pull it slowly through if it is a trigger; it is pushed twice for "
+        "2 s. Enter to go on, s to leave it out: ",
+    )
+    if answer.startswith("s"):
+        return 0
+    for share, way in ((trial.GENTLE[-1], 1), (-trial.GENTLE[-1], -1)):
+        trial.hold(line, force, count, share, time.monotonic, time.sleep)
+        felt = ""
+        while felt[:1] not in _ANSWERS:
+            felt = _answer(
+                person,
+                "Did it push to [l]arger values, to [s]maller ones, or did you feel [n]one? ",
+            )
+        if _ANSWERS[felt[0]]:
+            return way * _ANSWERS[felt[0]]
+    return 0
+
+
+def _answer(person: Person, question: str) -> str:
+    sys.stdout.flush()
+    try:
+        return person.ask(question).strip().lower()
+    except EOFError as error:
+        raise UsageError(
+            "teleop devices test: needs someone to answer; run it in a terminal"
+        ) from error

@@ -1,0 +1,402 @@
+"""A report descriptor, read: which bits of which report mean what.
+
+Device Class Definition for Human Interface Devices 1.11, section 6.2.2 (USB-IF). Where it leaves
+room, this follows Linux, whose reading every device on sale has met: a maximum is unsigned unless
+its minimum is negative, and a short usage belongs to the page that is in force when its field is
+declared. A device may send anything, so sizes are bounded: by what Linux accepts for a report, and
+by a number of fields that no device comes near.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
+
+DESCRIPTOR_MAX = 4096  # [byte] HID_MAX_DESCRIPTOR_SIZE of Linux
+_REPORT_MAX = 8 * 16384  # [bit] HID_MAX_BUFFER_SIZE of Linux
+_SIZE_MAX = 256  # [bit] of a field, as in Linux
+_FIELDS_MAX = 8192
+_USAGES_MAX = 65536  # named in all fields together
+_DEPTH_MAX = 64  # collections in collections
+
+_CONSTANT, _VARIABLE, _RELATIVE, _NULL = 0x01, 0x02, 0x04, 0x40
+
+
+class DescriptorError(ValueError):
+    """These bytes are no report descriptor; the message says where and why."""
+
+
+class Kind(Enum):
+    """Which way a report goes."""
+
+    INPUT = "input"
+    OUTPUT = "output"
+    FEATURE = "feature"
+
+
+class Collection(NamedTuple):
+    """What fields are grouped under."""
+
+    usage: int  # page in the high word; 0 = none
+    kind: int  # 0 physical, 1 application, 2 logical, ...
+    number: int  # of this collection in the descriptor, from 0
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Some bits of a report.
+
+    Attributes
+    ----------
+    usages : tuple of int
+        What it means. Of a variable the one usage, or none. Of an array what its value selects:
+        `minimum` the first, `minimum` + 1 the second, ...
+    offset : int
+        Its first bit, in the bytes as they are read and written.
+    size : int
+        Its bits.
+    count : int
+        How many of the same follow one another.
+    minimum, maximum : int
+        Range of the value, as declared; there are devices on which no bit pattern reaches it.
+    physical_minimum, physical_maximum : int
+        What the range stands for; both 0 = the same.
+    unit, exponent : int
+        Of the physical range: code of HID 1.11, 6.2.2.7, and power of ten.
+    path : tuple of Collection
+        From the outermost in.
+    """
+
+    usages: tuple[int, ...]
+    array: bool
+    constant: bool
+    relative: bool
+    nullable: bool
+    offset: int
+    size: int
+    count: int
+    minimum: int
+    maximum: int
+    physical_minimum: int
+    physical_maximum: int
+    unit: int
+    exponent: int
+    path: tuple[Collection, ...]
+
+    @property
+    def usage(self) -> int:
+        """The usage of a variable; 0 = it has none."""
+        return self.usages[0] if self.usages else 0
+
+    def within(self, usage: int) -> bool:
+        """Return whether a collection of this usage is around the field."""
+        return any(collection.usage == usage for collection in self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The fields that travel together; those that only fill are left out."""
+
+    kind: Kind
+    number: int  # 0 = the device does not number its reports
+    length: int  # [byte] as read and written
+    fields: tuple[Field, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Descriptor:
+    """All reports of a device.
+
+    Where reports are numbered, byte 0 is the number. Where not, an input report begins with its
+    first field, and to the others hidapi prefixes a zero: the offsets count it.
+    """
+
+    reports: tuple[Report, ...]
+    applications: tuple[int, ...]  # usages of the outermost collections
+
+    def report(self, kind: Kind, number: int) -> Report | None:
+        """Return a report, if the device has it."""
+        found = (r for r in self.reports if r.kind is kind and r.number == number)
+        return next(found, None)
+
+
+class _Globals(NamedTuple):
+    """What holds until it is declared anew."""
+
+    page: int = 0
+    minimum: int = 0
+    maximum: bytes = b""  # its sign depends on `minimum`, which may come later
+    physical_minimum: int = 0
+    physical_maximum: bytes = b""
+    unit: int = 0
+    exponent: int = 0
+    size: int = 0
+    repeats: int = 0
+    number: int = 0
+
+
+class _Usage(NamedTuple):
+    """One usage, or a range of them, as declared for the next main item."""
+
+    first: int  # without page if `short`
+    last: int
+    page: int
+    short: bool
+
+
+class _Item(NamedTuple):
+    tag: int  # of HID 1.11, the two size bits zero
+    data: bytes
+    at: int  # [byte]
+
+    @property
+    def unsigned(self) -> int:
+        return int.from_bytes(self.data, "little")
+
+    @property
+    def signed(self) -> int:
+        return int.from_bytes(self.data, "little", signed=True)
+
+
+_MAIN = {0x80: Kind.INPUT, 0x90: Kind.OUTPUT, 0xB0: Kind.FEATURE}
+_COLLECTION, _END, _PUSH, _POP = 0xA0, 0xC0, 0xA4, 0xB4
+_PAGE, _EXPONENT, _SIZE, _NUMBER, _COUNT = 0x04, 0x54, 0x74, 0x84, 0x94
+_MINIMUM, _MAXIMUM, _PHYSICAL_MINIMUM, _PHYSICAL_MAXIMUM, _UNIT = 0x14, 0x24, 0x34, 0x44, 0x64
+_USAGE, _USAGE_MINIMUM, _USAGE_MAXIMUM, _DELIMITER = 0x08, 0x18, 0x28, 0xA8
+_LONG = 0xFE
+
+
+def parse(data: bytes) -> Descriptor:
+    """Return what a report descriptor says; `DescriptorError` if it is none, and nothing else."""
+    if not 0 < len(data) <= DESCRIPTOR_MAX:
+        raise DescriptorError(f"{len(data)} bytes long, must be 1 ... {DESCRIPTOR_MAX}")
+    parser = _Parser()
+    for item in _items(data):
+        parser.take(item)
+    return parser.finish(len(data))
+
+
+def _items(data: bytes) -> Iterator[_Item]:
+    """Cut the bytes into short items; long ones mean nothing yet, and are skipped."""
+    at = 0
+    while at < len(data):
+        prefix, start = data[at], at + 1
+        size = (0, 1, 2, 4)[prefix & 3]
+        if prefix == _LONG:
+            size = 2 + data[start] if start < len(data) else 2
+        if start + size > len(data):
+            raise DescriptorError(f"byte {at}: the item goes beyond the end")
+        if prefix != _LONG:
+            yield _Item(prefix & 0xFC, data[start : start + size], at)
+        at = start + size
+
+
+class _Parser:
+    """The state that items change, and the fields found so far."""
+
+    def __init__(self) -> None:
+        self._globals = _Globals()
+        self._stack: list[_Globals] = []
+        self._path: tuple[Collection, ...] = ()
+        self._collections = 0
+        self._applications: list[int] = []
+        self._fields: dict[tuple[Kind, int], list[Field]] = {}
+        self._bits: dict[tuple[Kind, int], int] = {}
+        self._field_count = 0
+        self._usage_count = 0
+        self._begin_locals()
+
+    def take(self, item: _Item) -> None:
+        """Move on by one item."""
+        kind = item.tag & 0x0C
+        if kind == 0x00:
+            self._main(item)
+            self._begin_locals()
+        elif kind == 0x04:
+            self._global(item)
+        elif kind == 0x08:
+            self._local(item)
+
+    def finish(self, end: int) -> Descriptor:
+        """Return all that was found."""
+        if self._path:
+            raise DescriptorError(f"byte {end}: ends within a collection")
+        numbered = any(number for _, number in self._bits)
+        reports = []
+        for (kind, number), bits in self._bits.items():
+            prefix = 8 if numbered or kind is not Kind.INPUT else 0
+            fields = self._fields[kind, number]
+            if not prefix:
+                fields = [replace(field, offset=field.offset - 8) for field in fields]
+            reports.append(Report(kind, number, (prefix + bits + 7) // 8, tuple(fields)))
+        return Descriptor(tuple(reports), tuple(self._applications))
+
+    def _begin_locals(self) -> None:
+        self._usages: list[_Usage] = []
+        self._first: _Item | None = None  # usage minimum without its maximum yet
+        self._alternatives = 0  # usages since a delimiter opened
+        self._delimited = False
+
+    def _global(self, item: _Item) -> None:
+        tag, now = item.tag, self._globals
+        if tag == _PAGE:
+            now = now._replace(page=item.unsigned & 0xFFFF)
+        elif tag == _MINIMUM:
+            now = now._replace(minimum=item.signed)
+        elif tag == _MAXIMUM:
+            now = now._replace(maximum=item.data)
+        elif tag == _PHYSICAL_MINIMUM:
+            now = now._replace(physical_minimum=item.signed)
+        elif tag == _PHYSICAL_MAXIMUM:
+            now = now._replace(physical_maximum=item.data)
+        elif tag == _UNIT:
+            now = now._replace(unit=item.unsigned)
+        elif tag == _EXPONENT:
+            now = now._replace(exponent=_exponent(item))
+        elif tag == _SIZE:
+            if item.unsigned > _SIZE_MAX:
+                raise DescriptorError(f"byte {item.at}: fields of more than {_SIZE_MAX} bits")
+            now = now._replace(size=item.unsigned)
+        elif tag == _COUNT:
+            now = now._replace(repeats=item.unsigned)
+        elif tag == _NUMBER:
+            if not 1 <= item.unsigned <= 255:
+                raise DescriptorError(f"byte {item.at}: a report number that is not 1 ... 255")
+            now = now._replace(number=item.unsigned)
+        elif tag == _PUSH:
+            self._stack.append(now)
+        elif tag == _POP:
+            if not self._stack:
+                raise DescriptorError(f"byte {item.at}: a pop without a push")
+            now = self._stack.pop()
+        self._globals = now
+
+    def _local(self, item: _Item) -> None:
+        if item.tag == _DELIMITER:
+            if self._delimited == bool(item.unsigned):
+                raise DescriptorError(f"byte {item.at}: delimiters that do not pair")
+            self._delimited, self._alternatives = not self._delimited, 0
+        elif item.tag == _USAGE:
+            self._declare(item, item)
+        elif item.tag == _USAGE_MINIMUM:
+            self._first = item
+        elif item.tag == _USAGE_MAXIMUM and self._first is not None:
+            self._declare(self._first, item)
+            self._first = None
+
+    def _declare(self, first: _Item, last: _Item) -> None:
+        """Note usages; of alternatives between delimiters only the first, which is preferred."""
+        self._alternatives += 1
+        if self._delimited and self._alternatives > 1:
+            return
+        short = len(first.data) <= 2
+        page = self._globals.page if short else first.unsigned >> 16
+        low, high = first.unsigned & 0xFFFF, last.unsigned & 0xFFFF
+        self._usages.append(_Usage(low, high, page, short))
+
+    def _main(self, item: _Item) -> None:
+        if self._delimited:
+            raise DescriptorError(f"byte {item.at}: a delimiter is still open")
+        self._repage()
+        if item.tag == _COLLECTION:
+            self._open(item)
+        elif item.tag == _END:
+            if not self._path:
+                raise DescriptorError(f"byte {item.at}: the end of a collection that never began")
+            self._path = self._path[:-1]
+        elif item.tag in _MAIN:
+            self._add(_MAIN[item.tag], item)
+
+    def _repage(self) -> None:
+        """Give short usages at the end of the list the page that was declared after them."""
+        page = self._globals.page
+        for k in reversed(range(len(self._usages))):
+            usage = self._usages[k]
+            if usage.short:
+                if usage.page == page:
+                    break
+                self._usages[k] = usage._replace(page=page)
+
+    def _open(self, item: _Item) -> None:
+        if len(self._path) == _DEPTH_MAX:
+            raise DescriptorError(f"byte {item.at}: more than {_DEPTH_MAX} collections deep")
+        usage = next(self._named(1, item), 0)
+        if not self._path:
+            self._applications.append(usage)
+        self._path += (Collection(usage, item.unsigned & 0xFF, self._collections),)
+        self._collections += 1
+
+    def _add(self, kind: Kind, item: _Item) -> None:
+        """Append what an input, output or feature item declares to its report."""
+        now, flags = self._globals, item.unsigned
+        key = kind, now.number
+        fields = self._fields.setdefault(key, [])
+        start = self._bits.get(key, 0)
+        self._bits[key] = start + now.size * now.repeats
+        if self._bits[key] > _REPORT_MAX:
+            raise DescriptorError(f"byte {item.at}: a report of more than {_REPORT_MAX} bits")
+        constant = bool(flags & _CONSTANT)
+        if not now.size or not now.repeats or (constant and not self._usages):
+            return
+        array = not flags & _VARIABLE
+        maximum = _upper(now.maximum, now.minimum)
+        if maximum < now.minimum and not constant:
+            raise DescriptorError(f"byte {item.at}: a range {now.minimum} ... {maximum}")
+        values = min(maximum - now.minimum + 1, 1 << now.size)
+        names = tuple(self._named(values if array else now.repeats, item))
+        runs = [(names, now.repeats)] if array else _runs(names, now.repeats)
+        offset = 8 + start
+        for usages, count in runs:
+            self._field_count += 1
+            if self._field_count > _FIELDS_MAX:
+                raise DescriptorError(f"byte {item.at}: more than {_FIELDS_MAX} fields")
+            fields.append(
+                Field(
+                    usages=usages,
+                    array=array,
+                    constant=constant,
+                    relative=bool(flags & _RELATIVE),
+                    nullable=bool(flags & _NULL),
+                    offset=offset,
+                    size=now.size,
+                    count=count,
+                    minimum=now.minimum,
+                    maximum=maximum,
+                    physical_minimum=now.physical_minimum,
+                    physical_maximum=_upper(now.physical_maximum, now.physical_minimum),
+                    unit=now.unit,
+                    exponent=now.exponent,
+                    path=self._path,
+                )
+            )
+            offset += now.size * count
+
+    def _named(self, most: int, item: _Item) -> Iterator[int]:
+        """Yield the declared usages one by one, at most `most`."""
+        for usage in self._usages:
+            for number in range(usage.first, usage.last + 1):
+                if not most:
+                    return
+                most -= 1
+                self._usage_count += 1
+                if self._usage_count > _USAGES_MAX:
+                    raise DescriptorError(f"byte {item.at}: more than {_USAGES_MAX} usages")
+                yield usage.page << 16 | number
+
+
+def _runs(names: tuple[int, ...], count: int) -> list[tuple[tuple[int, ...], int]]:
+    """Return one usage after the other with how many fields it names: the last, all that remain."""
+    if not names:
+        return [((), count)]
+    last = len(names) - 1
+    return [((name,), 1 if k < last else count - last) for k, name in enumerate(names)]
+
+
+def _upper(data: bytes, minimum: int) -> int:
+    return int.from_bytes(data, "little", signed=minimum < 0)
+
+
+def _exponent(item: _Item) -> int:
+    """Return a power of ten: four bits by the standard, a whole byte as many devices write it."""
+    value = item.unsigned
+    return (value ^ 8) - 8 if value < 16 else item.signed

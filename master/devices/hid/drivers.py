@@ -1,0 +1,126 @@
+"""The drivers: one line each, and which device each is for."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from master.devices.hid import dualsense, ffbeast, logitech, spacemouse
+from master.devices.hid.descriptor import parse
+from master.devices.hid.driver import Driver
+from master.devices.hid.dualsense import DualSenseDriver
+from master.devices.hid.ffbeast import FFBeastDriver
+from master.devices.hid.joystick import JoystickDriver
+from master.devices.hid.logitech import LogitechDriver
+from master.devices.hid.pid import PidConfig, PidDriver
+from master.devices.hid.spacemouse import SpaceMouseDriver
+
+_JOYSTICK, _GAMEPAD, _MULTI_AXIS = (0x01, 0x04), (0x01, 0x05), (0x01, 0x08)  # page and usage
+_VENDOR_PAGES = 0xFF00  # and above
+
+
+class Attached(NamedTuple):
+    """One HID node, as the system lists it."""
+
+    path: str
+    vendor: int
+    product: int
+    serial: str = ""
+    name: str = ""
+    interface: int = -1  # of a USB device with several
+    bluetooth: bool = False
+    usages: tuple[tuple[int, int], ...] = ()  # page and usage of its outermost collections
+
+    @property
+    def model(self) -> str:
+        """Its vendor:product."""
+        return f"{self.vendor:04x}:{self.product:04x}"
+
+    @property
+    def identity(self) -> str:
+        """What it says that it is: another one without a serial number says the same."""
+        return f"{self.model}:{self.serial}" if self.serial else self.model
+
+    def same_as(self, other: "Attached") -> bool:
+        """Return whether this is `other`, wherever it is plugged in now."""
+        return self[1:] == other[1:]
+
+    def __str__(self) -> str:
+        """Return what to call it in messages."""
+        return f"{self.name or 'a HID device'} ({self.model}, {self.path})"
+
+
+class Kind(NamedTuple):
+    """A driver, and what is known of the devices it is for."""
+
+    misfit: Callable[[Attached, bytes], str]  # (device, its descriptor) -> why not; empty = fits
+    make: Callable[[Attached, bytes, PidConfig], Driver]  # raises DriverError, DescriptorError
+    forgets: bool = True  # whether a force ends by itself when the host falls silent
+    heartbeat: float = math.inf  # [s] by which it has always sent something
+
+
+def _not_pid(_item: Attached, descriptor: bytes) -> str:
+    try:
+        PidDriver(descriptor)
+    except ValueError as error:  # DescriptorError, DriverError
+        return f"by its report descriptor: {error}"
+    return ""
+
+
+def _not_ffbeast(item: Attached, _descriptor: bytes) -> str:
+    if (item.vendor, item.product) != (ffbeast.VENDOR, ffbeast.PRODUCT):
+        return "it is no FFBeast wheel"
+    if any(page < _VENDOR_PAGES for page, _ in item.usages):
+        return "it is not the wheel's vendor interface"
+    return ""
+
+
+def _not_dualsense(item: Attached, _descriptor: bytes) -> str:
+    fits = item.vendor == dualsense.VENDOR and item.product in dualsense.PRODUCTS
+    return "" if fits else "it is no DualSense"
+
+
+def _not_spacemouse(item: Attached, _descriptor: bytes) -> str:
+    fits = item.vendor == spacemouse.VENDOR or (
+        item.vendor == spacemouse.LOGITECH and item.product in spacemouse.LOGITECH_PRODUCTS
+    )
+    if not fits:
+        return "it is no SpaceMouse"
+    if item.usages and _MULTI_AXIS not in item.usages:
+        return "it is another interface of a SpaceMouse"
+    return ""
+
+
+def _not_logitech(item: Attached, _descriptor: bytes) -> str:
+    fits = item.vendor == logitech.VENDOR and item.product in logitech.PRODUCTS
+    return "" if fits else "it is no classic Logitech wheel"
+
+
+def _not_joystick(item: Attached, descriptor: bytes) -> str:
+    if not {_JOYSTICK, _GAMEPAD, _MULTI_AXIS} & set(item.usages):
+        return "it is no joystick or gamepad"
+    try:
+        JoystickDriver(descriptor)
+    except ValueError as error:  # DescriptorError, DriverError
+        return f"by its report descriptor: {error}"
+    return ""
+
+
+PID = "pid"
+INPUTS_ONLY = "joystick"  # fits what others fit better
+
+# in the order in which they are tried
+DRIVERS: dict[str, Kind] = {
+    PID: Kind(_not_pid, lambda _, data, config: PidDriver(data, config)),
+    "ffbeast": Kind(_not_ffbeast, lambda *_: FFBeastDriver(), forgets=False),
+    "dualsense": Kind(
+        _not_dualsense,
+        lambda item, *_: DualSenseDriver(item.bluetooth),
+        forgets=False,
+        heartbeat=0.1,
+    ),
+    "spacemouse": Kind(_not_spacemouse, lambda *_: SpaceMouseDriver()),
+    "logitech": Kind(
+        _not_logitech, lambda _item, data, _config: LogitechDriver(parse(data)), forgets=False
+    ),
+    INPUTS_ONLY: Kind(_not_joystick, lambda _item, data, _config: JoystickDriver(data)),
+}

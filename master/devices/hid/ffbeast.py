@@ -1,0 +1,53 @@
+"""The vendor interface of an FFBeast wheel: torque as a number, the state in every report.
+
+Layout as the maker publishes it (ffbeast.github.io, docs/en/wheel_programming.md). The interface
+has no buttons: those are on the wheel's second interface, a joystick. A wheel that hears no
+direct control for "an extended period" goes back to its default mode by itself; how long that is
+the maker does not say.
+"""
+
+import struct
+
+from master.devices.hid.bits import scaled
+from master.devices.hid.driver import Controls, Features, Share
+
+VENDOR, PRODUCT = 0x045B, 0x59D7
+
+_REPORT = 0xA3  # of both directions
+_OVERRIDE = 0x10  # "override data": direct control
+_FULL = 10_000  # of position and force
+_POSITION = struct.Struct("<h")
+_POSITION_AT = 6
+_CONTROL = struct.Struct("<BBhhhB56x")  # id, kind, spring, constant, periodic, force drop [%]
+_SHORTEST = _POSITION_AT + _POSITION.size
+
+
+def _control(force: Share) -> bytes:
+    return _CONTROL.pack(_REPORT, _OVERRIDE, 0, scaled(force, _FULL), 0, 0)
+
+
+class FFBeastDriver:
+    """A `master.devices.hid.driver.Driver`: one axis with force, no buttons."""
+
+    axes: tuple[str, ...] = ("x",)
+    forces: tuple[str, ...] = ("x",)
+    buttons = 0
+
+    def begin(self, device: Features) -> None:
+        """Take over from the games' interface, without force."""
+        device.write(_control(0.0))
+
+    def decode(self, controls: Controls, report: bytes) -> Controls:
+        """Return the wheel's position, a share of its motion range."""
+        if len(report) < _SHORTEST or report[0] != _REPORT:
+            return controls
+        (position,) = _POSITION.unpack_from(report, _POSITION_AT)
+        return Controls((max(-1.0, min(1.0, position / _FULL)),), 0, 0)
+
+    def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
+        """Return one report of direct control; any of them restarts the wheel's own clock."""
+        return (_control(force[0]),)
+
+    def silence(self) -> tuple[bytes, ...]:
+        """Return direct control without force; the wheel takes itself back afterwards."""
+        return (_control(0.0),)

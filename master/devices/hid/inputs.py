@@ -1,0 +1,183 @@
+"""Axes, buttons and hats of any joystick, as its report descriptor lays them out."""
+
+from typing import NamedTuple
+
+from master.devices.hid import usages
+from master.devices.hid.bits import limits
+from master.devices.hid.descriptor import Descriptor, Field, Kind
+from master.devices.hid.driver import Controls
+
+_CENTRED = ("x", "y")  # sticks and wheels, whatever their range; other unsigned axes are one-sided
+_BUTTONS_MAX = 128
+_UP, _RIGHT, _DOWN, _LEFT = 1, 2, 4, 8
+_EIGHT_WAYS = (
+    _UP,
+    _UP | _RIGHT,
+    _RIGHT,
+    _RIGHT | _DOWN,
+    _DOWN,
+    _DOWN | _LEFT,
+    _LEFT,
+    _LEFT | _UP,
+)
+_FOUR_WAYS = _EIGHT_WAYS[::2]
+
+
+class _Axis(NamedTuple):
+    place: int  # in `Controls.axes`
+    offset: int  # [bit]
+    mask: int
+    sign: int  # the highest bit, 0 = unsigned
+    low: int
+    high: int
+    nullable: bool
+    centre: float  # reads as 0
+    half: float  # from there to 1
+
+
+class _Buttons(NamedTuple):
+    """A row of bits that are buttons one after the other."""
+
+    offset: int  # [bit]
+    mask: int
+    first: int  # bit of `Controls.buttons`
+
+
+class _Hat(NamedTuple):
+    offset: int  # [bit]
+    mask: int
+    low: int
+    ways: tuple[int, ...]
+    first: int  # bit of `Controls.buttons`
+
+
+class _Plan(NamedTuple):
+    """How to read one report."""
+
+    length: int  # [byte]
+    axes: tuple[_Axis, ...]
+    buttons: tuple[_Buttons, ...]
+    hats: tuple[_Hat, ...]
+    told: int  # mask of the buttons that it tells of
+
+
+class Inputs:
+    """What a device tells of its operator.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        `x`, `rz`, `slider`, ...; a second one of a kind is `slider2`.
+    buttons : int
+        The buttons, then four for each hat: up, right, down, left.
+    """
+
+    def __init__(self, descriptor: Descriptor) -> None:
+        found = [
+            (report, [field for field in report.fields if not (field.relative or field.constant)])
+            for report in descriptor.reports
+            if report.kind is Kind.INPUT
+        ]
+        self._numbered = any(report.number for report in descriptor.reports)
+        pressed = [field for _, fields in found for field in fields if _is_button(field)]
+        next_hat = max((field.usage & 0xFFFF for field in pressed), default=0)
+        names: list[str] = []
+        plans: dict[int, _Plan] = {}
+        for report, fields in found:
+            axes, hats = [], []
+            for field in fields:
+                low, high = limits(field)
+                if not field.array and field.usage in usages.AXES and low < high:
+                    axes.append(_axis(field, len(names), usages.AXES[field.usage]))
+                    names.append(_unique(usages.AXES[field.usage], names))
+                elif not field.array and field.usage == usages.HAT and low < high:
+                    hats.append(_hat(field, next_hat))
+                    next_hat += 4
+            rows = _rows([field for field in fields if _is_button(field)])
+            if axes or rows or hats:
+                told = sum(row.mask << row.first for row in rows)
+                told |= sum(0b1111 << hat.first for hat in hats)
+                plans[report.number] = _Plan(
+                    report.length, tuple(axes), tuple(rows), tuple(hats), told
+                )
+        self.axes = tuple(names)
+        self.buttons = next_hat
+
+        self._plans = plans
+
+    def decode(self, controls: Controls, report: bytes) -> Controls:
+        """Return what `report` changes in `controls`; never raises."""
+        if not report:
+            return controls
+        plan = self._plans.get(report[0] if self._numbered else 0)
+        if plan is None or len(report) < plan.length:
+            return controls
+        bits = int.from_bytes(report, "little")
+        axes = controls.axes
+        if plan.axes:
+            values = list(axes)
+            for place, offset, mask, sign, low, high, nullable, centre, half in plan.axes:
+                value = bits >> offset & mask
+                if value & sign:
+                    value -= mask + 1
+                if not low <= value <= high:
+                    if nullable:
+                        continue
+                    value = low if value < low else high
+                values[place] = (value - centre) / half
+            axes = tuple(values)
+        buttons = controls.buttons & ~plan.told
+        for offset, mask, first in plan.buttons:
+            buttons |= (bits >> offset & mask) << first
+        for offset, mask, low, ways, first in plan.hats:
+            way = (bits >> offset & mask) - low
+            if 0 <= way < len(ways):
+                buttons |= ways[way] << first
+        return Controls(axes, buttons, controls.known | plan.told)
+
+
+def _is_button(field: Field) -> bool:
+    number = field.usage & 0xFFFF
+    return (
+        field.usage >> 16 == usages.BUTTON
+        and 1 <= number <= _BUTTONS_MAX
+        and field.size == 1
+        and not field.array
+    )
+
+
+def _unique(name: str, names: list[str]) -> str:
+    again = sum(known.rstrip("0123456789") == name for known in names)
+    return f"{name}{again + 1}" if again else name
+
+
+def _axis(field: Field, place: int, name: str) -> _Axis:
+    low, high = limits(field)
+    if low < 0:
+        centre, half = 0.0, float(max(-low, high))
+    elif name in _CENTRED:
+        centre, half = (low + high) / 2, (high - low) / 2
+    else:
+        centre, half = float(low), float(high - low)
+    sign = 1 << field.size - 1 if field.minimum < 0 else 0
+    mask = (1 << field.size) - 1
+    return _Axis(place, field.offset, mask, sign, low, high, field.nullable, centre, half)
+
+
+def _hat(field: Field, first: int) -> _Hat:
+    low, high = limits(field)
+    ways = _FOUR_WAYS if high - low == 3 else _EIGHT_WAYS
+    return _Hat(field.offset, (1 << field.size) - 1, low, ways[: high - low + 1], first)
+
+
+def _rows(fields: list[Field]) -> list[_Buttons]:
+    rows: list[_Buttons] = []
+    for field in fields:
+        first, last = (field.usage & 0xFFFF) - 1, rows[-1] if rows else None
+        if last is not None:
+            length = last.mask.bit_length()
+            if field.offset == last.offset + length and first == last.first + length:
+                rows[-1] = last._replace(mask=last.mask << 1 | 1)
+                continue
+        rows.append(_Buttons(field.offset, 1, first))
+    return rows

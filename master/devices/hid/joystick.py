@@ -1,0 +1,39 @@
+"""Any joystick, gamepad or pedal, for its axes and buttons alone: by its report descriptor."""
+
+from master.devices.hid.descriptor import parse
+from master.devices.hid.driver import Controls, DriverError, Features, Share
+from master.devices.hid.inputs import Inputs
+
+
+class JoystickDriver:
+    """A `master.devices.hid.driver.Driver` that writes nothing to the device.
+
+    Parameters
+    ----------
+    descriptor : bytes
+        Of the device; `DriverError` if there are no inputs in it, `DescriptorError`.
+    """
+
+    forces: tuple[str, ...] = ()
+
+    def __init__(self, descriptor: bytes) -> None:
+        inputs = Inputs(parse(descriptor))
+        if not inputs.axes and not inputs.buttons:
+            raise DriverError("it has neither axes nor buttons")
+        self.axes, self.buttons = inputs.axes, inputs.buttons
+        self._inputs = inputs
+
+    def begin(self, device: Features) -> None:
+        """Nothing to set up."""
+
+    def decode(self, controls: Controls, report: bytes) -> Controls:
+        """Return what `report` changes in `controls`."""
+        return self._inputs.decode(controls, report)
+
+    def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
+        """Return nothing: it is never pushed."""
+        return ()
+
+    def silence(self) -> tuple[bytes, ...]:
+        """Return nothing."""
+        return ()

@@ -1,0 +1,195 @@
+"""From a device's inputs to the hand, and from forces on the hand to shares of full scale. Pure.
+
+An axis with `travel` says where the hand is: x = travel * share. One with `speed` says how fast it
+moves, while the engage button is held: x' = speed * share. The velocity of the former is that of
+its position through a first-order filter, smoothing * v' = x' - v, in backward-Euler steps.
+
+What the device has not reported yet is not known. An unknown input moves nothing, and until every
+button that means something and every axis with `travel` is known, the engage button counts as
+held: a session that begins, or is at fault, then wants to see it open before anything engages. In
+any other session this would be a switch that nobody has pressed, so it must be a fault when what
+was known becomes unknown: `Memory.knows` tells.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from master.device import Axes, DeviceFault, HandState
+from master.devices.hid.config import AxisConfig, HidConfig
+from master.devices.hid.driver import Controls, Driver, Share
+
+
+class Lane(NamedTuple):
+    """The way between one input of the device and one joint."""
+
+    joint: int
+    axis: int  # its place in `Driver.axes`
+    rate: bool  # whether the input is a speed
+    scale: float  # [m] or [m/s] of the joint at full scale, signed
+    dead_zone: float
+    force: int  # its place in `Driver.forces`, -1 = none
+    per_newton: float  # share of full scale for 1 N on the joint, signed; 0 = unknown sign
+
+
+class Plan(NamedTuple):
+    """All that is fixed while a device is open."""
+
+    joints: int
+    lanes: tuple[Lane, ...]
+    forces: int
+    engage: int  # masks of buttons
+    clutch: int
+    stop: int
+    finer: int
+    coarser: int
+    smoothing: float  # [s]
+
+
+class Memory(NamedTuple):
+    """What one read hands to the next, a number for each joint."""
+
+    position: Axes  # [m]
+    velocity: Axes  # [m/s]
+    known: tuple[bool, ...]  # whether the position is one that was reported
+    knows: bool = False  # whether all is known that must be, to say what the hand does
+
+
+def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, int]) -> Plan:
+    """Return the way from a device to the hand.
+
+    Parameters
+    ----------
+    buttons : int
+        How many the device with the buttons has.
+    signs : mapping of str to int
+        Which way each of its axes pushes, where that is known.
+
+    Raises
+    ------
+    DeviceFault
+        The device does not have what the config asks for; the message names the key.
+    """
+    for name in ("engage", "clutch", "stop", "finer", "coarser"):
+        number = getattr(config.buttons, name)
+        if number is not None and number > buttons:
+            raise DeviceFault(
+                f"buttons.{name}: there is no button {number}; the device has {buttons or 'none'}"
+                + "; name another for them in buttons.find" * (not buttons)
+            )
+    lanes = tuple(
+        _lane(axis, joint, driver, signs)
+        for axis, joint in zip(config.axes, config.joints, strict=True)
+    )
+    return Plan(
+        joints=max(config.joints) + 1,
+        lanes=lanes,
+        forces=len(driver.forces),
+        engage=_mask(config.buttons.engage),
+        clutch=_mask(config.buttons.clutch),
+        stop=_mask(config.buttons.stop),
+        finer=_mask(config.buttons.finer),
+        coarser=_mask(config.buttons.coarser),
+        smoothing=config.smoothing,
+    )
+
+
+def _lane(axis: AxisConfig, joint: int, driver: Driver, signs: Mapping[str, int]) -> Lane:
+    if axis.name not in driver.axes:
+        known = ", ".join(driver.axes)
+        raise DeviceFault(f"axes: the device has no axis {axis.name!r}; it has {known}")
+    place, per_newton = -1, 0.0
+    if axis.force > 0.0:
+        if axis.name not in driver.forces:
+            known = ", ".join(driver.forces) or "no axis at all"
+            raise DeviceFault(f"axes: force: the device cannot push {axis.name!r}, but {known}")
+        place = driver.forces.index(axis.name)
+        per_newton = axis.sign * signs.get(axis.name, 0) / axis.force
+    return Lane(
+        joint=joint,
+        axis=driver.axes.index(axis.name),
+        rate=axis.speed > 0.0,
+        scale=axis.sign * (axis.speed or axis.travel),
+        dead_zone=axis.dead_zone,
+        force=place,
+        per_newton=per_newton,
+    )
+
+
+def _mask(button: int | None) -> int:
+    return 0 if button is None else 1 << (button - 1)
+
+
+def _knows(plan: Plan, controls: Controls, switches: Controls) -> bool:
+    buttons = plan.engage | plan.clutch | plan.stop | plan.finer | plan.coarser
+    return not buttons & ~switches.known and not any(
+        math.isnan(controls.axes[lane.axis]) for lane in plan.lanes if not lane.rate
+    )
+
+
+def start(joints: int) -> Memory:
+    """Return the memory before the first read."""
+    return Memory((0.0,) * joints, (0.0,) * joints, (False,) * joints)
+
+
+def step(
+    plan: Plan, memory: Memory, controls: Controls, switches: Controls, dt: float
+) -> tuple[HandState, Memory]:
+    """Return the hand after `dt` [s]; `switches` are the controls that have the buttons."""
+    told = switches.buttons
+    clutch, stop = bool(plan.clutch & told), bool(plan.stop & told)
+    knows = _knows(plan, controls, switches)
+    engage = bool(plan.engage & told) or not knows
+    driven = bool(plan.engage & told) and not clutch
+    position, velocity = list(memory.position), [0.0] * plan.joints
+    known = [False] * plan.joints
+    for lane in plan.lanes:
+        share, joint = controls.axes[lane.axis], lane.joint
+        if lane.rate:
+            if driven and not math.isnan(share):
+                velocity[joint] = lane.scale * beyond(share, lane.dead_zone)
+                position[joint] += velocity[joint] * dt
+        elif not math.isnan(share):
+            position[joint] = lane.scale * beyond(share, lane.dead_zone)
+            known[joint] = True
+            if memory.known[joint]:
+                way = position[joint] - memory.position[joint]
+                was = memory.velocity[joint]
+                blend = plan.smoothing + dt
+                velocity[joint] = (plan.smoothing * was + way) / blend if blend > 0.0 else was
+    hand = HandState(
+        position=tuple(position),
+        velocity=tuple(velocity),
+        engage=engage,
+        clutch=clutch,
+        stop=stop,
+        finer=bool(plan.finer & told),
+        coarser=bool(plan.coarser & told),
+    )
+    return hand, Memory(hand.position, hand.velocity, tuple(known), knows)
+
+
+def beyond(share: Share, dead_zone: float) -> Share:
+    """Return how far `share` is beyond the dead zone, as a share of what is left; no jump."""
+    way = (abs(share) - dead_zone) / (1.0 - dead_zone)
+    return math.copysign(way, share) if way > 0.0 else 0.0
+
+
+def shares(plan: Plan, force: Axes) -> tuple[Share, ...]:
+    """Return forces on the joints [N] as shares of the device's full scale.
+
+    Beyond full scale it is the end of it, what is not a number is zero, and so is an axis whose
+    sign is not known.
+    """
+    out = [0.0] * plan.forces
+    for lane in plan.lanes:
+        if lane.force >= 0:
+            share = force[lane.joint] * lane.per_newton
+            if not math.isnan(share):
+                out[lane.force] = min(max(share, -1.0), 1.0)
+    return tuple(out)
+
+
+def unsigned(config: HidConfig, signs: Mapping[str, int]) -> list[str]:
+    """Return the axes that would push if their sign were known."""
+    return [a.name for a in config.axes if a.force > 0.0 and a.name not in signs]

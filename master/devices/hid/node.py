@@ -1,0 +1,104 @@
+"""One open HID node: bytes in and out, and every failure a `DeviceFault`."""
+
+import importlib
+import sys
+from contextlib import suppress
+from typing import Any
+
+from master.device import DeviceFault
+
+QUEUE = 64  # reports that Linux keeps for a reader; what comes while it is full is dropped
+_LONGEST = 4096  # bytes, of any report
+REMEDY = "let it be opened by a udev rule (docs/devices.md), and plug it in anew"
+
+
+def backend() -> Any:
+    """Return hidapi's module for this system; `DeviceFault` if it is not installed.
+
+    On Linux that is `hidraw`: `hid` is the libusb back end there, which takes the device away from
+    the kernel's drivers.
+    """
+    name = "hidraw" if sys.platform == "linux" else "hid"
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise DeviceFault(f"the Python module {name!r} is missing: pip install hidapi") from error
+
+
+class Node:
+    """An open node; `master.devices.hid.driver.Features` of a driver being set up.
+
+    One thread may read while another writes, as long as neither goes on after a failure of its own:
+    hidapi keeps one error text for both (which is why that text is not asked for). Nobody may use
+    a node that is being closed.
+
+    Parameters
+    ----------
+    path : str
+        As `master.devices.hid.search` gives it.
+    name : str
+        What to call it in messages.
+    """
+
+    def __init__(self, path: str, name: str) -> None:
+        self.name = name
+        self._handle = backend().device()
+        try:
+            self._handle.open_path(path.encode())
+        except OSError as error:
+            raise DeviceFault(f"{name}: cannot be opened; {REMEDY}") from error
+        if self._handle.set_nonblocking(1) != 0:  # a read would wait for ever
+            self.close()
+            raise DeviceFault(f"{name}: cannot be read without waiting")
+
+    def descriptor(self) -> bytes:
+        """Return the report descriptor."""
+        try:
+            return bytes(self._handle.get_report_descriptor())
+        except (OSError, ValueError) as error:
+            raise DeviceFault(f"{self.name}: does not give its report descriptor") from error
+
+    def drain(self) -> list[bytes]:
+        """Return what has come since the last call, oldest first, without waiting.
+
+        At most `QUEUE` reports: if there are as many, newer ones may have been lost.
+        """
+        reports: list[bytes] = []
+        read = self._handle.read
+        try:
+            while len(reports) < QUEUE:
+                report = read(_LONGEST)
+                if not report:
+                    break
+                reports.append(bytes(report))
+        except (OSError, ValueError) as error:
+            raise DeviceFault(f"{self.name}: was unplugged") from error
+        return reports
+
+    def write(self, report: bytes) -> None:
+        """Send an output report; may wait for a USB frame, and for 5 s on a device that hangs."""
+        self._sent(self._handle.write, report, "takes no reports")
+
+    def send_feature(self, report: bytes) -> None:
+        """Send a feature report."""
+        self._sent(self._handle.send_feature_report, report, "takes no feature reports")
+
+    def get_feature(self, number: int, length: int) -> bytes:
+        """Return feature report `number`, at most `length` bytes, its id first."""
+        try:
+            return bytes(self._handle.get_feature_report(number, length))
+        except (OSError, ValueError) as error:
+            raise DeviceFault(f"{self.name}: does not give feature report {number}") from error
+
+    def close(self) -> None:
+        """Let go of the node."""
+        with suppress(OSError, ValueError):
+            self._handle.close()
+
+    def _sent(self, send: Any, report: bytes, trouble: str) -> None:
+        try:
+            written = send(report)
+        except (OSError, ValueError) as error:
+            raise DeviceFault(f"{self.name}: {trouble}; unplugged?") from error
+        if written < 0:
+            raise DeviceFault(f"{self.name}: {trouble}; unplugged?")

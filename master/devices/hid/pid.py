@@ -1,0 +1,178 @@
+"""Any force-feedback device of the USB PID class, driven as its own report descriptor says.
+
+One constant-force effect for each axis, made once and updated by its magnitude. Its duration is
+finite and short: the device itself lets go when nobody starts it again, so a dead host is a dead
+force. A spring and a damper can be left to the device, whose own loop is faster than ours.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from master.devices.hid import pid_effects
+from master.devices.hid import usages as U  # noqa: N812
+from master.devices.hid.bits import limits, scaled
+from master.devices.hid.descriptor import DescriptorError, parse
+from master.devices.hid.driver import Controls, DriverError, Features, Share
+from master.devices.hid.inputs import Inputs
+from master.devices.hid.pid_layout import Choice, Part, lay_out
+
+# A direction is where the force comes from, clockwise from -y. One from +x (90 deg) pushes
+# towards -x, one from -y (0 deg) towards +y.
+_SIGNS = {"x": -1, "y": 1}
+
+
+@dataclass(frozen=True, slots=True)
+class PidConfig:
+    """What the device renders by itself, about its centre, while it is pushed with a force."""
+
+    spring: float = 0.0  # share of the strongest coefficient and force, 0 = none
+    damper: float = 0.0  # share of the strongest coefficient and force, 0 = none
+
+    def __post_init__(self) -> None:
+        """Refuse shares that are none."""
+        for name in ("spring", "damper"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name}: must be within 0 ... 1")
+
+
+class _Push(NamedTuple):
+    """A constant force in the device's memory."""
+
+    zero: bytes  # Set Constant Force without a magnitude
+    bits: int  # the same as a little-endian number
+    full: int  # magnitude of a whole share, with the sign of the axis
+
+
+class PidDriver:
+    """A `master.devices.hid.driver.Driver`.
+
+    Parameters
+    ----------
+    descriptor : bytes
+        The device's report descriptor.
+    config : PidConfig
+        What else than the force it shall render.
+
+    Raises
+    ------
+    DriverError
+        Naming all that the device lacks, or what is wrong with its descriptor.
+    """
+
+    def __init__(self, descriptor: bytes, config: PidConfig | None = None) -> None:
+        try:
+            known = parse(descriptor)
+        except DescriptorError as error:
+            raise DriverError(f"its report descriptor cannot be read: {error}") from error
+        config = config or PidConfig()
+        self._inputs = Inputs(known)
+        self._layout = layout = lay_out(known, self._inputs)
+        self._on = _commands(layout.control, U.DEVICE_RESET, U.DEVICE_CONTINUE, U.ENABLE_ACTUATORS)
+        self._off = _commands(layout.control, U.STOP_ALL_EFFECTS, U.DISABLE_ACTUATORS)
+        wanted = {U.SPRING: config.spring, U.DAMPER: config.damper}
+        self._conditions = {usage: share for usage, share in wanted.items() if share}
+        # what can be found wrong is found now, and not once the device is in use
+        for usage in (U.CONSTANT_FORCE, *self._conditions):
+            layout.creation.choose(usage)
+            pid_effects.described(layout, usage, 1, layout.forces[0])
+        for share in self._conditions.values():
+            pid_effects.conditions(layout, 1, share)
+        self._magnitude = layout.constant_force.need(U.MAGNITUDE)
+        self.axes = self._inputs.axes
+        self.forces = layout.forces
+        self.buttons = self._inputs.buttons
+        self._forget()
+
+    def begin(self, device: Features) -> None:
+        """Reset the device, enable it, and make the effects, none of them started.
+
+        A reset does not end a pause that someone before us began, on the Arduino library. Nor may
+        the pool be read there: that frees all effects.
+        """
+        self._forget()
+        for report in self._on:
+            device.write(report)
+        part = self._layout.gain
+        if part is not None and (gain := part.find(U.GAIN)) is not None:
+            device.write(part.packed([Choice(gain, limits(gain)[1])]))
+        for axis in self.forces:
+            self._add_force(device, axis)
+        for usage, share in self._conditions.items():
+            self._add_condition(device, usage, share)
+
+    def decode(self, controls: Controls, report: bytes) -> Controls:
+        """Return what `report` changes in `controls`."""
+        return self._inputs.decode(controls, report)
+
+    def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:
+        """Return one magnitude for each of `forces`, and with `arm` a start for each effect.
+
+        Spring and damper run only with a force, and are stopped without: no force is asked for
+        before the session is engaged, at a fault and at a stop. Nothing before `begin`: there is no
+        effect to push with.
+        """
+        offset, mask = self._magnitude.offset, (1 << self._magnitude.size) - 1
+        reports = [
+            (bits | (scaled(share, full) & mask) << offset).to_bytes(len(zero), "little")
+            for (zero, bits, full), share in zip(self._pushes, force, strict=False)
+        ]
+        if self._conditions and not any(abs(share) > 0.0 for share in force):
+            reports += self._condition_stops
+        elif self._conditions and arm:
+            reports += self._condition_starts
+        return (*reports, *self._starts) if arm else tuple(reports)
+
+    def silence(self) -> tuple[bytes, ...]:
+        """Return zero magnitudes, a stop for each effect, and a stop for the device.
+
+        All of them, since what one firmware heeds another ignores.
+        """
+        zeros = [push.zero for push in self._pushes]
+        return (*zeros, *self._stops, *self._condition_stops, *self._frees, *self._off)
+
+    def _forget(self) -> None:
+        self._blocks: list[int] = []
+        self._pushes: list[_Push] = []
+        self._starts: list[bytes] = []
+        self._stops: list[bytes] = []
+        self._condition_starts: list[bytes] = []
+        self._condition_stops: list[bytes] = []
+        self._frees: list[bytes] = []
+
+    def _create(self, device: Features, usage: int) -> int:
+        block = pid_effects.create(self._layout, device, usage, self._blocks)
+        self._blocks.append(block)
+        self._frees += pid_effects.free(self._layout, block)
+        return block
+
+    def _add_force(self, device: Features, axis: str) -> None:
+        block = self._create(device, U.CONSTANT_FORCE)
+        self._starts.append(pid_effects.start(self._layout, block))
+        self._stops.append(pid_effects.stop(self._layout, block))
+        zero = pid_effects.magnitude_zero(self._layout, block)
+        device.write(pid_effects.described(self._layout, U.CONSTANT_FORCE, block, axis))
+        device.write(zero)
+        low, high = limits(self._magnitude)
+        full = _SIGNS[axis] * min(-low, high)
+        self._pushes.append(_Push(zero, int.from_bytes(zero, "little"), full))
+
+    def _add_condition(self, device: Features, usage: int, share: Share) -> None:
+        """Make a spring or a damper on all axes at once, each with parameters of its own.
+
+        OpenFFBoard turns a condition by the direction of its effect, a spring along y into one
+        that pushes away, unless it knows the parameters first; others want the effect first.
+        """
+        block = self._create(device, usage)
+        self._condition_starts.append(pid_effects.start(self._layout, block))
+        self._condition_stops.append(pid_effects.stop(self._layout, block))
+        effect = pid_effects.described(self._layout, usage, block, self.forces[0])
+        device.write(effect)
+        for report in pid_effects.conditions(self._layout, block, share):
+            device.write(report)
+        device.write(effect)
+
+
+def _commands(control: Part, *usages: int) -> tuple[bytes, ...]:
+    """Return a Device Control report for each of `usages` that the device knows."""
+    known = [usage for usage in usages if control.find(usage) is not None]
+    return tuple(control.packed([control.choose(usage)]) for usage in known)

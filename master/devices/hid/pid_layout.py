@@ -1,0 +1,175 @@
+"""Where a force-feedback device of the PID class wants which value.
+
+No report number, width or range is the same on all devices: everything is found by what the
+descriptor calls it. Device Class Definition for Physical Interface Devices 1.0 (USB-IF).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from master.devices.hid import usages as U  # noqa: N812
+from master.devices.hid.bits import limits, put, representable
+from master.devices.hid.descriptor import Descriptor, Field, Kind
+from master.devices.hid.driver import DriverError
+from master.devices.hid.inputs import Inputs
+
+FORCE_AXES = {"x": 90.0, "y": 0.0}  # [deg] direction of an effect along the axis, clockwise from -y
+
+
+class Choice(NamedTuple):
+    """A value for a field."""
+
+    field: Field
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """The fields of one purpose, and the report they are in."""
+
+    name: str
+    number: int
+    length: int  # [byte]
+    fields: tuple[Field, ...]
+
+    def find(self, usage: int) -> Field | None:
+        """Return the field that means `usage`, or can select it."""
+        return next((field for field in self.fields if usage in field.usages), None)
+
+    def need(self, usage: int) -> Field:
+        """Return the field that means `usage`; `DriverError` if there is none."""
+        field = self.find(usage)
+        if field is None:
+            raise DriverError(f"{self.name} has no {U.name(usage)}")
+        return field
+
+    def choose(self, usage: int) -> Choice:
+        """Return what selects `usage`: its place in an array, or a bit of its own."""
+        field = self.need(usage)
+        return Choice(field, field.minimum + field.usages.index(usage) if field.array else 1)
+
+    def within(self, usage: int) -> tuple[Field, ...]:
+        """Return the fields in a collection inside this one, in order."""
+        return tuple(field for field in self.fields if field.within(usage))
+
+    def packed(self, choices: Iterable[Choice]) -> bytes:
+        """Return the report with these values and zeros; `DriverError` if one does not fit."""
+        report = bytearray(self.length)
+        report[0] = self.number
+        for field, value in choices:
+            low, high = representable(field)
+            if not low <= value <= high:
+                name = U.name(field.usage)
+                raise DriverError(f"{self.name}: {name} cannot hold {value}, only {low} ... {high}")
+            put(report, field, value)
+        return bytes(report)
+
+
+@dataclass(frozen=True, slots=True)
+class PidLayout:
+    """The parts of a device that can be driven.
+
+    Attributes
+    ----------
+    forces : tuple of str
+        The axes it can push, of those that it reads.
+    polar : bool
+        An effect is turned into its axis by an angle. Else it is confined to it by the one bit of
+        the axes that is set.
+    """
+
+    set_effect: Part
+    constant_force: Part
+    operation: Part
+    control: Part
+    creation: Part
+    block_load: Part
+    block_free: Part | None
+    gain: Part | None
+    condition: Part | None
+    forces: tuple[str, ...]
+    polar: bool
+
+
+def speaks_pid(descriptor: Descriptor) -> bool:
+    """Return whether anything in the descriptor is of the PID class."""
+    return any(
+        usage >> 16 == U.PID
+        for report in descriptor.reports
+        for field in report.fields
+        for usage in field.usages
+    )
+
+
+def lay_out(descriptor: Descriptor, inputs: Inputs) -> PidLayout:
+    """Return where everything is; `DriverError` names all that is missing."""
+    if not speaks_pid(descriptor):
+        raise DriverError("no force feedback of the USB PID class")
+    missing: list[str] = []
+
+    def needed(kind: Kind, purpose: int, *contents: int) -> Part:
+        part = _part(descriptor, kind, purpose)
+        if part is None:
+            missing.append(f"no {U.name(purpose)} report")
+            return Part(U.name(purpose), 0, 1, ())
+        lacking = [U.name(usage) for usage in contents if part.find(usage) is None]
+        if lacking:
+            missing.append(f"{part.name} has no {', '.join(lacking)}")
+        return part
+
+    out = Kind.OUTPUT
+    set_effect = needed(out, U.SET_EFFECT, U.BLOCK_INDEX, U.CONSTANT_FORCE, U.DURATION)
+    constant_force = needed(out, U.SET_CONSTANT_FORCE, U.BLOCK_INDEX, U.MAGNITUDE)
+    operation = needed(out, U.EFFECT_OPERATION, U.BLOCK_INDEX, U.OP_START, U.OP_STOP)
+    control = needed(out, U.DEVICE_CONTROL, U.ENABLE_ACTUATORS)
+    creation = needed(Kind.FEATURE, U.CREATE_NEW_EFFECT, U.CONSTANT_FORCE)
+    block_load = needed(Kind.FEATURE, U.BLOCK_LOAD, U.BLOCK_INDEX, U.LOAD_SUCCESS)
+
+    magnitude = constant_force.find(U.MAGNITUDE)
+    if magnitude is not None and not limits(magnitude)[0] < 0 < limits(magnitude)[1]:
+        missing.append("its constant force pushes one way only")
+    forces = _forces(set_effect, inputs)
+    if not forces:
+        missing.append("it pushes none of the axes that it reads")
+    if missing:
+        raise DriverError("; ".join(missing))
+    block_free = _part(descriptor, out, U.BLOCK_FREE)
+    if block_free is not None and block_free.find(U.BLOCK_INDEX) is None:
+        block_free = None
+    return PidLayout(
+        set_effect=set_effect,
+        constant_force=constant_force,
+        operation=operation,
+        control=control,
+        creation=creation,
+        block_load=block_load,
+        block_free=block_free,
+        gain=_part(descriptor, out, U.DEVICE_GAIN),
+        condition=_part(descriptor, out, U.SET_CONDITION),
+        forces=forces,
+        polar=bool(set_effect.find(U.DIRECTION_ENABLE) and set_effect.within(U.DIRECTION)),
+    )
+
+
+def _part(descriptor: Descriptor, kind: Kind, purpose: int) -> Part | None:
+    """Return the fields of the first report that has some in a collection of this name."""
+    purposes = (purpose, U.DEVICE_CONTROL_REPORT) if purpose == U.DEVICE_CONTROL else (purpose,)
+    for report in descriptor.reports:
+        if report.kind is not kind:
+            continue
+        fields = tuple(field for field in report.fields if any(map(field.within, purposes)))
+        if fields:
+            return Part(U.name(purpose), report.number, report.length, fields)
+    return None
+
+
+def _forces(set_effect: Part, inputs: Inputs) -> tuple[str, ...]:
+    """Return the axes that effects can act along.
+
+    The axes-enable bits name them; a device without those has one for each direction it takes.
+    """
+    enabled = {U.AXES.get(field.usage) for field in set_effect.within(U.AXES_ENABLE)}
+    if not enabled:
+        enabled = set(list(FORCE_AXES)[: max(1, len(set_effect.within(U.DIRECTION)))])
+    return tuple(axis for axis in FORCE_AXES if axis in enabled and axis in inputs.axes)

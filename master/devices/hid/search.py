@@ -1,0 +1,236 @@
+"""What is attached, which driver fits it, and why not."""
+
+import hashlib
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from master.device import DeviceFault
+from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, Attached
+from master.devices.hid.node import REMEDY, Node, backend
+from master.devices.hid.signs import Pusher
+
+_SYSTEM = Path("/sys/class/hidraw")  # where Linux shows descriptors to everyone
+_BLUETOOTH = 2  # hidapi's number of that bus
+
+
+class NotThereError(DeviceFault):
+    """A device is not attached."""
+
+
+class Found(NamedTuple):
+    """A device, and the driver for it."""
+
+    item: Attached
+    kind: str  # key of `DRIVERS`
+    descriptor: bytes
+
+    @property
+    def pusher(self) -> Pusher:
+        """By which the file of force signs knows it."""
+        layout = hashlib.sha256(self.descriptor).hexdigest()[:12]
+        return Pusher(self.item.identity, self.kind, layout)
+
+
+class Examined(NamedTuple):
+    """What is known of a node from outside."""
+
+    item: Attached
+    descriptor: bytes
+    misfits: dict[str, str]  # for each driver why it does not fit; empty if it does
+    barred: str  # why this user must not open it, with the remedy; empty if that is not known
+
+    @property
+    def fits(self) -> list[str]:
+        """The drivers that fit, the best first."""
+        return [name for name, why_not in self.misfits.items() if not why_not]
+
+
+def attached() -> tuple[Attached, ...]:
+    """Return all HID nodes of this machine, by path; `DeviceFault` without hidapi."""
+    nodes: dict[str, Attached] = {}
+    for entry in backend().enumerate():
+        path = os.fsdecode(entry["path"])
+        usage = (entry.get("usage_page", 0), entry.get("usage", 0))
+        known = nodes.get(path)
+        if known is not None:  # once for each of its outermost collections
+            nodes[path] = known._replace(usages=(*known.usages, usage))
+            continue
+        nodes[path] = Attached(
+            path,
+            entry["vendor_id"],
+            entry["product_id"],
+            entry.get("serial_number") or "",
+            " ".join(
+                part
+                for part in (entry.get("manufacturer_string"), entry.get("product_string"))
+                if part
+            ),
+            entry.get("interface_number", -1),
+            entry.get("bus_type") == _BLUETOOTH,
+            (usage,) if any(usage) else (),
+        )
+    return tuple(nodes[path] for path in sorted(nodes))
+
+
+def beside(found: Found) -> frozenset[str]:
+    """Return the paths of what is attached besides a device, and may be a device too.
+
+    For the moment in which it goes away, so without asking the system for more than names: where
+    these are no files, nothing is known.
+    """
+    folder = os.path.dirname(found.item.path)
+    try:
+        return frozenset(os.path.join(folder, name) for name in os.listdir(folder))
+    except OSError:
+        return frozenset()
+
+
+def descriptor(item: Attached) -> bytes:
+    """Return a device's report descriptor; `DeviceFault` if nothing tells it without permission."""
+    try:
+        return (_SYSTEM / Path(item.path).name / "device/report_descriptor").read_bytes()
+    except OSError:
+        node = Node(item.path, str(item))
+    try:
+        return node.descriptor()
+    finally:
+        node.close()
+
+
+def examine(item: Attached) -> Examined:
+    """Return which drivers fit a device, and whether it may be opened."""
+    try:
+        data = descriptor(item)
+    except DeviceFault as fault:
+        why = str(fault).removeprefix(f"{item}: ")
+        return Examined(item, b"", dict.fromkeys(DRIVERS, why), why)
+    misfits = {name: kind.misfit(item, data) for name, kind in DRIVERS.items()}
+    return Examined(item, data, misfits, _barred(item))
+
+
+def _barred(item: Attached) -> str:
+    path = Path(item.path)
+    if path.exists() and not os.access(path, os.R_OK | os.W_OK):
+        return f"you may not open {item.path}; {REMEDY}"
+    return ""
+
+
+def choose(find: str, driver: str) -> Found:
+    """Return the device that a config means.
+
+    Parameters
+    ----------
+    find : str
+        vendor:product, serial number or path; empty means the only one that fits.
+    driver : str
+        Which one to use; `auto` takes the first that fits, and a device without a driver of its
+        own only if there is no other.
+
+    Raises
+    ------
+    DeviceFault
+        There is none, or more than one, or it must not be opened; with the remedy.
+    """
+    everything = attached()
+    meant = [examine(item) for item in everything if matches(item, find)]
+    fitting = _one_of_each(
+        Found(one.item, name, one.descriptor)
+        for one in meant
+        for name in one.fits
+        if driver in ("auto", name)
+    )
+    if driver == "auto":
+        fitting = [found for found in fitting if found.kind != INPUTS_ONLY] or fitting
+    if not fitting:
+        raise DeviceFault(_missing(find, driver, meant, everything))
+    if len(fitting) > 1:
+        names = _listed(found.item for found in fitting)
+        raise DeviceFault(f"several devices fit; name one in find, by serial or path: {names}")
+    why = _barred(fitting[0].item)
+    if why:
+        raise DeviceFault(f"{fitting[0].item}: {why}")
+    return fitting[0]
+
+
+def again(found: Found, before: frozenset[str]) -> Found:
+    """Return the same device where it is now.
+
+    Parameters
+    ----------
+    before : frozenset of str
+        Paths of what was attached when it went away. What looks like it at another of these was
+        there beside it, and is another one.
+
+    Raises
+    ------
+    NotThereError
+        It is not back.
+    DeviceFault
+        There are several like it, or it must not be opened.
+    """
+    known = found.item
+    like = [item for item in attached() if item.same_as(known)]
+    same = [item for item in like if item.path == known.path or item.path not in before]
+    if not same:
+        raise NotThereError(f"{known}: is not attached")
+    if len(same) > 1:
+        raise DeviceFault(f"{known}: several like it are attached: {_listed(same)}")
+    why = _barred(same[0])
+    if why:
+        raise DeviceFault(f"{same[0]}: {why}")
+    return found._replace(item=same[0])
+
+
+def matches(item: Attached, find: str) -> bool:
+    """Return whether `find` means this device."""
+    if not find:
+        return True
+    return find.lower() in (item.model, item.serial.lower(), item.path.lower())
+
+
+def _one_of_each(all_found: Iterable[Found]) -> list[Found]:
+    """Keep one way to each device: what has several interfaces may fit several drivers.
+
+    Nodes of one model and serial number, if any, are of one device as long as each is another
+    interface. If two are the same one, these are two devices.
+    """
+    best: dict[str, Found] = {}
+    for found in all_found:
+        best.setdefault(found.item.path, found)  # the best comes first
+    alike: dict[str, list[Found]] = {}
+    for found in best.values():
+        alike.setdefault(found.item.identity, []).append(found)
+    kept: list[Found] = []
+    for group in alike.values():
+        one_device = len({found.item.interface for found in group}) == len(group)
+        kept += [min(group, key=_rank)] if one_device else group
+    return kept
+
+
+def _rank(found: Found) -> int:
+    return list(DRIVERS).index(found.kind)
+
+
+def _missing(
+    find: str, driver: str, meant: Sequence[Examined], everything: Sequence[Attached]
+) -> str:
+    if not everything:
+        return "no haptic device is attached; plug one in (no HID device at all is there)"
+    if not meant:
+        listed = _listed(everything)
+        return f"no device {find!r} is attached; plug it in, or correct find (attached: {listed})"
+    whys: dict[str, list[Attached]] = {}
+    for one in meant:
+        reasons = list(one.misfits.values()) if driver == "auto" else [one.misfits[driver]]
+        if len(meant) > 1:
+            del reasons[1:]  # the first stands for all, or the line would have no end
+        whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(one.item)
+    told = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
+    wanted = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
+    return f"{wanted}: {told}" if find else f"{wanted} anything that is attached: {told}"
+
+
+def _listed(items: Iterable[Attached]) -> str:
+    return ", ".join(map(str, items))

@@ -1,0 +1,56 @@
+"""3Dconnexion SpaceMouse: six axes of a spring-centred cap, no force.
+
+Older ones send three axes in report 1 and three in report 2, newer ones all six in report 1; the
+length tells. Axes as the device counts them: x right, y towards the user, z down. It speaks only
+while the cap is deflected, and once more when it is let go of: silence is no loss. Sources:
+pyspacemouse's list of devices, usbhid-dumps of 256f:c62e and of a SpaceNavigator.
+"""
+
+import struct
+
+from master.devices.hid.driver import Controls, Features, Share
+
+VENDOR = 0x256F
+LOGITECH = 0x046D  # made the older ones
+LOGITECH_PRODUCTS = (0xC603, 0xC605, 0xC606, 0xC623, 0xC625, 0xC626, 0xC627, 0xC628, 0xC629, 0xC62B)
+
+_FULL = 350.0  # SpaceNavigators reach 500, and so full scale at 70 % of their way
+_THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
+_BUTTONS = 32
+
+
+class SpaceMouseDriver:
+    """A `master.devices.hid.driver.Driver` of six axes for rate control."""
+
+    axes: tuple[str, ...] = ("x", "y", "z", "rx", "ry", "rz")
+    forces: tuple[str, ...] = ()
+    buttons = _BUTTONS
+
+    def begin(self, device: Features) -> None:
+        """Nothing to set up."""
+
+    def decode(self, controls: Controls, report: bytes) -> Controls:
+        """Return the axes or the buttons that `report` tells of."""
+        size, kind = len(report), report[0] if report else 0
+        if kind == 1 and size >= 13:
+            return controls._replace(axes=_shares(_SIX, report))
+        if kind == 1 and size >= 7:
+            return controls._replace(axes=_shares(_THREE, report) + controls.axes[3:])
+        if kind == 2 and size >= 7:
+            return controls._replace(axes=controls.axes[:3] + _shares(_THREE, report))
+        if kind == 3 and size >= 2:
+            held = int.from_bytes(report[1:5], "little")
+            return Controls(controls.axes, held, (1 << _BUTTONS) - 1)
+        return controls
+
+    def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
+        """Return nothing: it cannot push."""
+        return ()
+
+    def silence(self) -> tuple[bytes, ...]:
+        """Return nothing."""
+        return ()
+
+
+def _shares(layout: struct.Struct, report: bytes) -> tuple[Share, ...]:
+    return tuple(max(-1.0, min(1.0, count / _FULL)) for count in layout.unpack_from(report, 1))

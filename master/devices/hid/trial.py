@@ -1,0 +1,104 @@
+"""Which way a device pushes: found by pushing it gently, once each way, and seeing where it goes.
+
+It is pushed harder step by step until it moves, and let go of as soon as it does. A hand that holds
+it, or a spring that brings it back, moves it the same way both times, and nothing is concluded.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+from master.devices.hid.driver import Controls, Share
+
+GENTLE = (0.05, 0.1, 0.2)  # shares of full force, tried in turn
+PUSH_S = 0.4  # [s] of one push, at most
+REST_S = 0.4  # [s] before it, for the device to come to rest
+MOVED = 0.02  # of full scale of the axis: a push that is felt
+STEP_S = 0.002  # [s] between two looks
+HOLD_S = 2.0  # [s] of a push that a person is asked about
+
+
+class Pushed(Protocol):
+    """A device that can be pushed (`master.devices.hid.line.Line`)."""
+
+    def read(self, time_s: float) -> Controls:
+        """Return what the inputs say."""
+
+    def post(self, force: tuple[Share, ...]) -> None:
+        """Have the device push until told otherwise."""
+
+
+Clock = Callable[[], float]
+Sleep = Callable[[float], None]
+
+
+def sign_of(forth: Share, back: Share) -> int:
+    """Return 1 or -1 for what a push and the opposite push moved; 0 if they do not say.
+
+    1 means that a positive force pushes towards larger values of the axis.
+    """
+    if min(abs(forth), abs(back)) < MOVED or (forth > 0.0) == (back > 0.0):
+        return 0
+    return 1 if forth > 0.0 else -1
+
+
+def find_sign(
+    device: Pushed, axis: int, force: int, forces: int, clock: Clock, sleep: Sleep
+) -> int:
+    """Push one force axis both ways, ever harder until it moves; return its sign, 0 = not found.
+
+    Parameters
+    ----------
+    axis, force : int
+        Its place among the driver's axes and among its `forces`.
+    forces : int
+        How many of those there are.
+    """
+    for share in GENTLE:
+        sign = sign_of(
+            push(device, axis, force, forces, share, clock, sleep),
+            push(device, axis, force, forces, -share, clock, sleep),
+        )
+        if sign:
+            return sign
+    return 0
+
+
+def push(
+    device: Pushed, axis: int, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep
+) -> Share:
+    """Push one way until the axis has moved; return how far. The device is left without force."""
+    none = (0.0,) * forces
+    pushed = tuple(share if k == force else 0.0 for k in range(forces))
+    _wait(device, none, clock, sleep)
+    start = device.read(clock()).axes[axis]
+    moved, end = 0.0, clock() + PUSH_S
+    try:
+        while clock() < end and not abs(moved) > 2.0 * MOVED:
+            device.post(pushed)
+            sleep(STEP_S)
+            moved = device.read(clock()).axes[axis] - start
+    finally:
+        device.post(none)
+    return 0.0 if math.isnan(moved) else moved
+
+
+def _wait(device: Pushed, none: tuple[Share, ...], clock: Clock, sleep: Sleep) -> None:
+    end = clock() + REST_S
+    while clock() < end:
+        device.post(none)
+        device.read(clock())
+        sleep(STEP_S)
+
+
+def hold(device: Pushed, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep) -> None:
+    """Push one way for `HOLD_S`, for a person to feel it; the device is left without force."""
+    pushed = tuple(share if k == force else 0.0 for k in range(forces))
+    end = clock() + HOLD_S
+    try:
+        while clock() < end:
+            device.post(pushed)
+            device.read(clock())
+            sleep(STEP_S)
+    finally:
+        device.post((0.0,) * forces)

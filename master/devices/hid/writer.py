@@ -1,0 +1,155 @@
+"""Writing forces from a thread of its own: a write may wait, a control loop may not.
+
+The newest force wins. A device that forgets its force by itself is reminded every `ARM_S` for as
+long as forces are posted; once nobody posts any more, the force is taken away, and then nothing is
+written at all.
+"""
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NamedTuple, Protocol
+
+from master.device import DeviceFault
+from master.devices.hid.driver import Driver, Share
+
+ARM_S = 0.050  # [s] after which a device is reminded of its force
+ABANDONED_S = 0.050  # [s] without a post after which a force is taken away
+HANGING_S = 0.2  # [s] in which a device takes a force, if it takes any
+
+Force = tuple[Share, ...]
+
+
+class Sink(Protocol):
+    """What reports are written to."""
+
+    def write(self, report: bytes) -> None:
+        """Send one; `DeviceFault` if that cannot be done."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class Post(NamedTuple):
+    """A force that somebody wants."""
+
+    force: Force
+    at_s: float
+
+
+class Memory(NamedTuple):
+    """What was written last."""
+
+    reports: tuple[bytes, ...] = ()
+    armed_s: float = -math.inf  # [s] when the device was last reminded
+
+
+def step(
+    driver: Driver, memory: Memory, force: Force, now_s: float
+) -> tuple[tuple[bytes, ...], Memory]:
+    """Return the reports to be written now for `force`: those that change anything, or remind."""
+    arm = now_s - memory.armed_s >= ARM_S
+    reports = driver.encode(force, arm)
+    due = reports if arm else tuple(r for r in reports if r not in memory.reports)
+    return due, Memory(reports, now_s if arm else memory.armed_s)
+
+
+class Writer:
+    """Owns the writing end of a node, and closes the node when all is over.
+
+    Parameters
+    ----------
+    beat : callable
+        Called every `ARM_S` before a force is written; a `DeviceFault` of it is one of the device.
+
+    Attributes
+    ----------
+    failure : DeviceFault or None
+        Why it has stopped writing, if it has.
+    """
+
+    def __init__(
+        self,
+        node: Sink,
+        driver: Driver,
+        beat: Callable[[], None] = lambda: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.failure: DeviceFault | None = None
+        self._node, self._driver, self._beat, self._clock = node, driver, beat, clock
+        self._none: Force = (0.0,) * len(driver.forces)
+        self._changed = threading.Condition()
+        self._posted: Post | None = None
+        self._ending = False
+        self._writing_since_s = math.inf
+        self._thread = threading.Thread(target=self._run, name="hid writer", daemon=True)
+        self._thread.start()
+
+    @property
+    def hangs(self) -> bool:
+        """Whether the device has not taken a force for too long."""
+        return self._clock() - self._writing_since_s > HANGING_S
+
+    def post(self, force: Force) -> None:
+        """Have `force` rendered from now on; never waits."""
+        with self._changed:
+            self._posted = Post(force, self._clock())
+            self._changed.notify()
+
+    def end(self, patience_s: float = 0.0) -> bool:
+        """Have the force taken away and the node closed; return whether that was done in time.
+
+        The caller must not use the node any more. A write that hangs is not waited for longer than
+        `patience_s`; the thread closes the node when it returns.
+        """
+        with self._changed:
+            self._ending = True
+            self._changed.notify()
+        self._thread.join(patience_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self._write_posts()
+        except DeviceFault as fault:
+            self.failure = fault
+        finally:  # also after a defect of ours: it must not leave a force behind
+            if not self._ending and self.failure is None:
+                self.failure = DeviceFault("the driver failed, no forces are written")
+            for report in self._driver.silence():
+                with suppress(DeviceFault):  # a device that failed once may still listen
+                    self._node.write(report)
+            self._await_end()
+            self._node.close()
+
+    def _write_posts(self) -> None:
+        memory, force = Memory(), self._none
+        while True:
+            posted = self._next(ABANDONED_S if any(force) else None)
+            if self._ending:
+                return
+            now_s = self._clock()
+            # what was wanted before this process was stopped for a while is not wanted any more
+            fresh = posted is not None and now_s - posted.at_s <= ABANDONED_S
+            force = posted.force if posted is not None and fresh else self._none
+            armed_s = memory.armed_s
+            reports, memory = step(self._driver, memory, force, now_s)
+            self._writing_since_s = now_s
+            if memory.armed_s != armed_s:
+                self._beat()
+            for report in reports:
+                self._node.write(report)
+            self._writing_since_s = math.inf
+
+    def _next(self, patience_s: float | None) -> Post | None:
+        """Return the newest post; None if none comes within `patience_s`, or at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._posted is not None or self._ending, patience_s)
+            posted, self._posted = self._posted, None
+            return posted
+
+    def _await_end(self) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._ending)

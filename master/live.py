@@ -1,0 +1,106 @@
+"""Settings that may change while the master runs, and how they change without a bump.
+
+A position scale and a lock act at once: the operator's step anchors hand and tip anew. A force
+scale goes to its new value in `SLEW_S`, so that no force jumps. Nothing else may change.
+"""
+
+import re
+from dataclasses import replace
+from typing import NamedTuple
+
+from master.config import MasterConfig
+from master.device import HandState
+from teleop.errors import UsageError
+
+SLEW_S = 0.5  # [s] for a force scale to go to its new value
+STEP = 2.0**0.5  # by which a button changes the position scale
+SCALES = (0.01, 1.0)  # within which buttons keep it
+KEYS = ("force.scale", "operator.lock", "operator.position_scale")
+
+
+class Live(NamedTuple):
+    """The config in force, and where its force scale is going."""
+
+    config: MasterConfig
+    force_scale: float
+    rate: float = 0.0  # [1/s] at which it goes there
+    held: bool = False  # a button that changes a setting
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is on its way."""
+        return self.config.force.scale == self.force_scale
+
+
+def start(config: MasterConfig) -> Live:
+    """Return the settings before anything was changed."""
+    return Live(config, config.force.scale)
+
+
+def change(live: Live, key: str, value: str) -> tuple[Live, str]:
+    """Return the settings with one of `KEYS` on its way to `value`, and what that is now.
+
+    Raises
+    ------
+    UsageError
+        The key may not be changed while the master runs, or not to this value.
+    """
+    name = key.removeprefix("master.")
+    if name not in KEYS:
+        raise UsageError(
+            f"{key}: cannot be changed while the master runs (allowed: {', '.join(KEYS)})"
+        )
+    config = live.config
+    try:
+        if name == "force.scale":
+            wanted = replace(config.force, scale=_number("scale", value)).scale
+            gap = abs(wanted - config.force.scale)
+            return Live(config, wanted, gap / SLEW_S), f"{name} = {wanted:g}"
+        if name == "operator.lock":
+            operator = replace(config.operator, lock=_axes(value))
+            told = str(list(operator.lock))
+        else:
+            operator = replace(config.operator, position_scale=_number("position_scale", value))
+            told = f"{operator.position_scale:g}"
+    except ValueError as error:
+        raise UsageError(f"master.{name.partition('.')[0]}.{error}") from error
+    return live._replace(config=replace(config, operator=operator)), f"{name} = {told}"
+
+
+def _number(field: str, text: str) -> float:
+    """Read a number: within the loop, so nothing that takes long or does more."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{field}: expected a number, got {text!r}") from None
+
+
+def _axes(text: str) -> tuple[int, ...]:
+    if not re.fullmatch(r"\s*(\[\s*(\d\s*(,\s*\d\s*)*)?\]|\d)\s*", text, re.ASCII):
+        raise ValueError(f"lock: expected axes as in '[0, 2]', got {text!r}")
+    return tuple(int(digit) for digit in re.findall(r"\d", text, re.ASCII))
+
+
+def press(live: Live, hand: HandState | None) -> tuple[Live, str]:
+    """Return the settings after a look at the device's buttons, and what one has changed.
+
+    A press counts once, and both at once count for nothing.
+    """
+    held = hand is not None and (hand.finer or hand.coarser)
+    pressed = held and not live.held
+    live = live if held == live.held else live._replace(held=held)
+    if hand is None or not pressed or hand.finer == hand.coarser:
+        return live, ""
+    now = live.config.operator.position_scale
+    low, high = min(SCALES[0], now), max(SCALES[1], now)
+    scale = min(max(now / STEP if hand.finer else now * STEP, low), high)
+    return change(live, "operator.position_scale", f"{scale:.6g}")
+
+
+def step(live: Live, dt: float) -> Live:
+    """Return the settings of a tick, `dt` [s] after the last."""
+    if live.settled:
+        return live
+    now, reach = live.config.force.scale, live.rate * dt
+    scale = min(max(live.force_scale, now - reach), now + reach)
+    return live._replace(config=replace(live.config, force=replace(live.config.force, scale=scale)))

@@ -1,0 +1,78 @@
+"""Time-domain passivity control of both ports.
+
+An observer at each port counts the energy that comes out of it, and a controller keeps that below
+what was put in at the other one and has been heard of (Ryu, Artigas & Preusche, "A passive
+bilateral control scheme for a teleoperator with time-varying communication delay", Mechatronics 20,
+2010, 812-823). The slave's controller changes the motion: the tip goes against a force as far as
+the credit lasts, and catches up when more is heard. The master's changes the force.
+
+Four things differ from there:
+
+- A hand is a damper too, and what that is sure to dissipate is granted. So a wall pushes it back
+  with all of its force, although the servo's lag makes that a little more than it put in.
+- Each side keeps `reserve` of the work done at its own port and passes on the rest, as the stores
+  of Franken et al., "Bilateral telemanipulation with time delays: a two-layer approach combining
+  passivity and transparency", IEEE Trans. Robotics 27, 2011, 741-756. A hand that trembles against
+  a wall then lives on what it puts in.
+- Credit is spent over a time, not at once, so neither force nor motion ends in one tick.
+- What is behind the slave's port brings back no more than it took (`port.returned`).
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from teleop.coupling import port as ledger
+from teleop.coupling.port import Port
+from teleop.coupling.sides import Felt, Followed, Pulled, Rendered
+
+
+@dataclass(frozen=True, slots=True)
+class PassivityConfig:
+    """Tolerances of the two passivity controllers; all in tip units."""
+
+    type: Literal["passivity"] = "passivity"
+    reserve: float = 0.001  # [J] credit of each port at engagement, which it keeps for itself
+    credit_max: float = 0.005  # [J] credit above it is given up
+    spend: float = 0.010  # [s] in which credit is spent
+    give: float = 2e-5  # [m] that a hand may move in a tick more than in the one before
+    hand_damping: float = 2.0  # [N s/m] on the device, which every hand that holds it has
+    catch_up: float = 0.050  # [s] in which a tip that fell behind comes after
+    passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
+
+    def __post_init__(self) -> None:
+        """Refuse a ledger that allows nothing, or everything."""
+        if not 0.0 < self.reserve <= 0.1:
+            raise ValueError("reserve: must be above 0 and at most 0.1 [J]")
+        if not self.reserve <= self.credit_max <= 1.0:
+            raise ValueError("credit_max: must be at least reserve and at most 1 [J]")
+        if not 1e-3 <= self.spend <= 0.5:
+            raise ValueError("spend: must be within 0.001 ... 0.5 [s]")
+        if not 1e-6 <= self.give <= 1e-2:
+            raise ValueError("give: must be within 1e-6 ... 0.01 [m]")
+        if not 0.0 <= self.hand_damping <= 100.0:
+            raise ValueError("hand_damping: must be within 0 ... 100 [N s/m]")
+        if not 5e-3 <= self.catch_up <= 10.0:
+            raise ValueError("catch_up: must be within 0.005 ... 10 [s]")
+
+
+def at_hand(config: PassivityConfig, port: Port, felt: Felt, dt: float) -> Rendered:
+    """Return the force that the credit affords; see `teleop.coupling.sides`."""
+    work = felt.written * felt.way
+    port = ledger.worked(port, work)
+    port = ledger.allow(port, config.hand_damping * felt.dragged)
+    port = ledger.pass_on(port, min(work, port.credit - config.reserve))
+    port = ledger.capped(port, config.credit_max)
+    ticks = config.spend / max(dt, 1e-6)
+    return Rendered(ledger.affordable(port, felt.force, felt.way, ticks, config.give), port)
+
+
+def at_tip(config: PassivityConfig, port: Port, pulled: Pulled, dt: float) -> Followed:
+    """Return the motion that the credit affords; see `teleop.coupling.sides`."""
+    wanted = pulled.way + pulled.lag * min(dt / config.catch_up, 1.0)
+    way = ledger.affordable_way(port, pulled.force, wanted, min(dt / config.spend, 1.0))
+    work = -pulled.force * way
+    port = ledger.returned(port, work, config.passive_tip)
+    port = ledger.pass_on(port, min(work, port.credit - config.reserve))
+    port = ledger.capped(port, config.credit_max)
+    velocity = pulled.velocity * (way / wanted) if wanted != 0.0 else pulled.velocity
+    return Followed(way, velocity, port)

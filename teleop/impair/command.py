@@ -1,0 +1,190 @@
+"""Put a worse network between master and slave: delay, loss, corruption, cuts, by a seed.
+
+  teleop impair --delay 0.1 --jitter 0.05 --loss 0.1     both ways; master and slave meet through it
+  teleop impair --config experiment.yaml                 as its `impair` section says
+  teleop run --config demo.yaml --set impair.to_slave.delay=0.1      as a part of a session
+  teleop impair cut; teleop impair mend                  tell one that runs: nothing gets through
+  teleop impair set to_slave.loss=0.3                    ... or something else does
+  teleop impair status                                   ask it what became of the messages
+
+`teleop run` gives the master the proxy's endpoint by itself. A master of its own is started with
+`teleop master --set link.slave=tcp/127.0.0.1:7449`. Recorder and viewer hear both sides directly:
+a recording has what was sent.
+"""
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, get_type_hints
+
+from teleop.clock import quiet_garbage
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import load
+from teleop.errors import UsageError
+from teleop.impair.config import ImpairConfig, WayConfig, wanted
+from teleop.impair.courier import LOOK_S, Courier
+from teleop.impair.way import Way
+from teleop.launch.summary import impair_lines
+from teleop.link.bridge import Bank, ask
+from teleop.meter import percentiles
+from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
+from teleop.run_config import RunConfig
+
+WAYS = ("to_slave", "to_master")
+ACTIONS = ("cut", "mend", "set", "status")
+_SWITCH_S = 0.0005  # a thread of ours waits for another no longer than this; Python's own is 5 ms
+_NUMBERS = tuple(name for name, hint in get_type_hints(WayConfig).items() if hint is float)
+
+
+class Proxy:
+    """The two banks, the two ways between them, and the courier.
+
+    Parameters
+    ----------
+    shared : RunConfig
+        The session it is in.
+    read : callable
+        Returns the `ImpairConfig` with some more overrides laid over it; `UsageError` if that
+        cannot be.
+    """
+
+    def __init__(self, shared: RunConfig, read: Callable[[list[str]], ImpairConfig]) -> None:
+        self._read, self._changes = read, list[str]()
+        self._courier = Courier()
+        config = read([])
+        self._look_ns = 0  # when the banks are to be looked at again
+        self._stack = ExitStack()
+        with ExitStack() as opening:
+            link = config.link(shared.link)
+            master = Bank(link, shared.session, [config.endpoint], [], self._look_soon)
+            opening.callback(master.close)
+            slave = Bank(shared.link, shared.session, [], [shared.link.slave], self._look_soon)
+            opening.callback(slave.close)
+            self._stack = opening.pop_all()
+        ends = {"to_slave": (master, slave), "to_master": (slave, master)}
+        self._ways = {
+            name: Way(name, getattr(config, name), config.seed, *ends[name], self._courier)
+            for name in WAYS
+        }
+        self._presence_s = config.presence
+        master.serve(self.answer)
+
+    def close(self) -> None:
+        """Leave both sides; what is under way is lost."""
+        self._stack.close()
+
+    def work(self) -> None:
+        """Do what there is to do now; returns within some 20 ms."""
+        self._courier.work()
+        now = time.monotonic_ns()
+        if now >= self._look_ns:
+            self._look_ns = now + round(LOOK_S * 1e9)
+            for way in self._ways.values():
+                way.mirror(self._presence_s)
+
+    def answer(self, request: str) -> dict[str, Any]:
+        """Do as told by `teleop impair ACTION`, and return the counts."""
+        action, *words = request.split("\n")
+        if action in ("cut", "mend"):
+            if not set(words) <= set(WAYS):
+                raise UsageError(f"{action}: {' '.join(words)}: allowed are {', '.join(WAYS)}")
+            for name in words or WAYS:
+                self._ways[name].cut = action == "cut"
+        elif action == "set":
+            self._set(words)
+        elif action != "status":
+            raise UsageError(f"{action}: allowed are {', '.join(ACTIONS)}")
+        return self.counts()
+
+    def counts(self) -> dict[str, Any]:
+        """Return what became of the messages, each way; and how punctual the courier was."""
+        ways = {name: way.counts() for name, way in self._ways.items()}
+        return ways | {
+            "waiting": len(self._courier),
+            "lateness_us": percentiles(self._courier.lateness, 1e-3),
+        }
+
+    def _look_soon(self) -> None:
+        self._look_ns = 0
+        self._courier.wake()
+
+    def _set(self, words: list[str]) -> None:
+        if not words:
+            raise UsageError("set: KEY=VALUE is missing, such as to_slave.loss=0.3")
+        fixed = [word for word in words if not word.startswith(tuple(f"{way}." for way in WAYS))]
+        if fixed:
+            raise UsageError(f"{fixed[0]}: allowed are to_slave.KEY=VALUE and to_master.KEY=VALUE")
+        changes = [*self._changes, *(f"impair.{word}" for word in words)]
+        config = self._read(changes)
+        self._changes = changes
+        for name, way in self._ways.items():
+            way.configure(getattr(config, name))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop impair`."""
+    add_config_arguments(parser)
+    parser.add_argument(
+        "action",
+        nargs="*",
+        metavar="ACTION",
+        help="tell the proxy that runs: cut, mend (to_slave or to_master, else both), "
+        "set KEY=VALUE ..., status",
+    )
+    both = parser.add_argument_group(
+        "both ways", "what `impair.to_slave` and `to_master` begin with"
+    )
+    for item in dataclasses.fields(WayConfig):
+        if item.name in _NUMBERS:
+            option = f"--{item.name.replace('_', '-')}"
+            both.add_argument(option, dest=item.name, type=float, metavar="X")
+    parser.add_argument("--seed", type=int, metavar="N", help="the same seed, the same fates")
+    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
+    parser.add_argument("--json", type=destination, metavar="FILE", help="write the counts to FILE")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the proxy, or tell the one that runs; returns the exit code."""
+    shared = load(args.config, RunConfig, None, args.overrides)
+    overrides = [*options(args), *args.overrides]
+
+    def read(changes: list[str]) -> ImpairConfig:
+        return wanted(args.config, [*overrides, *changes]) or ImpairConfig()
+
+    config = read([])
+    if args.action:
+        link = config.link(shared.link)
+        answer = ask(link, shared.session, config.endpoint, "\n".join(args.action))
+        print(json.dumps(answer, indent=2))
+        return 0
+    stop = Stop(args.duration)
+    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+    sys.setswitchinterval(_SWITCH_S)
+    proxy = Proxy(shared, read)
+    try:
+        if not supervised():
+            print(f"the master finds the slave at {config.endpoint} now", flush=True)
+        with quiet_garbage():
+            while not stop():
+                proxy.work()
+    finally:
+        counts = proxy.counts()
+        proxy.close()
+    write_summary(args.json, counts | {"stopped": stop.reason, "realtime": granted})
+    if not supervised():
+        print("\n".join(impair_lines(counts)))
+    return 0
+
+
+def options(args: argparse.Namespace) -> list[str]:
+    """Return the options of the command line as overrides."""
+    out = [f"impair.seed={args.seed}"] if args.seed is not None else []
+    for name in _NUMBERS:
+        value = getattr(args, name)
+        if value is not None:
+            out += [f"impair.{way}.{name}={value}" for way in WAYS]
+    return out

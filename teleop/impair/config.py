@@ -1,0 +1,130 @@
+"""What a proxy between master and slave does to their messages: the `impair` section."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from teleop.config import MAY_BE_INFINITE, load
+from teleop.errors import UsageError
+from teleop.link.config import LinkConfig
+
+_SHARES = ("loss", "burst_loss", "reorder", "duplicate", "corrupt")
+
+
+@dataclass(frozen=True, slots=True)
+class WayConfig:
+    """What happens to messages on their way in one direction.
+
+    A burst of losses is a Gilbert-Elliott channel (Gilbert 1960, Elliott 1963): in its bad state,
+    which lasts `burst_length` messages on average, it loses `burst_depth` of them, and it is bad
+    often enough for `burst_loss` of all messages to be lost so.
+    """
+
+    delay: float = 0.0  # [s] by which each message comes later
+    jitter: float = 0.0  # [s] the delay wanders from delay - jitter to delay + jitter
+    jitter_time: float = 0.1  # [s] from one delay to the next, evenly; 0 = a new one each message
+    loss: float = 0.0  # share of messages lost, each by itself
+    burst_loss: float = 0.0  # share of messages lost in bursts
+    burst_length: float = 20.0  # messages a burst lasts on average
+    burst_depth: float = 1.0  # share of messages lost while it lasts
+    reorder: float = 0.0  # share of messages held back, so that others overtake them
+    reorder_by: float = 0.003  # [s] held back for
+    duplicate: float = 0.0  # share of messages that come twice
+    corrupt: float = 0.0  # share of messages of which one byte is changed
+    cuts: tuple[tuple[float, float], ...] = ()  # [s] nothing gets through from ... to ...
+    cut_period: float = field(  # [s] after which `cuts` starts over
+        default=math.inf, metadata=MAY_BE_INFINITE
+    )
+    reliable: Literal["delayed", "impaired", "clean"] = "delayed"  # what reliable topics meet
+
+    def __post_init__(self) -> None:
+        """Refuse what no network does."""
+        if not 0.0 <= self.delay <= 10.0:
+            raise ValueError("delay: must be within 0 ... 10 [s]")
+        if not 0.0 <= self.jitter <= self.delay:
+            raise ValueError("jitter: must be at least 0 and at most delay: none comes early [s]")
+        if self.jitter_time != 0.0 and not 1e-4 <= self.jitter_time <= 100.0:
+            raise ValueError("jitter_time: must be 0 or within 0.0001 ... 100 [s]")
+        for name in _SHARES:
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name}: must be within 0 ... 1")
+        if not 1.0 <= self.burst_length <= 1e6:
+            raise ValueError("burst_length: must be within 1 ... 1000000 messages")
+        if not 0.0 < self.burst_depth <= 1.0:
+            raise ValueError("burst_depth: must be above 0 and at most 1")
+        if self.burst_loss and not self.burst_enter <= 1.0:
+            most = self.burst_depth * self.burst_length / (self.burst_length + 1.0)
+            raise ValueError(f"burst_loss: bursts of this length and depth lose {most:.3g} at most")
+        if not 0.0 <= self.reorder_by <= 10.0:
+            raise ValueError("reorder_by: must be within 0 ... 10 [s]")
+        times = [time for cut in self.cuts for time in cut]
+        if times != sorted(times) or any(time < 0.0 for time in times):
+            raise ValueError("cuts: pairs [from, to] in seconds, in order, not overlapping")
+        if not self.cut_period > 0.0:
+            raise ValueError("cut_period: must be above 0 [s]")
+
+    @property
+    def burst_leave(self) -> float:
+        """Probability that a burst ends with a message."""
+        return 1.0 / self.burst_length
+
+    @property
+    def burst_enter(self) -> float:
+        """Probability that a burst begins with a message."""
+        bad = self.burst_loss / self.burst_depth  # share of messages that meet the bad state
+        return self.burst_leave * bad / (1.0 - bad) if bad < 1.0 else math.inf
+
+    def cut_at(self, time_s: float) -> bool:
+        """Return whether the way is cut, by the clock, at `time_s` [s]."""
+        within = time_s % self.cut_period if time_s >= 0.0 else -1.0
+        return any(start <= within < end for start, end in self.cuts)
+
+    def of(self, live: bool) -> "WayConfig":
+        """Return what a live topic meets, or a reliable one."""
+        if live or self.reliable == "impaired":
+            return self
+        if self.reliable == "clean":
+            return WayConfig(cuts=self.cuts, cut_period=self.cut_period)
+        return replace(self, loss=0.0, burst_loss=0.0, reorder=0.0, duplicate=0.0, corrupt=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ImpairConfig:
+    """The proxy: where the master meets it in place of the slave, and what it does each way.
+
+    The slave, and whoever only listens, keep to the endpoints of `link`.
+    """
+
+    endpoint: str = "tcp/127.0.0.1:7449"  # what the master is given as `link.slave`
+    seed: int = 0  # the same seed, the same fate of the same messages
+    presence: float = field(  # [s] of cut after which the other side is no longer announced
+        default=2.0, metadata=MAY_BE_INFINITE
+    )
+    to_slave: WayConfig = field(default_factory=WayConfig)
+    to_master: WayConfig = field(default_factory=WayConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse a presence that ends before it is cut."""
+        if not self.presence >= 0.0:
+            raise ValueError("presence: must be at least 0 [s]")
+
+    def link(self, shared: LinkConfig) -> LinkConfig:
+        """Return the master's link: as `shared`, but to the proxy."""
+        try:
+            return replace(shared, slave=self.endpoint)
+        except ValueError as error:
+            raise UsageError(f"impair.endpoint: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """The part of a config file that says whether there is a proxy at all."""
+
+    impair: ImpairConfig | None = None
+
+
+def wanted(path: Path | None, overrides: Sequence[str]) -> ImpairConfig | None:
+    """Return what a config file and its overrides ask for; None if they say nothing of it."""
+    return load(path, _File, None, overrides).impair

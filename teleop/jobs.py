@@ -1,0 +1,24 @@
+"""Work in several processes, with how far it is."""
+
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import get_context
+from typing import TypeVar
+
+Task = TypeVar("Task")
+Done = TypeVar("Done")
+
+
+def each(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
+    """Yield what `work` makes of each task, in their order, so many `jobs` at a time."""
+    if jobs == 1:
+        yield from map(work, tasks)
+        return
+    # spawned, as numba's and the BLAS's threads do not survive a fork
+    with get_context("spawn").Pool(min(jobs, len(tasks)), _quiet) as pool:
+        yield from pool.imap(work, tasks)
+
+
+def _quiet() -> None:
+    """Leave Ctrl-C to the parent, who ends the pool."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

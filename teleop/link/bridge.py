@@ -1,0 +1,154 @@
+"""A bridge between the two sides of a session, which then do not meet each other directly.
+
+Each side meets one bank of it, in place of its peer. What the other bank hears there is given to
+the bridge's owner, who decides what is handed over. Bytes are handed over as they are, so senders,
+sequence numbers and checksums are the original ones.
+"""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from teleop.clock import now_ns
+from teleop.errors import TeleopError
+from teleop.link.config import LinkConfig
+from teleop.link.network import declare_publisher, open_session
+from teleop.link.presence import root
+from teleop.topics import TOPICS, Topic
+
+ANSWER_S = 3.0  # for the bridge to answer a request
+
+Put = Callable[[bytes], None]
+Hear = Callable[[Topic[Any], bytes], None]
+
+
+class Bank:
+    """One end of a bridge: hears one side, and speaks to it for the other.
+
+    Parameters
+    ----------
+    config : LinkConfig
+        Protection of the wire.
+    session : str
+        Root of all keys.
+    listen, connect : list of str
+        Endpoints, as of the peer it stands in for.
+    tokens_changed : callable
+        Called from Zenoh's thread when somebody has come or gone here.
+    """
+
+    def __init__(
+        self,
+        config: LinkConfig,
+        session: str,
+        listen: list[str],
+        connect: list[str],
+        tokens_changed: Callable[[], None],
+    ) -> None:
+        self._session = session
+        self._zenoh: Any = open_session(config, listen, connect)
+        self._remote = zenoh.Locality.REMOTE  # not from or to ourselves: an event would go round
+        self._publishers: dict[str, Any] = {
+            topic.name: declare_publisher(
+                self._zenoh, self._key(topic), topic.live, patient=False, to_remote=True
+            )
+            for topic in TOPICS
+        }
+        self._subscribers: dict[str, Any] = {}
+        self._heard: frozenset[str] = frozenset()
+        self._mirrored: dict[str, Any] = {}
+        self._tokens_changed = tokens_changed
+        self._liveliness = self._zenoh.liveliness()
+        self._watch: Any = self._liveliness.declare_subscriber(
+            f"{root(session)}/**", self._on_token, history=True
+        )
+
+    def close(self) -> None:
+        """Leave this side."""
+        self._watch.undeclare()
+        self._zenoh.close()
+
+    def put(self, topic: Topic[Any]) -> Put:
+        """Return what says the bytes of a message of `topic` on this side."""
+        put: Put = self._publishers[topic.name].put
+        return put
+
+    def listens(self, topic: Topic[Any]) -> bool:
+        """Return whether anyone on this side wants `topic`."""
+        return bool(self._publishers[topic.name].matching_status.matching)
+
+    def follow(self, topic: Topic[Any], wanted: bool, hear: Hear) -> None:
+        """Begin to hear `topic` on this side, or cease to."""
+        subscriber = self._subscribers.get(topic.name)
+        if wanted and subscriber is None:
+            self._subscribers[topic.name] = self._zenoh.declare_subscriber(
+                self._key(topic),
+                lambda sample: hear(topic, sample.payload.to_bytes()),
+                allowed_origin=self._remote,
+            )
+        elif not wanted and subscriber is not None:
+            self._subscribers.pop(topic.name).undeclare()
+
+    @property
+    def tokens(self) -> frozenset[str]:
+        """Keys of all who are announced on this side, those we announce left out."""
+        return self._heard - self._mirrored.keys()
+
+    def announce(self, tokens: frozenset[str]) -> None:
+        """Announce these, and no others, on this side."""
+        for key in self._mirrored.keys() - tokens:
+            self._mirrored.pop(key).undeclare()
+        for key in tokens - self._mirrored.keys():
+            self._mirrored[key] = None  # before it is heard here
+            self._mirrored[key] = self._liveliness.declare_token(key)
+
+    def serve(self, answer: Callable[[str], dict[str, Any]]) -> None:
+        """Answer the requests of `ask` from now on; a `TeleopError` becomes the asker's."""
+
+        def on_query(query: Any) -> None:
+            reply: dict[str, Any]
+            try:
+                reply = {"answer": answer(query.payload.to_bytes().decode(errors="replace"))}
+            except TeleopError as error:
+                reply = {"error": str(error)}
+            query.reply(query.key_expr, json.dumps(reply))
+
+        self._queryable: Any = self._zenoh.declare_queryable(_control(self._session), on_query)
+
+    def _key(self, topic: Topic[Any]) -> str:
+        return f"teleop/{self._session}/{topic.name}"
+
+    def _on_token(self, sample: Any) -> None:
+        key = str(sample.key_expr)
+        came = sample.kind == zenoh.SampleKind.PUT
+        self._heard = self._heard | {key} if came else self._heard - {key}
+        self._tokens_changed()
+
+
+def ask(config: LinkConfig, session: str, endpoint: str, request: str) -> dict[str, Any]:
+    """Send a request to the bridge at `endpoint` and return its answer.
+
+    Raises
+    ------
+    TeleopError
+        It does not answer, or refuses.
+    """
+    end = now_ns() + ANSWER_S * 1e9
+    with open_session(config, [], [endpoint]) as asking:
+        while now_ns() < end:
+            replies: Any = asking.get(_control(session), payload=request, timeout=0.5)
+            for reply in replies:
+                if reply.ok is None:
+                    continue
+                content: dict[str, Any] = json.loads(reply.ok.payload.to_bytes())
+                if "error" in content:
+                    raise TeleopError(content["error"])
+                answer: dict[str, Any] = content["answer"]
+                return answer
+    raise TeleopError(f"nothing answers at {endpoint} for session {session!r}")
+
+
+def _control(session: str) -> str:
+    return f"teleop/{session}/@impair"

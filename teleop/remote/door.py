@@ -1,0 +1,112 @@
+"""Where a loop hears what other processes ask of it; costs microseconds while nobody does."""
+
+from typing import NamedTuple
+
+from teleop.link import Heard, Link
+from teleop.messages import STOP_ACTIONS, EmergencyStop, Setting, text_bytes, text_of
+from teleop.remote import watches
+from teleop.remote.watches import Armed, Beat
+from teleop.session import Reason, Session, State
+from teleop.topics import SETTING, STOP, Role, role_name
+
+CALL, RESET, WATCH, LEAVE = range(len(STOP_ACTIONS))
+RELAYED = (Reason.EMERGENCY_STOP, Reason.STOP_CALLED, Reason.WATCH_LOST)
+
+
+class Wish(NamedTuple):
+    """A setting that somebody wants changed."""
+
+    asker: int  # nonce of the process
+    asked: int  # sequence number of its message
+    key: str
+    value: str
+
+
+class Asked(NamedTuple):
+    """What was asked since the last tick."""
+
+    stop: Reason = Reason.NONE
+    words: str = ""  # by whom, and why
+    reset: bool = False
+    wishes: tuple[Wish, ...] = ()
+
+
+_NOTHING = Asked()
+
+
+class Door:
+    """Hears stops, resets, watches and settings; used from the loop's thread."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._listener = link.listen((STOP, SETTING))
+        self._armed: tuple[Armed, ...] = ()
+        self._before = Session()
+
+    def __call__(self, now_ns: int, stops: int = 0) -> Asked:
+        """Return what was asked since the last call, at `now_ns` [ns].
+
+        A reset counts if it names the newest of our `stops`, so that none takes back a stop that
+        was called for after it.
+        """
+        heard = self._listener.drain()
+        if not heard and not self._armed:
+            return _NOTHING
+        calls = [item for item in heard if item.topic is STOP and item.sender != self._link.nonce]
+        said = [(item, EmergencyStop.unpack(item.data)) for item in calls]
+        beats = [
+            Beat(item.sender, item.received_ns, call.action == LEAVE)
+            for item, call in said
+            if call.action in (WATCH, LEAVE)
+        ]
+        self._armed, lost = watches.step(self._armed, beats, self._is_watch, now_ns)
+        asked = Asked(
+            stop=Reason.WATCH_LOST if lost else Reason.NONE,
+            reset=any(
+                call.action == RESET
+                and (call.side, call.number) == (self._link.role, stops)
+                and self._link.announced(item.sender)
+                for item, call in said
+            ),
+            wishes=tuple(
+                _wish(item)
+                for item in heard
+                if item.topic is SETTING and self._link.announced(item.sender)
+            ),
+        )
+        for _, call in said:
+            if call.action not in (RESET, WATCH, LEAVE):
+                words = f"{role_name(call.role)}: {text_of(call.text)}"
+                return asked._replace(stop=Reason.STOP_CALLED, words=words)
+        return asked
+
+    def relay(self, role: Role, side: Session, words: str) -> None:
+        """Tell everybody of a stop that has just been obeyed.
+
+        Whoever called for it may have reached this side only, and is not linked to the recorder.
+        """
+        began = side.state is State.STOPPED and self._before.state is not State.STOPPED
+        self._before = side
+        if began and side.reason in RELAYED:
+            call_stop(self._link, role, words or side.reason.text)
+
+    def _is_watch(self, nonce: int) -> bool:
+        return self._link.present(Role.WATCH, nonce)
+
+
+def call_stop(link: Link, role: Role, words: str, action: int = CALL) -> None:
+    """Send one message of the stop topic; anybody's call is obeyed."""
+    link.publish(STOP, EmergencyStop(role=role, action=action, text=text_bytes(words)))
+
+
+def call_reset(link: Link, role: Role, words: str, side: Role, number: int) -> None:
+    """Ask a side to take back the stop that is its newest if its `stops` is `number`."""
+    link.publish(
+        STOP,
+        EmergencyStop(role=role, action=RESET, side=side, number=number, text=text_bytes(words)),
+    )
+
+
+def _wish(item: Heard) -> Wish:
+    setting = Setting.unpack(item.data)
+    return Wish(item.sender, item.sequence, text_of(setting.key), text_of(setting.value))

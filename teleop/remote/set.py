@@ -1,0 +1,61 @@
+"""Change a setting of a running session.
+
+  teleop set force.scale 0.3                 goes there in half a second
+  teleop set operator.position_scale 0.1     finer motion; hand and tip stay where they are
+  teleop set operator.lock '[1]'             axis 1 moves nothing; '[]' frees it
+
+The master answers with the new value, or says why not. Nothing is written to the config file.
+"""
+
+import argparse
+import time
+
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import load
+from teleop.errors import TeleopError, UsageError
+from teleop.link import Link
+from teleop.messages import TEXT_BYTES, Answer, Setting, text_bytes, text_of
+from teleop.run_config import RunConfig
+from teleop.topics import ANSWER, SETTING, Role
+
+PATIENCE_S = 2.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop set`."""
+    parser.add_argument("key", metavar="KEY", help="e.g. force.scale")
+    parser.add_argument("value", metavar="VALUE", help="as in a config file")
+    add_config_arguments(parser)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Ask the master for a change; returns the exit code."""
+    for text in (args.key, args.value):
+        if len(text.encode()) > TEXT_BYTES:
+            raise UsageError(f"{text[:20]}...: longer than {TEXT_BYTES} bytes")
+    config = load(args.config, RunConfig, None, args.overrides)
+    with Link(config.link, config.session, Role.REMOTE) as link:
+        listener = link.listen((ANSWER,))
+        deadline = time.monotonic() + PATIENCE_S
+        while not link.present(Role.MASTER) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        if not link.present(Role.MASTER):
+            raise TeleopError(f"session {config.session!r}: there is no master to ask")
+        setting = Setting(role=Role.REMOTE, key=text_bytes(args.key), value=text_bytes(args.value))
+        link.publish(SETTING, setting)
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            for item in listener.drain():
+                answer = Answer.unpack(item.data)
+                if answer.asker == link.nonce:
+                    return _told(answer)
+            time.sleep(0.005)
+    raise TeleopError(f"the master did not answer within {PATIENCE_S:g} s")
+
+
+def _told(answer: Answer) -> int:
+    text = text_of(answer.text)
+    if not answer.accepted:
+        raise UsageError(text)
+    print(text)
+    return 0

@@ -1,0 +1,135 @@
+"""The emergency stop of a session, from any terminal that reaches its endpoints.
+
+  teleop stop                      stop everything: no force, motors hold, until it is reset
+  teleop stop --config rig.yaml    of the session that this config describes
+  teleop stop --watch              stop when this process ends, freezes or loses its line
+  teleop stop --reset              take the stop back; the operator must let go and engage again
+
+It ends with exit code 0 when every side that is there says that it has stopped, and says which.
+With --watch, Enter stops at once, and `q` and Enter leaves without a stop.
+"""
+
+import argparse
+import select
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import load
+from teleop.errors import TeleopError
+from teleop.link import Link
+from teleop.process import Stop
+from teleop.remote.door import CALL, LEAVE, RESET, WATCH, call_reset, call_stop
+from teleop.remote.watches import BEAT_S
+from teleop.run_config import RunConfig
+from teleop.session import Reason, State
+from teleop.topics import COMMAND, STATE, Role, Topic
+
+PATIENCE_S = 3.0  # until every side must have answered
+LEAST_S = 0.4  # for a second side to show, once one is there
+REPEAT_S = 0.02  # between two calls: the first ones may be lost while the link comes up
+SIDES: dict[Role, Topic[Any]] = {Role.MASTER: COMMAND, Role.SLAVE: STATE}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop stop`."""
+    add_config_arguments(parser)
+    way = parser.add_mutually_exclusive_group()
+    way.add_argument("--reset", action="store_true", help="take an emergency stop back")
+    way.add_argument("--watch", action="store_true", help="stop when this process ends")
+    parser.add_argument("--why", default="", metavar="TEXT", help="told and recorded with it")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Stop a session, take that back, or watch over it; returns the exit code."""
+    config = load(args.config, RunConfig, None, args.overrides)
+    role = Role.WATCH if args.watch else Role.REMOTE
+    stop = Stop()
+    # a call for a stop does not wait to look about first
+    with Link(config.link, config.session, role, at_once=not args.watch) as link:
+        if args.watch:
+            return watch(link, stop, args.why)
+        action = RESET if args.reset else CALL
+        states = ask(link, role, action, args.why or "teleop stop", stop)
+    for side, state in states.items():
+        print(f"{side.name.lower():9} {state.name.lower()}")
+    obeyed = [(state is State.STOPPED) != args.reset for state in states.values()]
+    if not states:
+        raise TeleopError(f"session {config.session!r}: neither master nor slave answers")
+    if not all(obeyed):
+        still = "is still stopped: see why in its terminal" if args.reset else "has NOT stopped"
+        sides = [side.name.lower() for side, ok in zip(states, obeyed, strict=True) if not ok]
+        raise TeleopError(f"the {' and the '.join(sides)} {still}")
+    if args.reset:
+        print("let go of the engage switch, then press it again")
+    return 0
+
+
+def ask(
+    link: Link, role: Role, action: int, words: str, stop: Callable[[], bool]
+) -> dict[Role, State]:
+    """Call until every side that is there has done as asked; return their states."""
+    for topic in SIDES.values():
+        link.subscribe_latest(topic)
+    begin, first = time.monotonic(), 0.0
+    states: dict[Role, State] = {}
+    named: dict[Role, int] = {}  # what is to be taken back: no stop that comes later
+    while not stop():
+        now = time.monotonic()
+        states = {side: state_of(link, side) for side in SIDES if link.present(side)}
+        if action == CALL:
+            call_stop(link, role, words)
+        else:
+            for side in (s for s, state in states.items() if state is State.STOPPED):
+                number = named.setdefault(side, stops_of(link, side))
+                call_reset(link, role, words, side, number)
+        first = first or (now if states else 0.0)
+        done = all((state is State.STOPPED) == (action == CALL) for state in states.values())
+        if (first and done and now - first > LEAST_S) or now - begin > PATIENCE_S:
+            break
+        time.sleep(REPEAT_S)
+    return states
+
+
+def state_of(link: Link, side: Role) -> State:
+    """Return the state that a side tells of itself, OFF before its first word."""
+    message = link.latest(SIDES[side]).message
+    return State.OFF if message is None else State(message.state)
+
+
+def stops_of(link: Link, side: Role) -> int:
+    """Return how many calls for a stop began or ended at a side, by what it tells."""
+    message = link.latest(SIDES[side]).message
+    return 0 if message is None else int(message.stops)
+
+
+def watch(link: Link, stop: Stop, words: str) -> int:
+    """Beat until told to end; whatever else ends this process is a stop."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not all(map(link.present, SIDES)) and time.monotonic() < deadline and not stop():
+        time.sleep(0.01)
+    sides = [side for side in SIDES if link.present(side)]
+    if not sides:
+        raise TeleopError(f"session {link.session!r}: neither master nor slave is there to watch")
+    names = " and ".join(side.name.lower() for side in sides)
+    print(f"watching over {names}; Enter stops, q and Enter leaves", flush=True)
+    listening = True
+    while not stop():
+        call_stop(link, Role.WATCH, words, WATCH)
+        line = None
+        if listening and select.select([sys.stdin], [], [], BEAT_S)[0]:
+            line = sys.stdin.readline()
+            listening = line != ""  # a closed terminal says nothing more
+        elif not listening:
+            time.sleep(BEAT_S)
+        if line is not None and line.strip() == "q":
+            call_stop(link, Role.WATCH, words, LEAVE)
+            time.sleep(BEAT_S)  # the word must be out before the token is gone
+            return 0
+        if line:
+            break
+    states = ask(link, Role.WATCH, CALL, words or Reason.WATCH_LOST.text, lambda: False)
+    print("stopped: " + ", ".join(side.name.lower() for side in states))
+    return 0

@@ -1,0 +1,236 @@
+"""How the views are laid out, for a screen of 1280 by 800 and up: one blueprint for each use."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.encodings import TimelineColumn
+
+from teleop.view.colours import UNKNOWN
+from teleop.view.config import ViewConfig
+from teleop.view.profile_view import WIDTH
+from teleop.view.sender import TIMELINE
+from teleop.view.stage import EYE
+
+_DARK = [18, 20, 24]
+_UNKNOWN_M = 0.001  # [m] radius of a tube before its tension is known
+Part = rrb.Container | rrb.View
+_Make = Callable[[str, int], Part]  # name of a view, and the joint it is of
+
+
+def blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Blueprint:
+    """Return the layout that the config names.
+
+    `surgeon` shows the scene and the two forces, `experiment` everything, `presentation` the scene
+    alone. The time follows the newest data until the user takes hold of it.
+
+    Parameters
+    ----------
+    config : ViewConfig
+    joints : mapping of int to sequence of int
+        The tendons of each joint; none while they are not known.
+    """
+    views = _Views(config, dict(joints) or {0: [0, 1]})
+    arrange = {
+        "surgeon": _surgeon, "experiment": _experiment, "presentation": _presentation
+    }[config.layout]  # fmt: skip
+    return rrb.Blueprint(
+        arrange(views),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        auto_views=False,
+    )
+
+
+def _surgeon(views: "_Views") -> Part:
+    return rrb.Horizontal(
+        views.scene(distance=1.3),
+        rrb.Vertical(
+            views.joint_tabs("Force at the tip [N]", views.tip_force),
+            views.joint_tabs("Force on the hand [N]", views.hand_force),
+            views.states(),
+            row_shares=[3, 3, 2],
+        ),
+        column_shares=[2, 1],
+    )
+
+
+def _presentation(views: "_Views") -> Part:
+    return views.scene(distance=0.88)
+
+
+def _experiment(views: "_Views") -> Part:
+    return rrb.Horizontal(
+        rrb.Vertical(
+            views.scene(),
+            rrb.Horizontal(
+                views.joint_tabs("T(x) in its band", views.profile),
+                views.joint_tabs("T_out over T_in", views.loop),
+            ),
+            row_shares=[3, 2],
+        ),
+        rrb.Vertical(
+            views.joint_tabs("Tension [N]", views.tension),
+            views.joint_tabs("Force at the tip [N]", views.tip_force),
+            rrb.Tabs(
+                views.joint_tabs("Tip [mm]", views.position),
+                views.joint_tabs("Hand [N]", views.hand_force),
+                views.joint_tabs("Elongation [mm]", views.elongation),
+                views.joint_tabs("Motor [mm]", views.motor),
+                name="Motion",
+            ),
+            rrb.Tabs(
+                views.log(),
+                views.energy(),
+                views.curves("Rate [Hz]", ["rate"]),
+                views.curves("Latency [ms]", ["latency"]),
+                views.curves("Age [ms]", ["age"]),
+                views.curves("Lost", ["loss"]),
+                name="Session",
+            ),
+            views.states(),
+            row_shares=[3.7, 3.5, 2.8, 2.8, 3.1],
+        ),
+        column_shares=[1, 1],
+    )
+
+
+class _Views:
+    """The views to choose from."""
+
+    def __init__(self, config: ViewConfig, joints: dict[int, Sequence[int]]) -> None:
+        self._config = config
+        self._joints = joints
+        self._recent = _past(config.window_s)
+
+    def scene(self, distance: float = 1.0) -> Part:
+        """Return the scene, seen from above its near side; a narrow view needs more `distance`."""
+        return rrb.Spatial3DView(
+            origin="/",
+            contents=["/scene/**"],
+            name="Tension along the sheath   thick: slides, thin: sticks, red: X'",
+            background=_DARK,
+            line_grid=False,
+            defaults=[rr.Capsules3D.from_fields(radii=_UNKNOWN_M, colors=UNKNOWN)],
+            eye_controls=rrb.EyeControls3D(
+                position=[distance * part for part in EYE], look_target=(0, 0, 0), eye_up=(0, 0, 1)
+            ),
+        )
+
+    def joint_tabs(self, name: str, make: _Make) -> Part:
+        """Return one view for each joint, one in front of the other."""
+        if len(self._joints) == 1:
+            return make(name, *self._joints)
+        return rrb.Tabs(*(make(f"{name} {j + 1}", j) for j in self._joints), name=name)
+
+    def profile(self, name: str, joint: int) -> Part:
+        """Return T(x) of a joint's tendons."""
+        return self._plane(
+            "profile", name, joint, x_range=[-0.25, WIDTH + 0.15], y_range=[-1.2, 0.32]
+        )
+
+    def loop(self, name: str, joint: int) -> Part:
+        """Return the hysteresis loops of a joint's tendons, as far back as the config says."""
+        past = _past(self._config.loop_window_s)
+        return self._plane(
+            "loop", name, joint, x_range=[-0.2, 1.85], y_range=[-1.2, 0.32], past=past
+        )
+
+    def _plane(
+        self,
+        root: str,
+        name: str,
+        joint: int,
+        *,
+        x_range: list[float],
+        y_range: list[float],
+        past: rr.VisibleTimeRange | None = None,
+    ) -> Part:
+        frame = ("axes", "labels", "scale", "names")
+        own = [f"tendon_{tendon}/**" for tendon in self._joints[joint]]
+        return rrb.Spatial2DView(
+            origin=root,
+            contents=[f"/{root}/{part}" for part in (*frame, *own)],
+            name=name,
+            visual_bounds=rrb.VisualBounds2D(x_range=x_range, y_range=y_range),
+            background=_DARK,
+            time_ranges=None if past is None else [past],
+        )
+
+    def tension(self, name: str, joint: int) -> Part:
+        """Return T_in and T_out of a joint's tendons over time."""
+        roots = [f"tension/tendon_{t}" for t in self._joints[joint]]
+        return self.curves(name, roots, (-0.05, 1.1))
+
+    def tip_force(self, name: str, joint: int) -> Part:
+        """Return the estimate of the force at the tip with its interval, and the truth."""
+        pulls_one_way = len(self._joints[joint]) == 1
+        return self.curves(name, [f"force/joint_{joint}"], (-0.05 if pulls_one_way else -1.1, 1.1))
+
+    def hand_force(self, name: str, joint: int) -> Part:
+        """Return the force on the hand."""
+        return self.curves(name, [f"hand/joint_{joint}"])
+
+    def position(self, name: str, joint: int) -> Part:
+        """Return where the tip was asked to be, is estimated to be, and is."""
+        truth = f"displacement/tendon_{self._joints[joint][0]}/out_true"
+        return self.curves(name, [f"position/joint_{joint}", truth])
+
+    def elongation(self, name: str, joint: int) -> Part:
+        """Return how far a joint's tendons are stretched."""
+        return self.curves(name, [f"elongation/tendon_{t}" for t in self._joints[joint]])
+
+    def motor(self, name: str, joint: int) -> Part:
+        """Return how far a joint's tendons are drawn out at the housing, and were to be."""
+        tendons = self._joints[joint]
+        return self.curves(
+            name, [f"displacement/tendon_{t}/{part}" for t in tendons for part in ("in", "asked")]
+        )
+
+    def energy(self) -> Part:
+        """Return the energy ledgers of both sides."""
+        return self.curves("Energy [mJ]", ["energy"])
+
+    def curves(
+        self, name: str, roots: Sequence[str], values: tuple[float, float] | None = None
+    ) -> Part:
+        """Return what lies under some entities over the recent past.
+
+        `values` are the ends of the axis as shares of the scale of tension; without them the axis
+        follows the data.
+        """
+        top = self._config.tension_scale_N
+        return rrb.TimeSeriesView(
+            origin="/",
+            contents=[f"/{root}/**" for root in roots],
+            name=name,
+            time_ranges=[self._recent],
+            axis_y=values and rrb.ScalarAxis(range=(values[0] * top, values[1] * top)),
+            plot_legend=rrb.Corner2D.LeftTop,
+        )
+
+    def states(self) -> Part:
+        """Return the states of both sides as lanes."""
+        return rrb.StateTimelineView(origin="state", name="State", time_ranges=[self._recent])
+
+    def log(self) -> Part:
+        """Return the log of events."""
+        return rrb.TextLogView(
+            origin="log",
+            name="Log",
+            # Rerun draws a column of times too narrow to be read; the text begins with it
+            columns=rrb.TextLogColumns(
+                timeline_columns=[TimelineColumn(TIMELINE, visible=False)],
+                text_log_columns=["loglevel", "body"],
+            ),
+        )
+
+
+def _past(seconds: float) -> rr.VisibleTimeRange:
+    """Return the time range from some seconds ago until now."""
+    return rr.VisibleTimeRange(
+        TIMELINE,
+        start=rr.TimeRangeBoundary.cursor_relative(seconds=-seconds),
+        end=rr.TimeRangeBoundary.cursor_relative(),
+    )

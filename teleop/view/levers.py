@@ -1,0 +1,213 @@
+"""Joint, tip, environment and hand in the scene, with the forces on them.
+
+A joint is drawn as a link that turns with the travel of its tip, the hand as a handle. The force
+at the tip is positive against pulling, that on the hand along its own positive travel.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from teleop.topics import COMMAND, HAND, STATE, TENDONS
+from teleop.view import colours
+from teleop.view.batch import AnyTopic, Rows, thinned
+from teleop.view.config import ViewConfig
+from teleop.view.sender import Sender
+from teleop.view.sheaths import Sheaths
+from teleop.view.stage import ARROW, Lever
+
+Array = NDArray[np.float64]
+
+_WEDGE = 0.5  # [rad] of the environment, as drawn
+_WEDGE_STEPS = 12
+
+
+class Levers:
+    """Draws the moving ends of the session."""
+
+    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+        self._config = config
+        self._sender = sender
+        self._sheaths = sheaths
+        self._travel: dict[int, float] = {}  # joint -> [m] as last estimated
+
+    def place(self) -> None:
+        """Draw what stands still, and say how the rest looks."""
+        stage = self._sheaths.stage
+        if stage is None:
+            return
+        thick = self._config.tube_radius * stage.size
+        for joint, lever in stage.joints.items():
+            path = f"scene/joint_{joint}"
+            pivot = rr.Points3D(
+                [lever.pivot],
+                radii=1.6 * thick,
+                colors=colours.BODY,
+                labels=f"joint {joint + 1}",
+                show_labels=True,
+            )
+            self._sender.static(f"{path}/pivot", pivot)
+            self._style(f"{path}/link", colours.BODY, thick)
+            self._style(f"{path}/asked", colours.ASKED, 0.35 * thick)
+            self._arrow_style(f"{path}/force", colours.ESTIMATE, 0.7 * thick)
+            self._style(f"{path}/interval", colours.INTERVAL, 0.35 * thick)
+            self._arrow_style(f"{path}/truth", colours.TRUTH, 0.45 * thick)
+            self._environment(f"{path}/environment", joint, lever)
+        for joint, lever in stage.hands.items():
+            pivot = rr.Points3D(
+                [lever.pivot],
+                radii=1.6 * thick,
+                colors=colours.HAND,
+                labels=f"hand {joint + 1}",
+                show_labels=True,
+            )
+            self._sender.static(f"scene/hand_{joint}/pivot", pivot)
+            self._style(f"scene/hand_{joint}/handle", colours.HAND, thick)
+            self._arrow_style(f"scene/hand_{joint}/force", colours.HAND, 0.7 * thick)
+
+    def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
+        """Draw some instants; returns the number of messages drawn."""
+        if self._sheaths.stage is None:
+            return 0
+        drawn = 0
+        for topic, paint in (
+            (STATE, self._tips),
+            (COMMAND, self._asked),
+            (TENDONS, self._truth),
+            (HAND, self._hands),
+        ):
+            if topic in batches:
+                rows = thinned(batches[topic], self._config.rate_hz.levers)
+                paint(rows)
+                drawn += len(rows)
+        return drawn
+
+    def _tips(self, rows: Rows) -> None:
+        for joint, lever, path in self._joints(rows):
+            travel, force = rows["position"][:, joint], rows["force"][:, joint]
+            self._travel[joint] = float(travel[-1])
+            ends = self._link(f"{path}/link", rows, lever, travel)
+            back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
+            self._arrow(f"{path}/force", rows, ends, force[:, None] * back, force)
+            low, high = rows["force_low"][:, joint], rows["force_high"][:, joint]
+            self._interval(f"{path}/interval", rows, lever, ends, back, low, high)
+
+    def _asked(self, rows: Rows) -> None:
+        stage = self._sheaths.stage
+        for joint, lever in () if stage is None else stage.joints.items():
+            self._link(f"scene/joint_{joint}/asked", rows, lever, rows["position"][:, joint])
+
+    def _truth(self, rows: Rows) -> None:
+        """Draw what bench sensors at the tip say, where there are any."""
+        stage = self._sheaths.stage
+        for joint, lever in () if stage is None else stage.joints.items():
+            force = true_force(rows, self._sheaths.tendons_of(joint))
+            travel = rows["bench_distal_displacement"][:, self._sheaths.tendons_of(joint)[0]]
+            travel = np.where(np.isfinite(travel), travel, self._travel.get(joint, 0.0))
+            back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
+            ends = lever.tip(travel) + 0.12 * lever.length * np.cross(lever.along, lever.aside)
+            self._arrow(f"scene/joint_{joint}/truth", rows, ends, force[:, None] * back)
+
+    def _hands(self, rows: Rows) -> None:
+        stage = self._sheaths.stage
+        count = int(rows["joints"][-1]) if len(rows) else 0
+        for joint, lever in () if stage is None else stage.hands.items():
+            if joint >= count:
+                continue
+            travel, force = rows["position"][:, joint], rows["force"][:, joint]
+            ends = self._link(f"scene/hand_{joint}/handle", rows, lever, travel)
+            onward = lever.onward(travel) * self._length(self._config.hand_scale_N)
+            self._arrow(f"scene/hand_{joint}/force", rows, ends, force[:, None] * onward, force)
+
+    def _joints(self, rows: Rows) -> list[tuple[int, Lever, str]]:
+        stage = self._sheaths.stage
+        count = int(rows["joints"][-1]) if len(rows) else 0
+        levers = {} if stage is None else stage.joints
+        return [(j, lever, f"scene/joint_{j}") for j, lever in levers.items() if j < count]
+
+    def _length(self, scale: float) -> float:
+        """Return metres drawn for a newton."""
+        stage = self._sheaths.stage
+        return 0.0 if stage is None else ARROW * stage.size / scale
+
+    def _link(self, path: str, rows: Rows, lever: Lever, travel: Array) -> Array:
+        """Draw the lever; returns its far ends."""
+        ends = lever.tip(travel)
+        known = np.isfinite(travel)
+        strips = [np.array([lever.pivot, end]) for end in ends[known]]
+        columns = rr.LineStrips3D.columns(strips=strips).partition(known.astype(int))
+        self._sender.columns(path, rows, columns)
+        return ends
+
+    def _arrow(
+        self,
+        path: str,
+        rows: Rows,
+        origins: Array,
+        vectors: Array,
+        force: Array | None = None,  # [N] written beside it
+    ) -> None:
+        known = np.isfinite(vectors).all(axis=1) & np.isfinite(origins).all(axis=1)
+        if known.any():
+            words = None if force is None else [f"{abs(f):.1f} N" for f in force[known]]
+            columns = rr.Arrows3D.columns(
+                origins=origins[known], vectors=vectors[known], labels=words
+            )
+            self._sender.columns(path, rows, columns.partition(known.astype(int)))
+
+    def _interval(
+        self, path: str, rows: Rows, lever: Lever, ends: Array, back: Array, low: Array, high: Array
+    ) -> None:
+        """Draw a line from the low to the high end beside the arrow, with a bar across each end.
+
+        The interval can be far wider than the scene; an end beyond the scale of tension is drawn
+        there, and has no bar.
+        """
+        known = np.isfinite(low) & np.isfinite(high)
+        limit = self._config.tension_scale_N
+        bar = 0.12 * lever.length * np.cross(lever.along, lever.aside)
+
+        def end(force: Array) -> tuple[Array, Array]:
+            place = ends[known] + np.clip(force, -limit, limit)[known, None] * back[known]
+            return place, (np.abs(force) <= limit)[known, None] * bar
+
+        (begin, a), (to, b) = end(low), end(high)
+        strips = np.stack([begin - a, begin + a, begin, to, to - b, to + b], axis=1)
+        columns = rr.LineStrips3D.columns(strips=list(strips)).partition(known.astype(int))
+        self._sender.columns(path, rows, columns)
+
+    def _environment(self, path: str, joint: int, lever: Lever) -> None:
+        """Draw a wedge from the travel where the tip meets something."""
+        known = self._config.environment_m
+        if joint >= len(known) or not math.isfinite(known[joint]):
+            return
+        begin = known[joint]
+        beyond = math.copysign(_WEDGE * lever.radius, begin)
+        rim = lever.tip(np.linspace(begin, begin + beyond, _WEDGE_STEPS + 1))
+        centre = np.repeat(lever.pivot[None], _WEDGE_STEPS, axis=0)
+        triangles = np.stack([centre, rim[:-1], rim[1:]], axis=1).reshape(-1, 3)
+        normal = np.cross(lever.along, lever.aside)
+        wedge = rr.Mesh3D(
+            vertex_positions=triangles,
+            vertex_normals=np.repeat(normal[None], len(triangles), axis=0),
+            albedo_factor=colours.ENVIRONMENT,
+        )
+        self._sender.static(path, wedge)
+
+    def _style(self, path: str, colour: int, radius: float) -> None:
+        self._sender.static(path, rr.LineStrips3D.from_fields(colors=colour, radii=radius))
+
+    def _arrow_style(self, path: str, colour: int, radius: float) -> None:
+        style = rr.Arrows3D.from_fields(colors=colour, radii=radius, show_labels=True)
+        self._sender.static(path, style)
+
+
+def true_force(rows: Rows, tendons: list[int]) -> Array:
+    """Return the force [N] on a joint's tip that bench sensors tell: T_out,a, less T_out,b."""
+    force: Array = rows["bench_distal_tension"][:, tendons[0]].copy()
+    for other in tendons[1:]:
+        force -= rows["bench_distal_tension"][:, other]
+    return force

@@ -1,0 +1,81 @@
+"""A plot with axes of its own on Rerun's two-dimensional plane: T(x), and T_out over T_in.
+
+Rerun's plane has y downwards and equal scales, so both quantities are divided by a reference: the
+plot is `width` wide and 1 high.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from teleop.view.sender import Sender
+
+Array = NDArray[np.float64]
+
+_TICK = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """The references of a plot and the words at its axes."""
+
+    right: float  # of the quantity across, at the right end
+    top: float  # of the quantity upwards, at the top
+    width: float
+    across: str  # with its unit
+    upwards: str
+
+    def points(self, across: Array, upwards: Array) -> Array:
+        """Return plane points, shape (..., 2)."""
+        x, y = np.broadcast_arrays(self.width * across / self.right, -upwards / self.top)
+        return np.stack([x, y], axis=-1)
+
+    def axes(self) -> tuple[list[Array], list[tuple[Array, str]]]:
+        """Return the lines of the axes with their ticks, and the labels with their places."""
+        lines = [np.array([[0.0, 0.0], [self.width, 0.0]]), np.array([[0.0, 0.0], [0.0, -1.0]])]
+        labels = [
+            (np.array([self.width / 2, 0.19]), self.across),
+            (np.array([0.02 + 0.022 * len(self.upwards), -1.12]), self.upwards),
+        ]
+        for x in ticks(self.right):
+            at = self.points(np.array(x), np.array(0.0))
+            lines.append(np.array([at, _moved(at, 0, _TICK)]))
+            labels.append((_moved(at, 0, 0.08), f"{x:g}"))
+        for y in ticks(self.top):
+            at = self.points(np.array(0.0), np.array(y))
+            lines.append(np.array([_moved(at, -_TICK, 0), at]))
+            labels.append((_moved(at, -0.09, 0), f"{y:g}"))
+        return lines, labels
+
+    def draw_axes(self, sender: Sender, root: str) -> None:
+        """Send the axes and their labels."""
+        lines, labels = self.axes()
+        sender.static(f"{root}/axes", rr.LineStrips2D(lines, colors=0x808080FF, radii=0.004))
+        draw_words(sender, f"{root}/labels", labels)
+
+
+def draw_words(sender: Sender, path: str, labels: list[tuple[Array, str]]) -> None:
+    """Send texts at places of the plane."""
+    words = rr.Points2D(
+        [at for at, _ in labels],
+        labels=[text for _, text in labels],
+        colors=0xC0C0C0FF,
+        radii=0.0001,
+        show_labels=True,
+    )
+    sender.static(path, words)
+
+
+def _moved(point: Array, right: float, down: float) -> Array:
+    moved: Array = point + np.array([right, down])
+    return moved
+
+
+def ticks(top: float) -> list[float]:
+    """Return round values from 0 to `top`, four to nine of them."""
+    step = 10 ** math.floor(math.log10(top / 2))
+    step *= next(factor for factor in (1, 2, 5, 10) if top / (step * factor) < 6)
+    return [round(k * step, 12) for k in range(math.floor(top / step * (1 + 1e-9)) + 1)]

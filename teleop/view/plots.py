@@ -1,0 +1,108 @@
+"""The curves of `teleop.view.curves` sent to Rerun."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from teleop.topics import HAND, LEDGER, STATE, TENDONS, Role, role_name
+from teleop.view.batch import AnyTopic, Rows, split, thinned
+from teleop.view.colours import TRUTH
+from teleop.view.config import ViewConfig
+from teleop.view.curves import CURVES, Curve, CurveGroup
+from teleop.view.levers import true_force
+from teleop.view.sender import Sender
+from teleop.view.sheaths import Sheaths
+
+_TRUE_FORCE = Curve("force/{}/true", "", "tip, true", TRUTH)
+
+
+class Plots:
+    """Draws the numbers against time."""
+
+    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+        self._rates = config.rate_hz
+        self._sender = sender
+        self._sheaths = sheaths
+        self._joints = 0
+
+    def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
+        """Draw one batch of each topic that has curves; returns the number of rows shown."""
+        shown = 0
+        for topic, batch in batches.items():
+            if topic in (STATE, HAND) and len(batch):
+                self._joints = int(batch["joints"][-1])
+        for topic, batch in batches.items():
+            if topic not in CURVES:
+                continue
+            kept = self._thinned(topic, batch)
+            for group in CURVES[topic]:
+                for curve, owner, label, rows, values in self._lines(topic, group, kept):
+                    self._line(curve, owner, label, rows, values)
+            if topic is TENDONS:
+                self._true_forces(kept)
+            shown += len(kept)
+        return shown
+
+    def _thinned(self, topic: AnyTopic, rows: Rows) -> Rows:
+        rate = getattr(self._rates, topic.name, None)
+        if rate is None:
+            return rows
+        if topic is LEDGER:
+            sides = [thinned(own, rate) for own in split(rows, "role").values()]
+            return np.concatenate(sides)
+        return thinned(rows, rate)
+
+    def _lines(
+        self, topic: AnyTopic, group: CurveGroup, rows: Rows
+    ) -> Iterator[tuple[Curve, str, str, Rows, NDArray[np.generic]]]:
+        """Yield each line of a group: its curve, owner, label, rows and values."""
+        if len(rows) == 0:
+            return
+        if group.over in ("role", "role and joint"):
+            for number, own in split(rows, "role").items():
+                role = role_name(number)
+                for curve in group.curves:
+                    if group.over == "role":
+                        yield curve, role, role, own, own[curve.field]
+                        continue
+                    for joint in range(int(own["joints"][-1])):
+                        values = own[curve.field][:, joint]
+                        yield curve, f"{role}/joint_{joint}", role, own, values
+        elif group.over == "sender":
+            for curve in group.curves:
+                yield (
+                    curve,
+                    "",
+                    role_name(topic.publisher or Role.LAUNCHER),
+                    rows,
+                    rows[curve.field],
+                )
+        else:
+            tendons = group.over == "tendon"
+            for index in range(int(rows["tendons"][-1]) if tendons else self._joints):
+                label = self._sheaths.name(index) if tendons else f"{index + 1}"
+                for curve in group.curves:
+                    yield curve, f"{group.over}_{index}", label, rows, rows[curve.field][:, index]
+
+    def _line(
+        self, curve: Curve, owner: str, label: str, rows: Rows, values: NDArray[np.generic]
+    ) -> None:
+        numbers = values.astype(np.float64) * curve.factor
+        known = np.isfinite(numbers) & ((numbers > 0) | (not curve.positive_only))
+        if not known.any():
+            return
+        path = curve.path.format(owner)
+        if not self._sender.styled(path):
+            style = rr.SeriesLines(
+                colors=[curve.colour], widths=[curve.width], names=[f"{curve.name} {label}"]
+            )
+            self._sender.once(path, style)
+        self._sender.columns(path, rows[known], rr.Scalars.columns(scalars=numbers[known]))
+
+    def _true_forces(self, rows: Rows) -> None:
+        """Draw what bench sensors say of the force at each tip."""
+        for joint in self._sheaths.joints:
+            force = true_force(rows, self._sheaths.tendons_of(joint))
+            self._line(_TRUE_FORCE, f"joint_{joint}", f"{joint + 1}", rows, force)

@@ -1,0 +1,145 @@
+"""T(x) now: the curve with its certified band, the part that slides, and X'."""
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from teleop.messages import PROFILE_POINTS
+from teleop.view.band import tension_band
+from teleop.view.batch import Rows
+from teleop.view.colours import ESTIMATE, FRONT, SECOND, rgba
+from teleop.view.config import ViewConfig
+from teleop.view.plane import Plane
+from teleop.view.sender import Sender
+from teleop.view.sheaths import Sheaths
+
+Array = NDArray[np.float64]
+
+WIDTH = 1.8
+_APART_NS = 50_000_000  # [ns] between a profile and the tip's interval, at most
+_TAIL_NS = 200_000_000
+_BANDS = (0x1D3C4CFF, 0x3B3A1EFF)  # dim, so that the curve stands out: tendon a, tendon b
+_CURVES = ((ESTIMATE, 0x3C7DA2FF), (SECOND, 0x97904CFF))  # slides, sticks: tendon a, tendon b
+_SCALE_STEPS = 64
+
+
+class ProfileView:
+    """Draws T(x) of each tendon, under `profile/tendon_<i>`."""
+
+    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+        self._config = config
+        self._sender = sender
+        self._sheaths = sheaths
+        self._plane: Plane | None = None
+        self._tail: Rows | None = None  # the newest TendonState rows
+
+    def hear(self, rows: Rows) -> None:
+        """Take in TendonState messages, for the interval at the tip."""
+        tail = rows if self._tail is None else np.concatenate([self._tail, rows])
+        self._tail = tail[tail["stamp_ns"] >= tail["stamp_ns"][-1] - _TAIL_NS]
+
+    def draw(self, tendon: int, rows: Rows) -> None:
+        """Draw some instants."""
+        tension, length = rows["tension"], rows["length"]
+        self._sender.columns(
+            f"profile/tendon_{tendon}/tension",
+            rows,
+            rr.AnyValues.columns(tension=tension.ravel()).partition([PROFILE_POINTS] * len(rows)),
+        )
+        longest = float(length.max(initial=0.0))
+        if not longest > 0:
+            return
+        if self._plane is None or longest > self._plane.right:
+            self._plane = Plane(
+                longest, self._config.tension_scale_N, WIDTH, "x [m] from the housing", "T [N]"
+            )
+            self._plane.draw_axes(self._sender, "profile")
+            self._scale(self._plane)
+        x = length[:, None] * np.linspace(0.0, 1.0, PROFILE_POINTS)
+        self._band(tendon, rows, self._plane, x)
+        self._curve(tendon, rows, self._plane, x)
+
+    def _curve(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
+        """Draw T(x) in two pieces that meet at X'."""
+        path, side = f"profile/tendon_{tendon}", self._side(tendon)
+        slides, sticks = _CURVES[side]
+        style = rr.LineStrips2D.from_fields(colors=[slides, sticks], radii=[0.012, 0.005])
+        self._sender.once(f"{path}/curve", style)
+        mark = rr.Points2D.from_fields(colors=FRONT, radii=0.022)
+        self._sender.once(f"{path}/front", mark)
+        name = rr.Points2D(
+            [[WIDTH - 0.3 + 0.2 * side, -1.12]],
+            labels=self._sheaths.name(tendon), colors=slides, radii=1e-4, show_labels=True,
+        )  # fmt: skip
+        self._sender.once(f"{path}/name", name)
+        front = np.clip(np.nan_to_num(rows["front"]), 0.0, rows["length"])
+        at = [np.interp(f, row, T) for f, row, T in zip(front, x, rows["tension"], strict=True)]
+        fronts = plane.points(front, np.array(at))
+        pieces = []
+        for points, row, f, point in zip(
+            plane.points(x, rows["tension"]), x, front, fronts, strict=True
+        ):
+            behind, ahead = row < f, row > f
+            pieces.append(np.concatenate([points[behind], [point, point][: 2 - behind.any()]]))
+            pieces.append(np.concatenate([[point, point][: 2 - ahead.any()], points[ahead]]))
+        curve = rr.LineStrips2D.columns(strips=pieces).partition([2] * len(rows))
+        self._sender.columns(f"{path}/curve", rows, curve)
+        known = np.isfinite(rows["front"])
+        marks = rr.Points2D.columns(positions=fronts[known]).partition(known.astype(int))
+        self._sender.columns(f"{path}/front", rows, marks)
+
+    def _band(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
+        """Draw what is certain of T(x): one broad line, up and down from point to point."""
+        ends = self._ends(tendon, rows)
+        if tendon not in self._sheaths.friction or ends is None:
+            return
+        path = f"profile/tendon_{tendon}/band"
+        low, high = tension_band(self._sheaths.friction[tendon], rows["tension"][:, 0], *ends)
+        columns = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
+        self._sender.columns(path, rows, columns.partition([PROFILE_POINTS] * len(rows)))
+        style = rr.LineStrips2D.from_fields(
+            colors=_BANDS[self._side(tendon)],
+            radii=0.9 * WIDTH / (PROFILE_POINTS - 1),  # more than half: no gaps
+            draw_order=-10.0,
+        )
+        self._sender.once(path, style)
+        known = np.isfinite(low).all(axis=1) & np.isfinite(high).all(axis=1)
+        top = 1.05 * plane.top  # the interval may be far wider than the plot
+        bars = np.stack(
+            [
+                plane.points(x[known], np.minimum(low[known], top)),
+                plane.points(x[known], np.minimum(high[known], top)),
+            ],
+            axis=2,
+        )
+        bars[:, 1::2] = bars[:, 1::2, ::-1]
+        strips = rr.LineStrips2D.columns(strips=list(bars.reshape(-1, 2 * PROFILE_POINTS, 2)))
+        self._sender.columns(path, rows, strips.partition(known.astype(int)))
+
+    def _ends(self, tendon: int, rows: Rows) -> tuple[Array, Array] | None:
+        """Return the interval of T_out at each profile; NaN where none was heard near it."""
+        if self._tail is None:
+            return None
+        stamps = self._tail["stamp_ns"]
+        at = np.clip(np.searchsorted(stamps, rows["stamp_ns"], side="right") - 1, 0, None)
+        far = np.abs(stamps[at] - rows["stamp_ns"]) > _APART_NS
+        low = np.where(far, np.nan, self._tail["distal_tension_low"][at, tendon])
+        high = np.where(far, np.nan, self._tail["distal_tension_high"][at, tendon])
+        return low, high
+
+    def _side(self, tendon: int) -> int:
+        """Return 0 for a joint's tendon a, 1 for b."""
+        shape = self._sheaths.shapes.get(tendon)
+        own = [tendon] if shape is None else self._sheaths.tendons_of(shape.joint)
+        return own.index(tendon) % 2
+
+    def _scale(self, plane: Plane) -> None:
+        """Draw the colour scale of the tubes along the tension axis."""
+        rungs = np.linspace(0.0, plane.top, _SCALE_STEPS + 1)
+        edge = plane.points(np.zeros_like(rungs), rungs)
+        scale = rr.LineStrips2D(
+            np.stack([edge[:-1], edge[1:]], axis=1),
+            colors=rgba((rungs[1:] + rungs[:-1]) / 2, plane.top),
+            radii=0.015,
+        )
+        self._sender.static("profile/scale", scale)

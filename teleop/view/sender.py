@@ -1,0 +1,41 @@
+"""Sending to Rerun: columns of rows, and what is said once about them."""
+
+import rerun as rr
+from rerun import AsComponents
+
+from teleop.view.batch import Rows
+
+TIMELINE = "time"  # the stamp its sender gave a message
+
+
+class Sender:
+    """A Rerun stream that takes blocks of rows, and remembers which entities have their style."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._styled: set[str] = set()
+
+    def columns(self, path: str, rows: Rows, columns: rr.ComponentColumnList) -> None:
+        """Send `columns`, one row at the stamp of each of `rows`."""
+        if len(rows) == 0:
+            return
+        stamps = rows["stamp_ns"].astype("datetime64[ns]")
+        self._stream.send_columns(path, [rr.TimeColumn(TIMELINE, timestamp=stamps)], columns)
+
+    def static(self, path: str, archetype: AsComponents) -> None:
+        """Send what holds at all times; it replaces what was sent before."""
+        self._stream.log(path, archetype, static=True)
+
+    def once(self, path: str, archetype: AsComponents) -> None:
+        """Send what holds at all times, if nothing was sent so for this entity."""
+        if path not in self._styled:
+            self._styled.add(path)
+            self.static(path, archetype)
+
+    def styled(self, path: str) -> bool:
+        """Return whether `once` has nothing more to say of this entity."""
+        return path in self._styled
+
+    def restyle(self) -> None:
+        """Let every `once` be said again: names may have changed."""
+        self._styled.clear()

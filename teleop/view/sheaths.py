@@ -1,0 +1,53 @@
+"""What is known of the sheaths so far: their shapes, whose they are, and where they are drawn."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from teleop.messages import PROFILE_POINTS
+from teleop.view.band import friction_along
+from teleop.view.batch import Rows
+from teleop.view.config import ViewConfig
+from teleop.view.stage import Shape, Stage, stage
+
+
+class Sheaths:
+    """Learned from Sheath messages, which come once a second."""
+
+    def __init__(self, config: ViewConfig) -> None:
+        self._config = config
+        self.shapes: dict[int, Shape] = {}
+        self.friction: dict[int, NDArray[np.float64]] = {}  # tendon -> k(x) at the profile's points
+        self.stage: Stage | None = None
+
+    def learn(self, rows: Rows) -> bool:
+        """Take in messages; returns whether the scene must be drawn anew."""
+        before = dict(self.shapes)
+        for row in rows:
+            count, tendon = int(row["sections"]), int(row["tendon"])
+            length, radius = row["section_length"][:count], row["section_radius"][:count]
+            if count == 0 or not length.sum() > 0:
+                continue
+            shape = Shape(int(row["joint"]), tuple(length.tolist()), tuple(radius.tolist()))
+            self.shapes[tendon] = shape
+            K = float(row["effective_friction"])
+            self.friction[tendon] = friction_along(length, radius, K, PROFILE_POINTS)
+        if self.shapes == before:
+            return False
+        self.stage = stage(self.shapes, self._config)
+        return True
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """The joints that have a sheath."""
+        return tuple(sorted({shape.joint for shape in self.shapes.values()}))
+
+    def tendons_of(self, joint: int) -> list[int]:
+        """Return the tendons of a joint, `a` first."""
+        return sorted(t for t, shape in self.shapes.items() if shape.joint == joint)
+
+    def name(self, tendon: int) -> str:
+        """Return what a tendon is called: by joint and side (1a, 1b, 2a, ...)."""
+        shape = self.shapes.get(tendon)
+        if shape is None:
+            return f"{tendon + 1}"
+        return f"{shape.joint + 1}{'ab'[self.tendons_of(shape.joint).index(tendon) % 2]}"

@@ -1,0 +1,203 @@
+"""Where everything stands in the scene: a joint's sheaths side by side, it at their tips, the hand.
+
+Several joints stand in rows and columns across the line of sight, each with all that is its own, so
+that none hides another.
+
+All in metres along the sheath; what has no size of its own (tubes, levers, gaps) is drawn as a
+share of the size of the scene, so that a short sheath and a long one look alike.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from teleop.messages import PROFILE_POINTS
+from teleop.view.config import ViewConfig
+from teleop.view.shape import Array, centreline
+
+SEGMENTS = PROFILE_POINTS - 1
+PIECES = 4  # straight pieces drawn for each segment of one colour
+_CELL_GAP = 0.08  # between two joints
+_TIP_GAP = 0.05  # from sheath to joint
+EYE = (0.0, -0.8, 0.78)  # where the scene is seen from, in spans from its centre
+RIGHT, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.78, 0.8]) / math.hypot(0.78, 0.8)
+_WIDE = 1.5  # the view's width over its height, a margin taken off
+_ROUNDS = 12  # of fitting the scene into the view
+_SCALE_TALL, _SCALE_ASIDE = 0.5, 0.1  # the colour scale's height, and its place from the rest
+_TURN = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
+_LEVER = 0.16  # a joint's link and the hand's handle
+ARROW = 0.25  # of the force at the end of its scale
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What the stage needs to know of one sheath."""
+
+    joint: int  # the one it moves
+    length: tuple[float, ...]  # [m] of each section
+    radius: tuple[float, ...]  # [m] inf = straight
+
+
+@dataclass(frozen=True, slots=True)
+class Lever:
+    """A link that turns about a pivot, in the plane of `along` and `aside`."""
+
+    pivot: Array  # [m]
+    along: Array  # unit vector, where it points at travel 0
+    aside: Array  # unit vector, where it turns to
+    length: float  # [m] as drawn
+    radius: float  # [m] of the pulley it is drawn on: angle = travel / radius
+
+    def tip(self, travel: NDArray[np.float64]) -> Array:
+        """Return the link's far end, shape (n, 3), at each travel [m]."""
+        angle = np.asarray(travel)[..., None] / self.radius
+        turned: Array = np.cos(angle) * self.along + np.sin(angle) * self.aside
+        return self.pivot + self.length * turned
+
+    def onward(self, travel: NDArray[np.float64]) -> Array:
+        """Return unit vectors along which the far end moves as the travel grows, shape (n, 3)."""
+        angle = np.asarray(travel)[..., None] / self.radius
+        turned: Array = -np.sin(angle) * self.along + np.cos(angle) * self.aside
+        return turned
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """The places of all that is drawn [m]."""
+
+    size: float  # of a sheath
+    span: float  # of all that is drawn, as seen from the eye: 1 fills the view
+    centre: Array
+    lines: Mapping[int, Array]  # tendon -> points at evenly spread arc lengths
+    joints: Mapping[int, Lever]
+    hands: Mapping[int, Lever]
+    legend: Array  # the foot of the colour scale
+    legend_up: Array  # from its foot to its top
+
+
+def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
+    """Return where the sheaths, their joints and the hand stand."""
+    total = {t: float(sum(shape.length)) for t, shape in shapes.items()}
+    gap = 0.05 * max(total.values())
+    bare = {
+        tendon: centreline(
+            np.array(shape.length),
+            np.array(shape.radius),
+            np.linspace(0.0, total[tendon], SEGMENTS * PIECES + 1),
+            gap,
+            config.bend_planes,
+        )
+        for tendon, shape in shapes.items()
+    }
+    cloud = np.concatenate([line.points for line in bare.values()])
+    size = float(np.ptp(cloud, axis=0).max())
+    across = _least_run(cloud)
+    lines: dict[int, Array] = {}
+    levers: dict[int, Lever] = {}
+    hands: dict[int, Lever] = {}
+    drawn: dict[int, Array] = {}
+    for joint in sorted({shape.joint for shape in shapes.values()}):
+        own = sorted(tendon for tendon, shape in shapes.items() if shape.joint == joint)
+        for place, tendon in enumerate(own):
+            lines[tendon] = bare[tendon].points + place * config.tendon_spacing * size * across
+        ends = [(lines[tendon][-1], bare[tendon].along, bare[tendon].aside) for tendon in own]
+        levers[joint] = _joint(ends, size, config)
+        hands[joint] = _hand([lines[tendon][0] for tendon in own], size, config)
+        drawn[joint] = np.concatenate(
+            [*(lines[tendon] for tendon in own), _reach(levers[joint], -1), _reach(hands[joint], 1)]
+        )
+    for joint, offset in _cells(drawn, size).items():
+        drawn[joint] = drawn[joint] + offset
+        levers[joint] = replace(levers[joint], pivot=levers[joint].pivot + offset)
+        hands[joint] = replace(hands[joint], pivot=hands[joint].pivot + offset)
+        for tendon in (t for t, shape in shapes.items() if shape.joint == joint):
+            lines[tendon] = lines[tendon] + offset
+    centre, span, right, tall = _framed(np.concatenate(list(drawn.values())))
+    return Stage(
+        size,
+        span,
+        centre,
+        lines,
+        levers,
+        hands,
+        legend=centre + span * (right * RIGHT - _SCALE_TALL * tall / 2 * UP),
+        legend_up=span * _SCALE_TALL * tall * UP,
+    )
+
+
+def _cells(drawn: Mapping[int, Array], size: float) -> dict[int, Array]:
+    """Return how far each joint is moved so that they stand in rows and columns, the first on top.
+
+    All cells are as large as the largest; there are as many columns as let them be drawn largest.
+    """
+    low = {j: np.array([(p @ RIGHT).min(), (p @ UP).min()]) for j, p in drawn.items()}
+    high = {j: np.array([(p @ RIGHT).max(), (p @ UP).max()]) for j, p in drawn.items()}
+    wide, tall = np.max([high[j] - low[j] for j in drawn], axis=0) + _CELL_GAP * size
+    count = len(drawn)
+    columns = min(
+        range(1, count + 1), key=lambda n: max(n * wide, math.ceil(count / n) * tall * _WIDE)
+    )
+    offsets = {}
+    for place, joint in enumerate(drawn):
+        row, column = divmod(place, columns)
+        right, up = np.array([column * wide, -row * tall]) - (low[joint] + high[joint]) / 2
+        offsets[joint] = right * RIGHT + up * UP
+    return offsets
+
+
+def _reach(lever: Lever, sign: float) -> Array:
+    """Return points that a lever and the arrow at its end reach."""
+    travel = lever.radius * _TURN
+    arrows = sign * ARROW / _LEVER * lever.length * lever.onward(travel)
+    return np.concatenate([lever.pivot[None], lever.tip(travel), lever.tip(travel) + arrows])
+
+
+def _framed(drawn: Array) -> tuple[Array, float, float, float]:
+    """Return centre and span [m] with which all points fit into the view, as seen from the eye.
+
+    Also the right edge and the height of what is drawn, in spans. What is nearer looks larger, so
+    each round starts from where the last one left the points.
+    """
+    far = float(np.linalg.norm(EYE))
+    forward = -np.array(EYE) / far
+    centre, span, right, tall = drawn.mean(axis=0), float(np.ptp(drawn)), 0.0, 1.0
+    for _ in range(_ROUNDS):
+        place = (drawn - centre) / span
+        place *= far / np.maximum(far + place @ forward, 0.2 * far)[:, None]
+        x, y = place @ RIGHT, place @ UP
+        left, right, tall = float(x.min()), float(x.max()) + _SCALE_ASIDE, float(np.ptp(y))
+        centre = centre + span * ((left + right) / 2 * RIGHT + (y.min() + y.max()) / 2 * UP)
+        right -= (left + right) / 2
+        span *= max((right * 2) / _WIDE, tall)
+    return centre, span, right, tall
+
+
+def _joint(ends: list[tuple[Array, Array, Array]], size: float, config: ViewConfig) -> Lever:
+    points, along, aside = (np.mean([end[k] for end in ends], axis=0) for k in range(3))
+    pivot = points + _TIP_GAP * size * along
+    return Lever(pivot, along, aside, _LEVER * size, config.joint_radius_m)
+
+
+def _hand(points: list[Array], size: float, config: ViewConfig) -> Lever:
+    back, left = np.array([-1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    pivot = np.mean(points, axis=0) + _TIP_GAP * size * back
+    return Lever(pivot, left, -back, _LEVER * size, config.hand_radius_m)
+
+
+def _least_run(cloud: Array) -> Array:
+    """Return the unit vector along which the sheaths extend least; up if they lie flat."""
+    spread = np.cov(cloud.T) + np.diag([0.0, 1e-6, 0.0]) * np.var(cloud)
+    axis: Array = np.linalg.eigh(spread)[1][:, 0]
+    return -axis if axis[np.abs(axis).argmax()] < 0 else axis
+
+
+def from_z(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return quaternions (x, y, z, w) that turn the z axis into each direction, shape (n, 4)."""
+    x, y, z = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).T
+    turned = np.stack([-y, x, np.zeros_like(x), 1.0 + z], axis=1)
+    turned[z < -1 + 1e-9] = (1.0, 0.0, 0.0, 0.0)
+    unit: NDArray[np.float64] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    return unit

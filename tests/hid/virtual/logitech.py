@@ -1,0 +1,54 @@
+"""A Logitech G29: commands of seven bytes behind a zero; holds a force until it is told otherwise.
+
+Facts from Linux hid-lg4ff.c: 11 downloads and plays a force in slot 1, type 08 is a constant one of
+8 bits about 80; 13 stops the slot; F5 turns the spring off that centres the wheel from power on.
+Which side a level above 80 pushes to is not said there: here it is the left.
+"""
+
+import math
+import struct
+
+from tests.hid.virtual.device import USB, Push
+
+_HAT_AT_REST = 8
+
+
+class Logitech:
+    """See `VirtualDevice`; one axis, pedals up."""
+
+    name, vendor, product, serial = "Logitech G29", 0x046D, 0xC24F, ""
+    bus = USB
+    interval = 0.002
+
+    def __init__(self, descriptor: bytes) -> None:
+        self.descriptor = descriptor
+        self.axes = [0.0]
+        self.buttons = 0
+        self.centred = True
+        self.pushes = [Push(-math.inf, (0.0,))]
+        self.refused: list[bytes] = []
+
+    def inputs(self, _now: float) -> list[bytes]:
+        """Return hat and buttons, steering, three pedals."""
+        steering = round((self.axes[0] + 1.0) * 32767.5)
+        return [struct.pack("<IHBBB3x", _HAT_AT_REST | self.buttons << 4, steering, 255, 255, 255)]
+
+    def output(self, now: float, report: bytes) -> None:
+        """Take a command."""
+        known = len(report) == 8 and report[0] == 0
+        if known and report[1:3] == b"\x11\x08":
+            self.pushes.append(Push(now, ((0x80 - report[3]) / 127,)))
+        elif known and report[1] == 0x13:
+            self.pushes.append(Push(now, (0.0,)))
+        elif known and report[1] == 0xF5:
+            self.centred = False
+        else:
+            self.refused.append(report)
+
+    def set_feature(self, _now: float, report: bytes) -> None:
+        """Nothing is set this way."""
+        self.refused.append(report)
+
+    def get_feature(self, _now: float, _number: int) -> bytes | None:
+        """There is none."""
+        return None

@@ -1,0 +1,168 @@
+"""What the PID firmwares have in common: a pool of effects, a clock, and a force that comes of it.
+
+A firmware is a subclass that knows its bytes. Only constant force pushes; conditions (spring,
+damper) are kept, not rendered: they act on the motion of a real stick, and there is none.
+"""
+
+import math
+import struct
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from tests.hid.virtual.device import USB, Push
+
+_CONSTANT = 1  # the first of the effect types in all descriptors known
+_START_SOLO, _STOP = 2, 3
+_LOADED, _FULL = 1, 2
+INFINITE_MS = 0xFFFF
+
+
+@dataclass
+class Effect:
+    """One slot of the pool."""
+
+    kind: int  # as the device's own descriptor counts the types
+    duration: float = math.inf  # [s] after a start
+    gain: float = 1.0
+    pull: tuple[float, ...] = (0.0, 0.0)  # what magnitude 1 does to each axis
+    magnitude: float = 0.0  # share of full scale
+    conditions: dict[int, bytes] = field(default_factory=dict)  # by axis, the report as it came
+    started: float | None = None  # [s]
+
+    def plays(self, now: float) -> bool:
+        """Return whether it pushes at `now`."""
+        return self.started is not None and now - self.started < self.duration
+
+
+class PidFirmware:
+    """A force-feedback joystick; see `VirtualDevice`.
+
+    Attributes
+    ----------
+    active : bool
+        Whether the motors are on.
+    effects : dict
+        The pool, by block number.
+    """
+
+    bus = USB
+    interval = 0.001
+    name: str
+    vendor: int
+    product: int
+    serial: str
+
+    outputs: ClassVar[dict[int, tuple[str, int]]]  # id -> method, length of the report
+    creation: int  # id of Create New Effect
+    loading: int  # id of Block Load
+    pooling: int  # id of Pool
+    slots: int
+    full_scale: int  # of a constant force
+
+    def __init__(self, descriptor: bytes, axes: int = 2) -> None:
+        self.descriptor = descriptor
+        self.axes = [0.0] * axes
+        self.buttons = 0
+        self.now = -math.inf
+        self.active = False
+        self.gain = 1.0
+        self.effects: dict[int, Effect] = {}
+        self.loaded = (0, 0)  # block and status of the last creation
+        self.pushes = [Push(-math.inf, (0.0,) * axes)]
+        self.refused: list[bytes] = []
+
+    def inputs(self, now: float) -> list[bytes]:
+        """Return the newest position, and note a force that has run out."""
+        self._at(now)
+        return [self.report()]
+
+    def output(self, now: float, report: bytes) -> None:
+        """Take an output report."""
+        name, length = self.outputs.get(report[0], ("", -1)) if report else ("", -1)
+        if len(report) != length:
+            self.refused.append(report)
+            return
+        self._at(now)
+        getattr(self, name)(report)
+        self._at(now)
+
+    def set_feature(self, now: float, report: bytes) -> None:
+        """Create an effect in the first free slot."""
+        if len(report) != 4 or report[0] != self.creation:
+            self.refused.append(report)
+            return
+        self._at(now)
+        block = next((n for n in range(1, self.slots + 1) if n not in self.effects), 0)
+        if block:
+            self.effects[block] = Effect(report[1])
+        self.loaded = (block, _LOADED if block else _FULL)
+
+    def get_feature(self, now: float, number: int) -> bytes | None:
+        """Return the last creation, or how large the pool is."""
+        self._at(now)
+        if number == self.loading:
+            return struct.pack("<BBBH", number, *self.load(), self.slots - len(self.effects))
+        if number == self.pooling:
+            return struct.pack("<BHBB", number, self.slots, *self.pool())
+        return None
+
+    def force(self, now: float) -> tuple[float, ...]:
+        """Return what the motors do at `now`, shares of full scale."""
+        total = [0.0] * len(self.axes)
+        if self.active:
+            for effect in self.effects.values():
+                if effect.kind == _CONSTANT and effect.plays(now):
+                    for axis in range(len(total)):
+                        total[axis] += effect.pull[axis] * effect.magnitude * effect.gain
+        return tuple(max(-1.0, min(1.0, self.gain * share)) + 0.0 for share in total)
+
+    def report(self) -> bytes:
+        """Return the input report of `axes` and `buttons`."""
+        raise NotImplementedError
+
+    def load(self) -> tuple[int, int]:
+        """Return block and status of the last creation."""
+        return self.loaded
+
+    def pool(self) -> tuple[int, int]:
+        """Return how many effects play at a time, and how memory is managed."""
+        return self.slots, 1
+
+    def set_constant(self, report: bytes) -> None:
+        """Set the magnitude of a constant force."""
+        block, magnitude = struct.unpack_from("<Bh", report, 1)
+        if (effect := self.effects.get(block)) is not None:
+            effect.magnitude = magnitude / self.full_scale
+
+    def set_condition(self, report: bytes) -> None:
+        """Keep a spring or damper."""
+        if (effect := self.effects.get(report[1])) is not None:
+            effect.conditions[report[2] & 0x0F] = report
+
+    def effect_operation(self, report: bytes) -> None:
+        """Start or stop an effect; a start restarts its clock."""
+        _, block, operation, _ = report
+        if operation == _START_SOLO:
+            self.stop_all()
+        if (effect := self.effects.get(block)) is not None:
+            effect.started = None if operation == _STOP else self.now
+
+    def block_free(self, report: bytes) -> None:
+        """Forget an effect."""
+        self.effects.pop(report[1], None)
+
+    def stop_all(self) -> None:
+        """Stop every effect; they stay in the pool."""
+        for effect in self.effects.values():
+            effect.started = None
+
+    def _at(self, now: float) -> None:
+        self.now = now
+        force = self.force(now)
+        if force != self.pushes[-1].force:
+            self.pushes.append(Push(now, force))
+
+
+def seconds(milliseconds: int) -> float:
+    """Return a duration field in seconds."""
+    return math.inf if milliseconds == INFINITE_MS else milliseconds * 1e-3

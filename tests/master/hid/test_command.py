@@ -1,0 +1,191 @@
+"""`teleop devices` against the fake: what is listed, probed, tried, and kept."""
+
+import pytest
+
+from master.devices.hid import command, search, signs
+from master.devices.hid.command import Person
+from teleop import cli
+from tests.hid import descriptors
+from tests.hid.virtual.dualsense import DualSense
+from tests.hid.virtual.openffboard import OpenFFBoard
+from tests.hid.virtual.spacemouse import SpaceMouse
+
+
+class Free(OpenFFBoard):
+    """A board whose sticks give way to its motors, wired one way or the other."""
+
+    wired = (1.0, -1.0)
+
+    def __init__(self):
+        super().__init__(descriptors.openffboard())
+        self._before = None
+
+    def inputs(self, now):
+        dt = 0.0 if self._before is None else now - self._before
+        self._before = now
+        for axis, (way, share) in enumerate(zip(self.wired, self.pushes[-1].force, strict=True)):
+            moved = self.axes[axis] + 5.0 * way * share * dt
+            self.axes[axis] = min(max(moved, -1.0), 1.0)
+        return super().inputs(now)
+
+
+class Someone:
+    """A person with answers ready; everything said is kept."""
+
+    def __init__(self, *answers):
+        self.said, self._answers = [], list(answers)
+        self.person = Person(self.said.append, self.answer)
+
+    def answer(self, question):
+        self.said.append(question)
+        if not self._answers:
+            raise EOFError
+        return self._answers.pop(0)
+
+
+def found_in(file):
+    """Return the signs that were kept for the only device that is plugged in."""
+    return signs.load(file).of(search.choose("", "auto").pusher)
+
+
+def teleop(capsys, *words):
+    code = cli.main(["devices", *words])
+    out = capsys.readouterr()
+    return code, out.out, out.err
+
+
+def test_a_list_says_what_is_attached_and_which_driver_fits(hidraw, capsys):
+    assert teleop(capsys, "list") == (0, "no HID device is attached\n", "")
+    hidraw.plug(OpenFFBoard(descriptors.openffboard()))
+    hidraw.plug(SpaceMouse(descriptors.spacemouse()), usages=((1, 8),))
+    code, out, _ = teleop(capsys, "list")
+    head, board, mouse = out.splitlines()
+    assert code == 0
+    assert head.split()[:3] == ["path", "model", "driver"]
+    assert board.split()[1:4] == ["1209:ffb0", "pid", "yes"]
+    assert mouse.split()[2] == "spacemouse"
+
+
+def test_a_device_that_may_not_be_opened_is_listed_with_the_remedy(hidraw, capsys, monkeypatch):
+    hidraw.plug(OpenFFBoard(descriptors.openffboard()))
+    monkeypatch.setattr(search.os, "access", lambda *_: False)
+    assert "no: teleop devices rules" in teleop(capsys, "list")[1]
+
+
+def test_a_probe_reads_the_descriptor_out_and_counts_reports(hidraw, capsys):
+    hidraw.plug(OpenFFBoard(descriptors.openffboard()))
+    code, out, _ = teleop(capsys, "probe", "--seconds", "0.5")
+    assert code == 0
+    assert "driver pid: fits" in out
+    assert "Set Constant Force" in out
+    rate = float(out.rpartition(": ")[2].split(" Hz")[0])
+    assert 900.0 < rate < 1100.0  # the fake sends by the clock, however late it is asked
+
+
+def test_what_cannot_even_be_described_is_listed_and_probed_with_the_remedy(hidraw, capsys):
+    hidraw.plug(OpenFFBoard(descriptors.openffboard())).permitted = False
+    assert "no: teleop devices rules" in teleop(capsys, "list")[1]
+    code, out, _ = teleop(capsys, "probe")
+    assert code == 0
+    assert "cannot be opened; let it be opened by a udev rule" in out
+
+
+def test_a_probe_of_nothing_is_a_line(hidraw, capsys):
+    assert teleop(capsys, "probe")[::2] == (2, "teleop: no HID device is attached\n")
+
+
+def test_a_trial_shows_the_buttons_that_were_pressed(hidraw, tmp_path):
+    node, someone = hidraw.plug(Free()), Someone("s", "s")
+    node.device.buttons = 0b1001
+    command.test("", "auto", tmp_path / "s.yaml", 0.25, someone.person)
+    assert "buttons seen, of 64: 1 4" in someone.said
+    assert any("(0.25 s)" in line for line in someone.said)
+
+
+def test_a_sign_of_a_device_without_a_serial_number_comes_with_a_warning(hidraw, tmp_path):
+    board, someone = Free(), Someone("", "s")
+    board.serial = ""
+    hidraw.plug(board)
+    command.test("", "auto", tmp_path / "s.yaml", 0.1, someone.person)
+    assert any("It has no serial number" in line for line in someone.said)
+
+
+def test_what_is_not_attached_is_a_line_and_a_list(hidraw, capsys):
+    hidraw.plug(OpenFFBoard(descriptors.openffboard()))
+    code, _, err = teleop(capsys, "probe", "dead:beef")
+    assert code == 2
+    assert "'dead:beef' is not attached" in err
+    assert "1209:ffb0" in err
+
+
+def test_a_trial_finds_the_sign_of_each_motor_and_keeps_it(hidraw, tmp_path):
+    hidraw.plug(Free())
+    file, someone = tmp_path / "signs.yaml", Someone("", "")
+    command.test("", "auto", file, 0.1, someone.person)
+    kept = found_in(file)
+    assert kept["x"] == -kept["y"] != 0
+    assert not any("serial" in line for line in someone.said)
+    assert any(line.startswith("x: sign") for line in someone.said)
+
+
+def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
+    """A positive force then moves the axis to larger values, however it is wired."""
+    for wired in ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0)):
+        board = Free()
+        board.wired = wired
+        node = hidraw.plug(board)
+        file = tmp_path / f"{wired}.yaml"
+        command.test("", "auto", file, 0.1, Someone("", "").person)
+        kept = found_in(file)
+        line = command.Line(search.choose("", "auto"), command.PidConfig())
+        for place, axis in enumerate("xy"):
+            share = [0.0, 0.0]
+            share[place] = 0.1 * kept[axis]
+            before = board.axes[place]
+            line.post(tuple(share))
+            line.read(0.0)
+            for _ in range(200):
+                line.post(tuple(share))
+                command.time.sleep(0.001)
+                line.read(0.0)
+            assert board.axes[place] > before
+        line.end(1.0)
+        hidraw.unplug(node)
+
+
+def test_what_does_not_move_is_asked_about(hidraw, tmp_path, monkeypatch):
+    monkeypatch.setattr(command.trial, "HOLD_S", 0.05)
+    monkeypatch.setattr(command.trial, "PUSH_S", 0.05)
+    monkeypatch.setattr(command.trial, "REST_S", 0.02)
+    hidraw.plug(DualSense(descriptors.dualsense_usb()))
+    file, someone = tmp_path / "signs.yaml", Someone("", "", "n", "what?", "s", "s")
+    command.test("", "auto", file, 0.1, someone.person)
+    assert found_in(file) == {"l2": 1}  # asked to push to smaller values, it did; r2 was left out
+    assert any(line.startswith("r2: sign not found") for line in someone.said)
+
+
+def test_nobody_to_answer_is_one_line_and_leaves_no_force(hidraw, tmp_path, capsys, monkeypatch):
+    node = hidraw.plug(Free())
+    monkeypatch.setattr("builtins.input", Someone().answer)
+    monkeypatch.setattr(command, "Person", lambda: Someone().person)
+    code, _, err = teleop(capsys, "test", "--seconds", "0.1", "--signs", str(tmp_path / "s.yaml"))
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "needs someone to answer" in err
+    assert node.force() == (0.0, 0.0)
+
+
+def test_rules_name_what_is_attached(hidraw, capsys):
+    class Other(OpenFFBoard):
+        vendor, product, name = 0x1FC9, 0x8000, "Some Wheel"
+
+    hidraw.plug(Other(descriptors.openffboard()))
+    _, out, _ = teleop(capsys, "rules")
+    assert "# Some Wheel\n" in out
+
+
+@pytest.mark.parametrize("words", [(), ("probe", "--seconds", "-1"), ("test", "--driver", "mine")])
+def test_wrong_words_are_one_line(hidraw, capsys, words):
+    code, _, err = teleop(capsys, *words)
+    assert code == 2
+    assert err.count("\n") == 1

@@ -1,0 +1,146 @@
+"""Reports packed by the byte tables, read through the descriptor."""
+
+import struct
+
+import pytest
+
+from master.devices.hid.descriptor import parse
+from master.devices.hid.driver import Controls, unknown
+from master.devices.hid.inputs import Inputs
+from tests.hid import descriptors as d
+from tests.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, logitech_g29, openffboard, rhino
+
+
+def inputs(data):
+    return Inputs(parse(data))
+
+
+def test_openffboard_by_its_table():
+    device = inputs(openffboard())
+    assert device.axes == ("x", "y", "z", "rx", "ry", "rz", "dial", "slider")
+    assert device.buttons == 64
+    values = (32767, -32767, 0, 16384, -1, 1, 0, 0)
+    report = struct.pack("<BQ8h", 1, 1 << 63 | 5, *values)
+    controls = device.decode(unknown(len(device.axes)), report)
+    assert controls.buttons == 1 << 63 | 5
+    assert controls.axes == pytest.approx([value / 32767 for value in values], abs=1e-12)
+
+
+def test_the_reports_of_others_change_nothing():
+    device = inputs(openffboard())
+    held = Controls((0.5,) * 8, 3, 3)
+    for report in (b"", b"\x01", bytes(24), b"\x02\x1f", b"\x63" + bytes(24), b"\xa1" + bytes(24)):
+        assert device.decode(held, report) == held
+
+
+def test_a_padded_report_is_read():
+    device = inputs(ffbeast_pid())
+    report = struct.pack("<BIH", 1, 2, 65535) + bytes(57)
+    assert device.decode(unknown(len(device.axes)), report) == Controls((1.0,), 2, (1 << 32) - 1)
+
+
+@pytest.mark.parametrize(("raw", "share"), [(0, -1.0), (65535, 1.0), (32768, 0.5 / 32767.5)])
+def test_an_unsigned_wheel_is_centred(raw, share):
+    device = inputs(ffbeast_pid())
+    controls = device.decode(unknown(len(device.axes)), struct.pack("<BIH", 1, 0, raw))
+    assert controls.axes == pytest.approx((share,), abs=1e-9)
+
+
+def test_pedals_are_one_sided_and_numbers_are_not_needed():
+    device = inputs(logitech_g29())
+    assert device.axes == ("x", "z", "rz", "y")
+    report = struct.pack("<IHBBB3x", 0x08 | 1 << 4, 65535, 255, 0, 255)
+    controls = device.decode(unknown(len(device.axes)), report)
+    assert controls.axes == (1.0, 1.0, 0.0, 1.0)
+    assert controls.buttons == 1
+
+
+@pytest.mark.parametrize(
+    ("hat", "pressed"), [(0, "u"), (1, "ur"), (2, "r"), (3, "rd"), (4, "d"), (6, "l"), (7, "lu")]
+)
+def test_a_hat_is_four_buttons_after_the_others(hat, pressed):
+    device = inputs(arduino(n_buttons=12))
+    assert device.buttons == 16
+    report = struct.pack("<BHBhh", 1, 1 << 11, hat, 0, 0)
+    expected = 1 << 11 | sum(1 << 12 + "urdl".index(way) for way in pressed)
+    assert device.decode(unknown(len(device.axes)), report).buttons == expected
+
+
+def test_a_hat_at_rest_presses_nothing():
+    device = inputs(arduino(n_buttons=8))
+    for rest in (8, 15):
+        report = struct.pack("<BBBhh", 1, 0, rest, 0, 0)
+        assert device.decode(Controls((0.0, 0.0), 1 << 8, 0), report).buttons == 0
+
+
+def test_rows_of_buttons_apart_and_several_hats():
+    device = inputs(rhino())
+    assert device.buttons == 80
+    report = struct.pack(
+        "<B3h4BIHBBH13x", 1, 4096, -4096, 0, 0, 0, 0, 255, 1 << 31, 1, 0xF2, 0x0F, 1 << 15
+    )
+    assert len(report) == 34
+    controls = device.decode(unknown(len(device.axes)), report)
+    assert controls.axes == (1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    right_of_first, up_of_fourth = 1 << 65, 1 << 76
+    assert controls.buttons == 1 << 31 | 1 << 32 | 1 << 63 | right_of_first | up_of_fourth
+
+
+def test_halves_of_a_device_are_merged():
+    device = inputs(LAYOUTS["spacemouse old"])
+    first = device.decode(unknown(len(device.axes)), struct.pack("<B3h", 1, 500, -500, 0))
+    both = device.decode(first, struct.pack("<B3h", 2, 250, 0, 0))
+    pressed = device.decode(both, b"\x03\x02\x00")
+    assert (pressed.axes, pressed.buttons) == ((1.0, -1.0, 0.0, 0.5, 0.0, 0.0), 2)
+    assert first.known == 0 != pressed.known
+    assert device.decode(pressed, struct.pack("<B3h", 1, 0, 0, 0)).buttons == 2
+
+
+def test_what_is_out_of_range_is_held_to_the_end():
+    device = inputs(LAYOUTS["spacemouse"])
+    controls = device.decode(
+        unknown(len(device.axes)), struct.pack("<B6h", 1, 400, -400, 0, 0, 0, 0)
+    )
+    assert controls.axes[:2] == (1.0, -1.0)
+
+
+def test_an_axis_that_says_none_keeps_its_value():
+    data = bytes.fromhex("05010904a101150125647508950109308142c0")
+    device = inputs(data)
+    held = device.decode(unknown(len(device.axes)), b"\x64")
+    assert held.axes == (1.0,)
+    assert device.decode(held, b"\x00") == held
+
+
+def test_a_second_axis_of_a_kind_has_a_number():
+    data = bytes.fromhex("05010904a1011581257f75089503093609360930 8102c0")
+    assert inputs(data).axes == ("slider", "slider2", "x")
+
+
+def test_what_moves_in_steps_is_no_axis():
+    mouse = bytes.fromhex("05010902a1011581257f75089502093009318106c0")
+    assert inputs(mouse).axes == ()
+
+
+def pedals(*ids):
+    """A device of three buttons, or of three in each of several reports; then an axis x."""
+    rows = [(d.report(n) if n else b"") + d.buttons(3 * k + 1, 3 * k + 3) + d.pad(d.INPUT, 5)
+            for k, n in enumerate(ids)]  # fmt: skip
+    axis = d.page(d.DESKTOP) + d.field(d.INPUT, 8, -127, 127, d.X)
+    device = d.collection(d.APPLICATION, *rows, axis)
+    return inputs(d.page(d.DESKTOP) + d.usage(d.JOYSTICK) + device)
+
+
+@pytest.mark.parametrize("held", range(8))
+def test_from_the_first_report_on_every_button_is_known(held):
+    device = pedals(0)
+    controls = device.decode(unknown(1), bytes([held, 0]))
+    assert controls == Controls((0.0,), held, 0b111)
+
+
+def test_the_buttons_of_a_report_that_has_not_come_are_neither_held_nor_known():
+    device = pedals(1, 2)
+    first = device.decode(unknown(1), bytes([1, 0b111]))
+    assert (first.buttons, first.known) == (0b111, 0b111)
+    second = device.decode(first, bytes([2, 0b001, 127]))
+    assert second == Controls((1.0,), 0b001_111, 0b111_111)

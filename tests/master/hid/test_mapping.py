@@ -1,0 +1,229 @@
+"""From inputs to the hand and from forces to shares: properties, without a device."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from master.device import DeviceFault
+from master.devices.hid import mapping
+from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid.driver import Controls, unknown
+
+STICK = SimpleNamespace(axes=("x", "y", "z"), forces=("y", "x"), buttons=4)
+BUTTONS = ButtonsConfig(engage=1, clutch=2, stop=3)
+ENGAGE, CLUTCH, STOP = 1, 2, 4
+BOTH = {"x": 1, "y": -1}
+ALL = 0b1111  # the buttons of STICK
+DT = 1e-3
+
+
+def planned(*axes, signs=BOTH, smoothing=0.01, buttons=BUTTONS):
+    config = HidConfig(axes=axes, buttons=buttons, smoothing=smoothing)
+    return mapping.plan(config, STICK, STICK.buttons, signs)
+
+
+class Hand:
+    """Reads of one plan, one after the other."""
+
+    def __init__(self, *axes, **settings):
+        self.plan = planned(*axes, **settings)
+        self.memory = mapping.start(self.plan.joints)
+
+    def read(self, *shares, buttons=0, dt=DT):
+        controls = Controls((*shares, *(0.0,) * (3 - len(shares))), buttons, ALL)
+        hand, self.memory = mapping.step(self.plan, self.memory, controls, controls, dt)
+        return hand
+
+
+def test_travel_is_the_way_from_the_middle_to_the_end():
+    hand = Hand(AxisConfig("x", travel=0.05), AxisConfig("y", travel=0.1, sign=-1))
+    assert hand.read(1.0, 0.5).position == pytest.approx((0.05, -0.05))
+    assert hand.read(-0.5, 0.0).position == pytest.approx((-0.025, 0.0))
+
+
+def test_an_axis_moves_the_joint_that_it_names_and_others_stay():
+    hand = Hand(AxisConfig("z", joint=2, travel=0.1), AxisConfig("x", joint=0, travel=0.1))
+    assert hand.read(0.5, 0.0, 1.0).position == pytest.approx((0.05, 0.0, 0.1))
+
+
+@given(st.floats(-1.0, 1.0), st.floats(0.0, 0.9))
+def test_a_dead_zone_makes_no_jump_and_leaves_the_ends(share, zone):
+    out = mapping.beyond(share, zone)
+    assert abs(out) <= 1.0
+    assert (out == 0.0) == (abs(share) <= zone or out == 0.0)
+    assert mapping.beyond(math.copysign(1.0, share), zone) == math.copysign(1.0, share)
+    assert abs(mapping.beyond(math.copysign(zone, share), zone)) < 1e-9
+    assert abs(out) <= abs(share) + 1e-12  # rounding
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.01])
+def test_the_velocity_of_a_steady_motion_is_found(smoothing):
+    hand = Hand(AxisConfig("x", travel=0.1), smoothing=smoothing)
+    for tick in range(200):
+        state = hand.read(tick * 0.002)
+    assert state.velocity[0] == pytest.approx(0.1 * 0.002 / DT, rel=1e-6)
+
+
+def test_the_velocity_filter_has_its_time_constant():
+    hand = Hand(AxisConfig("x", travel=1.0), smoothing=0.05)
+    hand.read(0.0, dt=1e-5)
+    share = 0.0
+    for _ in range(5000):  # 0.05 s
+        share += 1e-5
+        state = hand.read(share, dt=1e-5)
+    assert state.velocity[0] == pytest.approx(1.0 - math.exp(-1.0), rel=2e-3)
+
+
+def test_reports_that_come_more_seldom_than_ticks_are_smoothed():
+    hand = Hand(AxisConfig("x", travel=0.1), smoothing=0.02)
+    speeds = [hand.read(0.008 * (tick // 8)).velocity[0] for tick in range(800)]
+    assert sum(speeds[400:]) / 400 == pytest.approx(0.1, rel=0.01)
+    assert max(speeds[400:]) < 0.125  # unsmoothed it would be 0.8
+
+
+def test_a_rate_axis_moves_only_while_engage_is_held_and_the_clutch_is_not():
+    hand = Hand(AxisConfig("x", speed=0.2, sign=-1))
+    assert hand.read(1.0).position == (0.0,)
+    for _ in range(10):
+        state = hand.read(0.5, buttons=ENGAGE)
+    assert state.position[0] == pytest.approx(-0.2 * 0.5 * 10 * DT)
+    assert state.velocity[0] == pytest.approx(-0.1)
+    held = hand.read(0.5, buttons=ENGAGE | CLUTCH)
+    assert held.position == state.position
+    assert held.velocity == (0.0,)
+    assert hand.read(0.0, buttons=ENGAGE).position == state.position
+
+
+def test_buttons_are_told_apart():
+    hand = Hand(AxisConfig("x", travel=0.1))
+    for mask in range(8):
+        state = hand.read(0.0, buttons=mask)
+        said = (state.engage, state.clutch, state.stop)
+        assert said == tuple(bool(mask & bit) for bit in (ENGAGE, CLUTCH, STOP))
+
+
+def test_the_buttons_of_the_scale_are_told_and_only_those_that_are_given():
+    stick = AxisConfig("x", travel=0.1)
+    hand = Hand(stick, buttons=ButtonsConfig(engage=1, finer=2, coarser=4))
+    told = [hand.read(0.0, buttons=bit) for bit in (1, 2, 4, 8, 2 | 8)]
+    assert [state.finer for state in told] == [False, True, False, False, True]
+    assert [state.coarser for state in told] == [False, False, False, True, True]
+    assert not Hand(stick).read(0.0, buttons=ALL).finer
+
+
+def test_a_button_that_is_not_given_is_never_held():
+    hand = Hand(AxisConfig("x", travel=0.1), buttons=ButtonsConfig(engage=2))
+    assert hand.read(0.0, buttons=ALL & ~ENGAGE).clutch is False
+    assert hand.read(0.0, buttons=0b1101).engage is False
+
+
+def test_until_everything_is_known_the_switch_counts_as_held_and_nothing_moves():
+    hand = Hand(AxisConfig("x", travel=0.1), AxisConfig("y", speed=0.1))
+    start = unknown(3)
+    state, memory = mapping.step(hand.plan, hand.memory, start, start, DT)
+    assert state.engage
+    assert not memory.knows
+    assert not state.stop  # a fault that nobody asked for
+    assert not state.clutch
+    assert (state.position, state.velocity) == ((0.0, 0.0), (0.0, 0.0))
+    nan = math.nan
+    for axes, told, held in (
+        ((nan, nan, nan), ALL, True),  # x is not known
+        ((0.5, nan, nan), 0, True),  # buttons are not
+        ((0.5, nan, nan), ALL & ~ENGAGE, True),  # ... one of them
+        ((0.5, nan, nan), ALL & ~CLUTCH, True),
+        ((0.5, nan, nan), ALL & ~STOP, True),
+        ((0.5, nan, nan), ENGAGE | CLUTCH | STOP, False),  # y, of rate, rests until it is known
+    ):
+        controls = Controls(axes, 0, told)
+        state, after = mapping.step(hand.plan, memory, controls, controls, DT)
+        assert state.engage is held
+        assert after.knows is not held
+        assert not state.stop
+        assert not state.clutch
+        assert state.velocity == (0.0, 0.0)
+        assert state.position == ((0.05 if axes[0] == 0.5 else 0.0), 0.0)
+
+
+def test_when_the_inputs_become_unknown_the_hand_stays_and_comes_back_without_speed():
+    hand = Hand(AxisConfig("x", travel=0.1))
+    hand.read(0.5)
+    for share in (math.nan, math.nan):
+        state = hand.read(share)
+        assert (state.position, state.velocity) == ((0.05,), (0.0,))
+    state = hand.read(-1.0)
+    assert (state.position, state.velocity) == ((-0.1,), (0.0,))
+
+
+def test_a_force_is_a_share_of_full_scale_with_the_sign_that_was_found():
+    plan = planned(
+        AxisConfig("x", travel=0.1, force=2.0), AxisConfig("y", travel=0.1, force=5.0, sign=-1)
+    )
+    # forces of the driver are y, x; y was found to push the other way, and its joint is reversed
+    assert mapping.shares(plan, (1.0, 2.5)) == (0.5, 0.5)
+    assert mapping.shares(plan, (-1.0, -2.5)) == (-0.5, -0.5)
+
+
+def test_an_axis_whose_sign_is_not_known_or_that_has_no_force_gets_none():
+    plan = planned(AxisConfig("x", travel=0.1, force=2.0), AxisConfig("y", travel=0.1), signs={})
+    assert mapping.shares(plan, (1.0, 2.5)) == (0.0, 0.0)
+
+
+@given(st.lists(st.floats(), min_size=2, max_size=2), st.sampled_from([1, -1]))
+def test_whatever_is_asked_for_a_share_is_a_share(force, sign):
+    plan = planned(
+        AxisConfig("x", travel=0.1, force=2.0, sign=sign), AxisConfig("y", travel=0.1, force=0.1)
+    )
+    for share, wanted in zip(reversed(mapping.shares(plan, tuple(force))), force, strict=True):
+        assert -1.0 <= share <= 1.0
+        assert not (math.isnan(wanted) and share)
+
+
+@pytest.mark.parametrize(
+    ("axis", "buttons", "complaint"),
+    [
+        (AxisConfig("rz", travel=0.1), BUTTONS, "no axis 'rz'; it has x, y, z"),
+        (AxisConfig("z", travel=0.1, force=1.0), BUTTONS, "cannot push 'z', but y, x"),
+        (AxisConfig("x", travel=0.1), ButtonsConfig(engage=5), "no button 5; the device has 4"),
+        (AxisConfig("x", travel=0.1), ButtonsConfig(stop=9), "buttons.stop"),
+    ],
+)
+def test_what_the_device_does_not_have_is_named(axis, buttons, complaint):
+    with pytest.raises(DeviceFault, match=complaint):
+        planned(axis, buttons=buttons)
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"travel": 0.1, "speed": 0.1}, "travel and speed"),
+        ({}, "travel and speed"),
+        ({"travel": 2.0}, "travel"),
+        ({"travel": 0.1, "dead_zone": 1.0}, "dead_zone"),
+        ({"travel": 0.1, "force": -1.0}, "force"),
+        ({"travel": 0.1, "joint": 8}, "joint"),
+        ({"travel": 0.1, "name": ""}, "name"),
+    ],
+)
+def test_an_axis_that_makes_no_sense_is_refused(settings, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        AxisConfig(**({"name": "x"} | settings))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"axes": ()},
+        {"axes": (AxisConfig(travel=0.1), AxisConfig("y", joint=0, travel=0.1))},
+        {"axes": (AxisConfig(travel=0.1), AxisConfig(travel=0.1))},
+        {"smoothing": 1.0},
+    ],
+)
+def test_a_device_that_makes_no_sense_is_refused(settings):
+    with pytest.raises(ValueError, match=r"axes|smoothing"):
+        HidConfig(**settings)
+    with pytest.raises(ValueError, match="must be different"):
+        ButtonsConfig(engage=1, clutch=1)

@@ -1,0 +1,81 @@
+"""The sign of a force is found from motion alone, and only where motion tells it."""
+
+import math
+
+import pytest
+
+from master.devices.hid import trial
+from master.devices.hid.driver import Controls
+
+MOST = trial.GENTLE[-1]
+
+
+class Handle:
+    """A handle on an axis: a mass in grease that a motor pushes, in a time of its own."""
+
+    def __init__(self, wired, stiction=0.0, spring=0.0, drift=0.0, full=5.0):
+        self.wired, self.stiction, self.spring = wired, stiction, spring
+        self.drift, self.full = drift, full
+        self.time, self.x, self.share = 0.0, 0.0, 0.0
+        self.most, self.moved = 0.0, 0.0
+
+    def read(self, _time_s):
+        return Controls((0.3, self.x), 0, 0)
+
+    def post(self, force):
+        other, self.share = force
+        assert other == 0.0
+        self.most = max(self.most, abs(self.share))
+
+    def sleep(self, dt):
+        self.time += dt
+        push = self.wired * self.share
+        drive = math.copysign(max(abs(push) - self.stiction, 0.0), push) * self.full
+        self.x += (drive - self.spring * self.x + self.drift) * dt
+        self.moved = max(self.moved, abs(self.x))
+
+    def clock(self):
+        return self.time
+
+    def find(self):
+        return trial.find_sign(self, 1, 1, 2, self.clock, self.sleep)
+
+
+@pytest.mark.parametrize("wired", [1, -1])
+@pytest.mark.parametrize("stiction", [0.0, 0.08, 0.15])
+@pytest.mark.parametrize("spring", [0.0, 3.0])
+def test_whichever_way_it_is_wired_the_sign_is_found(wired, stiction, spring):
+    handle = Handle(wired, stiction, spring)
+    assert handle.find() == wired
+    assert handle.share == 0.0
+
+
+@pytest.mark.parametrize(
+    "handle", [Handle(1, stiction=0.5), Handle(1, drift=1.5), Handle(1, full=0)]
+)
+def test_what_does_not_move_by_the_push_has_no_sign(handle):
+    assert handle.find() == 0
+    assert handle.share == 0.0
+
+
+def test_it_is_pushed_no_harder_and_no_further_than_it_takes():
+    light = Handle(1)
+    light.find()
+    assert light.most == trial.GENTLE[0]
+    assert light.moved < 4.0 * trial.MOVED
+    stuck = Handle(1, stiction=1.0)
+    stuck.find()
+    assert stuck.most == MOST
+
+
+def test_a_device_that_fails_is_left_without_force():
+    handle = Handle(1)
+
+    def fails(dt):
+        handle.sleep(dt)
+        if handle.share:
+            raise OSError
+
+    with pytest.raises(OSError):  # noqa: PT011 - ours
+        trial.find_sign(handle, 1, 1, 2, handle.clock, fails)
+    assert handle.share == 0.0

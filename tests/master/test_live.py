@@ -1,0 +1,118 @@
+"""Settings changed while the master runs: only those, only valid ones, and without a bump."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from master import live
+from master.config import MasterConfig
+from master.device import HandState
+from master.feedback import FeedbackConfig
+from master.live import KEYS, SLEW_S
+from teleop.errors import UsageError
+from tests.master.test_loop import CONFIG, MS, Run, answer, hand
+
+DT = 1e-3
+SCALES = st.floats(0.0, 10.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SCALES, st.lists(st.tuples(SCALES, st.integers(0, 800)), min_size=1, max_size=5))
+def test_a_force_scale_goes_where_it_is_sent_without_a_step(first, script):
+    state = live.start(MasterConfig(force=FeedbackConfig(scale=first)))
+    for scale, ticks in script:
+        state, _ = live.change(state, "force.scale", repr(scale))
+        gap = abs(scale - state.config.force.scale)
+        for _ in range(ticks):
+            before = state.config.force.scale
+            state = live.step(state, DT)
+            assert abs(state.config.force.scale - before) <= gap * DT / SLEW_S + 1e-12
+        if ticks > SLEW_S / DT:
+            assert state.config.force.scale == scale
+            assert state.settled
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.0, 0.5), st.floats(0.0, 0.5))
+def test_the_force_on_the_hand_does_not_step_when_the_scale_is_changed(first, second):
+    start = MasterConfig(force=FeedbackConfig(scale=first, slew=1e6), gate=CONFIG.gate)
+    run, state = Run(start).engaged(), live.start(start)
+    for _ in range(5):
+        run.answered(hand())
+    state, _ = live.change(state, "force.scale", repr(second))
+    tip = abs(run.memory.force[0]) / first if first > 0.01 else 5.0
+    for _ in range(600):
+        state, before = live.step(state, DT), run.output.force[0]
+        run.config = state.config
+        run.tick(hand(), answer(run.now + MS))
+        step = abs(second - first) * DT / SLEW_S * max(tip, 5.0)
+        assert abs(run.output.force[0] - before) <= step + 1e-9
+
+
+@pytest.mark.parametrize("prefix", ["", "master."])
+def test_each_key_that_may_be_changed_can_be(prefix):
+    for key, value in zip(KEYS, ("0.3", "[0, 2]", "0.1"), strict=True):
+        after, words = live.change(live.start(MasterConfig()), prefix + key, value)
+        assert words == f"{key} = {value}"
+        assert after != live.start(MasterConfig())
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("force.limit", "1", "cannot be changed while the master runs"),
+        ("slave.gate.tension_max", "90", "cannot be changed"),
+        ("force", "{}", "cannot be changed"),
+        ("", "1", "cannot be changed"),
+        ("force.scale", "-1", "must be within"),
+        ("force.scale", "nan", "must be within"),
+        ("force.scale", "inf", "must be within"),
+        ("force.scale", "!!bool x", "expected a number"),
+        ("operator.position_scale", "[" * 200, "expected a number"),
+        ("operator.position_scale", "0", "must be above 0"),
+        ("operator.lock", "[9]", "counted from 0"),
+        ("operator.lock", "{", "expected"),
+        ("operator.lock", "!!int ''", "expected"),
+        ("operator.lock", "[0, 2", "expected"),
+    ],
+)
+def test_what_may_not_be_is_refused_in_one_line(key, value, words):
+    state = live.start(MasterConfig())
+    with pytest.raises(UsageError, match=words) as refused:
+        live.change(state, key, value)
+    assert len(str(refused.value).splitlines()) == 1
+    assert not str(refused.value).startswith("--set")
+
+
+ODD = ["!!bool x", "!!int ''", "!!timestamp 'x'", "[" * 100, "1e999", "١", "[٣]"]
+
+
+@given(st.text(max_size=20) | st.sampled_from(ODD), st.sampled_from(KEYS))
+def test_any_text_at_all_is_a_value_or_a_usage_error(value, key):
+    try:
+        after, _ = live.change(live.start(MasterConfig()), key, value)
+    except UsageError:
+        return
+    assert math.isfinite(after.force_scale)
+
+
+def test_a_press_of_a_button_changes_the_scale_once_and_within_bounds():
+    state = live.start(MasterConfig())
+    finer, coarser = (HandState((0.0,), (0.0,), True, **{n: True}) for n in ("finer", "coarser"))
+    rest = HandState((0.0,), (0.0,), True)
+    state, words = live.press(state, finer)
+    assert words == "operator.position_scale = 0.176777"
+    for _ in range(100):
+        state, words = live.press(state, finer)
+        assert words == ""
+    for button, end in ((finer, 0.01), (coarser, 1.0)):
+        for _ in range(40):
+            state, _ = live.press(state, rest)
+            state, _ = live.press(state, button)
+        assert state.config.operator.position_scale == end
+    state, _ = live.press(state, rest)
+    both = HandState((0.0,), (0.0,), True, finer=True, coarser=True)
+    assert live.press(state, both)[1] == ""
+    assert live.press(state, None)[1] == ""

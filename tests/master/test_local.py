@@ -1,0 +1,104 @@
+"""Forces of the master's own: limits that push back and never pull, and the device's weight."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from master import local
+from master.config import MasterConfig
+from master.device import HandState
+from master.operator import OperatorConfig
+from teleop.coupling import Bilateral
+from teleop.coupling.config import PassivityConfig
+from teleop.session import State
+from tests.master.test_loop import CONFIG, MS, Run, answer, hand
+
+WALLS = OperatorConfig(workspace=((-0.05, 0.05),), wall=300.0, wall_damping=2.0, wall_max=2.0)
+METRES, SPEEDS = st.floats(-0.08, 0.08), st.floats(-5.0, 5.0)
+
+
+@given(METRES, SPEEDS)
+def test_a_limit_pushes_back_inwards_and_no_harder_than_it_may(x, v):
+    (force,) = local.walls(WALLS, WALLS.workspace, HandState((x,), (v,), True))
+    assert abs(force) <= WALLS.wall_max
+    if abs(x) <= 0.05:
+        assert force == 0.0
+    else:
+        assert math.copysign(1.0, force) == -math.copysign(1.0, x)
+
+
+@given(st.lists(SPEEDS, min_size=1, max_size=200))
+def test_a_limit_gives_back_no_more_than_was_put_in(way):
+    """The energy that the wall puts into a hand that goes in and out, in small steps."""
+    x, gained = 0.0, 0.0
+    for v in way:
+        for _ in range(20):
+            before = x
+            x += 1e-4 * v
+            middle = HandState((0.5 * (x + before),), (v,), True)
+            (force,) = local.walls(WALLS, WALLS.workspace, middle)
+            gained += force * (x - before)
+    assert gained <= 1e-3
+
+
+def test_an_axis_without_limits_has_none():
+    config = OperatorConfig(workspace=((-0.05, 0.05),))
+    far = HandState((0.0, 9.0), (0.0, 0.0), True)
+    assert local.walls(config, config.workspace, far) == (0.0, 0.0)
+    assert local.weight(OperatorConfig(weight=(0.5,)), 2) == (0.5, 0.0)
+
+
+def test_the_wall_is_felt_in_free_motion_and_only_while_engaged():
+    run = Run(MasterConfig(operator=WALLS, gate=CONFIG.gate)).engaged()
+    for _ in range(30):
+        run.answered(hand(0.052), force=0.0)
+    assert run.output.force[0] == pytest.approx(-0.6)
+    assert run.answered(hand(0.052, clutch=True), State.CLUTCHED).force == (0.0,)
+
+
+def test_a_hand_that_is_outside_when_it_is_coupled_is_not_kicked_and_finds_its_limit_again():
+    run = Run(MasterConfig(operator=WALLS, gate=CONFIG.gate)).engaged()
+
+    def settled(place, **buttons):
+        for _ in range(30):
+            state = State.CLUTCHED if buttons else State.ENGAGED
+            run.answered(hand(place, **buttons), state, force=0.0)
+        return run.output.force[0]
+
+    assert settled(0.060, clutch=True) == 0.0
+    for _ in range(30):  # every tick of the way back
+        run.answered(hand(0.060), force=0.0)
+        assert run.output.force[0] == 0.0
+    assert settled(0.062) == pytest.approx(-0.6)
+    assert settled(0.055) == 0.0
+    assert settled(0.057) == pytest.approx(-0.6)
+    assert settled(0.0) == 0.0
+    assert settled(0.052) == pytest.approx(-0.6)
+
+
+def test_a_heavy_device_is_kept_from_falling_at_rest_but_not_in_a_stop():
+    run = Run(MasterConfig(operator=OperatorConfig(weight=(0.4,)), gate=CONFIG.gate))
+    for _ in range(5):
+        run.answered(hand(engage=False), State.READY)
+    assert run.output.force == pytest.approx((0.4,))
+    run.answered(hand(), State.READY)
+    for _ in range(20):
+        run.answered(hand(), force=0.0)
+    assert run.output.force == pytest.approx((0.4,))
+    assert run.answered(hand(stop=True)).force == (0.0,)
+
+
+def test_forces_of_its_own_are_no_work_of_the_coupling():
+    run = Run(MasterConfig(operator=OperatorConfig(weight=(0.4,)), gate=CONFIG.gate))
+    bilateral = Bilateral(coupling=PassivityConfig())
+    for k in range(200):
+        state = State.READY if k < 4 else State.ENGAGED
+        told = replace(answer(run.now + MS, state, force=0.0), coupling=bilateral.signature)
+        run.tick(hand(1e-4 * k, engage=k > 2), told, bilateral=bilateral)
+    assert run.state == State.ENGAGED
+    assert run.output.force[0] == pytest.approx(0.4, abs=0.05)
+    assert run.memory.port.ports[0].put_in == pytest.approx(0.0, abs=1e-9)
+    assert run.memory.port.ports[0].taken_out == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,270 @@
+"""The main job with a HID device: hand to slave and back, pulled out and plugged in again.
+
+A virtual force-feedback wheel behind a fake `hidraw`, the real driver, device, master loop and
+link, and a slave with its simulated rig in a process of its own.
+"""
+
+import pytest
+
+from master.config import MasterConfig
+from master.devices.hid import search, signs
+from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
+from master.devices.hid.device import HidDevice
+from master.devices.hid.signs import ForceSign, Signs
+from master.feedback import FeedbackConfig
+from master.process import Master
+from teleop.clock import Grid
+from teleop.config import load
+from teleop.link import Link
+from teleop.remote.door import call_reset
+from teleop.run_config import RunConfig
+from teleop.session import Reason, State
+from teleop.topics import STATE, Role
+from tests.conftest import ROOT
+from tests.hid import descriptors
+from tests.hid.fake_hidraw import QUEUE
+from tests.hid.virtual.openffboard import OpenFFBoardWheel
+from tests.system.processes import START_S, Processes
+
+FULL = 2.5  # [N]
+RUN = load(ROOT / "configs" / "demo.yaml", RunConfig, None)
+TRAVEL = 0.06  # [m]
+SCALE = 0.25  # tip per hand, as in the demo
+ENGAGE, CLUTCH, STOP = 1, 2, 4
+CONFIG = MasterConfig(
+    device=HidConfig(
+        axes=(AxisConfig("x", travel=TRAVEL, force=FULL),),
+        buttons=ButtonsConfig(engage=1, clutch=2, stop=3),
+    ),
+    force=FeedbackConfig(scale=0.2),
+    freshness=0.5,  # [s] on a busy machine a fault that is not meant would end the session
+    delay_max=1.0,
+)
+
+
+def wheel():
+    """A wheel that reports so seldom that none is lost when a busy machine holds the loop up."""
+    device = OpenFFBoardWheel(descriptors.openffboard(1))
+    device.interval = 0.010
+    return device
+
+
+class Console:
+    """A master that ticks in this process, and the hand on its wheel."""
+
+    def __init__(self, hidraw, link):
+        self.hidraw, self.node = hidraw, hidraw.plug(wheel())
+        self.link = link
+        self.device = HidDevice(CONFIG.device)
+        self.grid = Grid(1000.0, lambda: False)
+        self.master = Master(CONFIG, link, self.device, self.grid, RUN.bilateral)
+        self._ticks = iter(self.grid)
+
+    def close(self):
+        self.master.close()
+        self.device.close()
+
+    def tick(self):
+        self.master.tick(next(self._ticks))
+
+    def run(self, ticks):
+        for _ in range(ticks):
+            self.tick()
+
+    def until(self, condition, ticks=5000):
+        for count in range(1, ticks + 1):
+            self.tick()
+            if condition():
+                return count
+        raise AssertionError(f"not within {ticks} ticks; the session is {self.side}")
+
+    def move(self, to, ticks=400):
+        """Turn the wheel to `to` [m] of the hand."""
+        start = self.node.device.axes[0]
+        for k in range(1, ticks + 1):
+            self.node.device.axes[0] = start + (to / TRAVEL - start) * k / ticks
+            self.tick()
+        self.run(30)  # until the last of it has been reported
+
+    def press(self, buttons):
+        self.node.device.buttons = buttons
+
+    def overflow(self):
+        """Have more reports come at once than are kept."""
+        self.node.push(*[self.node.device.report()] * 2 * QUEUE)
+        self.until(lambda: self.side.state == State.FAULT, 50)
+        assert self.side.reason == Reason.DEVICE_FAULT
+
+    def replug(self):
+        self.node = self.hidraw.plug(wheel())
+
+    @property
+    def side(self):
+        return self.master.memory.session
+
+    @property
+    def slave(self):
+        return self.link.latest(STATE).message
+
+    @property
+    def tip(self):
+        return self.slave.position[0]
+
+    @property
+    def asked(self):
+        return self.master.memory.operator.tip[0]
+
+    def both(self, state):
+        return lambda: self.side.state == state and self.slave.state == state
+
+    def engage(self):
+        """Let go of everything, and engage; once more if a busy machine took too long over it."""
+        for _ in range(5):
+            self.press(0)
+            self.until(lambda: self.both(State.READY)() and self.side.open_seen)
+            self.press(ENGAGE)
+            self.until(lambda: self.both(State.ENGAGED)() or self.side.state == State.FAULT)
+            if self.side.state == State.ENGAGED:
+                return
+        raise AssertionError("it does not stay engaged")
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("session")
+    patient = "slave.freshness=0.5"
+    with Processes(folder, ROOT / "configs" / "demo.yaml", patient) as processes:
+        processes.start("slave")
+        yield processes
+
+
+@pytest.fixture
+def console(hidraw, session):
+    node = hidraw.plug(wheel())
+    pusher = search.choose("", "auto").pusher
+    hidraw.unplug(node)
+    signs.save(None, Signs((ForceSign(*pusher, "x", 1),)))
+    with Link(session.link_config, session.session, Role.MASTER) as link:
+        console = Console(hidraw, link)
+        try:
+            console.until(lambda: console.slave is not None, round(START_S * 1000))
+            yield console
+        finally:
+            console.close()
+
+
+def test_hand_to_slave_and_back_unplugged_and_plugged_in_again(console, capsys):
+    console.engage()
+    start = console.tip
+    console.move(0.05)
+    console.until(lambda: console.node.force()[0] < -0.05)
+    assert console.tip == pytest.approx(start + SCALE * 0.05, abs=0.002)
+    console.run(300)
+    asked_for = console.master.memory.force[0]
+    assert asked_for < -0.1  # the tissue pushes back
+    assert console.node.force()[0] == pytest.approx(asked_for / FULL, abs=0.02)
+
+    console.hidraw.unplug(console.node)  # still engaged
+    assert console.until(lambda: console.side.state == State.FAULT) <= 2
+    assert console.side.reason == Reason.DEVICE_FAULT
+    console.until(lambda: console.slave.state == State.FAULT)
+    held = console.asked
+    console.run(500)
+    rest = console.tip
+    console.run(500)
+    assert console.tip == pytest.approx(rest, abs=1e-4)
+
+    console.replug()
+    console.press(ENGAGE)  # the button was never let go of
+    console.node.device.axes[0] = -1.0
+    console.until(lambda: len(console.node.handles) > 0)
+    console.run(500)
+    assert (console.side.state, console.slave.state) == (State.FAULT, State.FAULT)
+    assert console.asked == pytest.approx(held, abs=1e-9)
+    assert console.tip == pytest.approx(rest, abs=1e-4)
+
+    console.press(0)
+    console.until(console.both(State.READY))
+    console.move(0.0)
+    assert console.asked == pytest.approx(held, abs=1e-9)
+    assert console.tip == pytest.approx(rest, abs=1e-4)
+    assert all(push.force == (0.0,) for push in console.node.device.pushes)
+
+    console.engage()
+    assert console.asked == pytest.approx(held, abs=1e-5)
+    console.until(lambda: console.node.force()[0] < -0.05)
+    console.move(-0.02)
+    assert console.asked == pytest.approx(held - SCALE * 0.02, abs=1e-5)
+    console.press(0)
+    console.until(console.both(State.READY))
+    assert console.node.device.refused == []
+
+    told = capsys.readouterr().out.splitlines()
+    assert sum("unplugged" in line and "waiting for it" in line for line in told) == 1
+    assert sum("it is back; let go of everything, then engage" in line for line in told) == 1
+    assert sum(Reason.DEVICE_FAULT.text in line for line in told) == 1
+    assert console.master.error is None
+
+
+def test_the_clutch_lets_the_hand_move_alone_and_nothing_jumps(console):
+    console.engage()
+    console.move(0.02)
+    before = console.asked
+    console.press(ENGAGE | CLUTCH)
+    console.until(console.both(State.CLUTCHED))
+    console.move(-0.03)
+    assert console.asked == pytest.approx(before, abs=1e-9)
+    console.press(ENGAGE)
+    console.until(console.both(State.ENGAGED))
+    assert console.asked == pytest.approx(before, abs=1e-5)
+    console.move(-0.01)
+    assert console.asked == pytest.approx(before + SCALE * 0.02, abs=1e-5)
+
+
+def test_the_emergency_stop_lasts_until_it_is_reset_from_elsewhere(console, session):
+    console.engage()
+    console.move(0.05)
+    console.press(ENGAGE | STOP)
+    assert console.until(lambda: console.side.state == State.STOPPED) <= 20
+    assert console.side.reason == Reason.EMERGENCY_STOP
+    console.until(lambda: console.node.force() == (0.0,))
+    console.until(lambda: console.slave.state == State.STOPPED)
+    for buttons in (ENGAGE, ENGAGE | CLUTCH, CLUTCH, STOP, 0):
+        console.press(buttons)
+        console.run(50)
+        assert console.side.state == console.slave.state == State.STOPPED
+        assert console.node.force() == (0.0,)
+    with session.look() as outside:
+
+        def reset():
+            for role, side in ((Role.MASTER, console.side), (Role.SLAVE, console.slave)):
+                call_reset(outside, Role.LAUNCHER, "a test", role, side.stops)
+            return console.both(State.READY)()
+
+        console.until(reset)
+    console.engage()
+
+
+@pytest.mark.parametrize("buttons", [0, CLUTCH, ENGAGE | CLUTCH])
+def test_reports_that_were_lost_engage_nothing(console, buttons):
+    console.until(console.both(State.READY))
+    console.press(buttons)
+    console.run(20)
+    assert console.side.state == State.READY
+    before = console.asked
+    console.overflow()
+    for _ in range(300):
+        console.tick()
+        assert console.side.state != State.ENGAGED
+    assert console.asked == before
+    console.press(0)
+    console.until(console.both(State.READY))
+
+
+def test_an_engaged_session_whose_reports_were_lost_is_over_until_the_switch_was_open(console):
+    console.engage()
+    console.overflow()
+    console.run(300)
+    assert console.side.state == State.FAULT
+    assert console.node.force() == (0.0,)
+    console.engage()

@@ -1,0 +1,174 @@
+"""The emergency stop of a running session, from outside; what it did is read from a recording."""
+
+import signal
+import subprocess
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from teleop.launch.supervisor import wait_for
+from teleop.recording.reader import read_columns
+from teleop.session import Reason, State
+from teleop.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role
+from tests.system.processes import START_S, Processes, pause
+
+HELD = (
+    *("master.device.engage=[[0.5, 1000.0]]", "master.device.engage_period=.inf"),
+    # on a busy machine a silence that is not meant would end the session
+    *("master.freshness=0.5", "master.delay_max=1.0", "slave.freshness=0.5"),
+)
+LIMIT_NS = 50_000_000  # from the call heard by the recorder to no force and no motion
+
+
+def asked(session, command, *words):
+    """Run a command of the session to its end; return its exit code and what it printed."""
+    process = session.start(command, *words)
+    code = process.wait(30)
+    return code, sorted(session.folder.glob(f"*-{command}.log"))[-1].read_text()
+
+
+@contextmanager
+def looking(session):
+    """A link that has heard both sides, if both are there."""
+    with session.look() as link:
+        for topic in (COMMAND, STATE):
+            link.subscribe_latest(topic)
+        wait_for(lambda: None not in states(link), 0.5)
+        yield link
+
+
+def states(link):
+    newest = [link.latest(topic).message for topic in (COMMAND, STATE)]
+    return [None if message is None else message.state for message in newest]
+
+
+def columns(session, topic):
+    return read_columns(session.recording(), topic.name)
+
+
+def assert_safe_after(session, when):
+    """No force and no motion from `LIMIT_NS` after `when` [ns] on."""
+    hand, tendons = columns(session, HAND), columns(session, TENDONS)
+    late = hand["stamp_ns"] > when + LIMIT_NS
+    assert late.sum() > 300
+    assert np.abs(hand["force"][late]).max() == 0.0
+    assert np.abs(hand["force"][hand["stamp_ns"] <= when]).max() > 0.1
+    asked_for = tendons["commanded_displacement"][:, 0]
+    assert np.ptp(asked_for[tendons["stamp_ns"] > when + LIMIT_NS]) == 0.0
+
+
+def test_a_stop_is_latched_on_both_sides_until_reset_and_then_waits_for_the_operator(
+    tmp_path, demo_config
+):
+    with Processes(tmp_path, demo_config, *HELD) as session:
+        session.start_all()
+        pause(0.5)
+        code, text = asked(session, "stop", "--why", "a test")
+        assert code == 0, text
+        assert text.split() == ["master", "stopped", "slave", "stopped"]
+        with looking(session) as link:
+            assert wait_for(lambda: states(link) == [State.STOPPED] * 2, 2.0)
+            pause(1.0)
+            assert states(link) == [State.STOPPED] * 2
+            code, text = asked(session, "stop", "--reset")
+            assert code == 0, text
+            pause(1.0)
+            assert states(link) == [State.READY] * 2  # the switch is held, and was not let go of
+        for name in ("master", "slave", "record"):
+            session.stop(name)
+        assert session.summary("master")["reason"] == Reason.RELEASE_FIRST.text
+        calls = columns(session, STOP)
+        assert_safe_after(session, calls["stamp_ns"].min())
+        events = columns(session, EVENT)
+        for role in (Role.MASTER, Role.SLAVE):
+            told = events[events["role"] == role]
+            stops = told["reason"][told["state"] == State.STOPPED]
+            assert len(stops) == 1
+            assert stops[0] in (Reason.STOP_CALLED, Reason.PEER_STOPPED)  # whichever came first
+            assert Reason.RESET in told["reason"]
+
+
+def test_a_slave_without_a_master_is_stopped_and_reset_too(tmp_path, demo_config):
+    with Processes(tmp_path, demo_config) as session:
+        session.start("slave")
+        with looking(session) as link:
+            assert wait_for(lambda: link.present(Role.SLAVE), START_S)
+            pause(1.0)
+            code, text = asked(session, "stop")
+            assert (code, text.split()) == (0, ["slave", "stopped"])
+            assert wait_for(lambda: states(link)[1] == State.STOPPED, 2.0)
+            code, text = asked(session, "stop", "--reset")
+            assert code == 0
+            assert "slave     ready" in text
+
+
+def test_nobody_there_is_told_and_no_success(tmp_path, demo_config):
+    with Processes(tmp_path, demo_config) as session:
+        code, text = asked(session, "stop")
+    assert code == 1
+    assert "neither master nor slave answers" in text
+    assert len(text.splitlines()) == 1
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
+def test_the_end_of_a_watch_stops_both_sides(tmp_path, demo_config, how):
+    with Processes(tmp_path, demo_config, *HELD) as session:
+        session.start_all()
+        watch = session.start("stop", "--watch")
+        with looking(session) as link:
+            log = tmp_path / "3-stop.log"
+            assert wait_for(lambda: "watching over master and slave" in log.read_text(), START_S)
+            pause(0.5)
+            assert states(link) == [State.ENGAGED] * 2  # a watch that beats stops nothing
+            watch.send_signal(how)
+            assert wait_for(lambda: states(link) == [State.STOPPED] * 2, 2.0)
+        pause(0.5)
+        for name in ("master", "slave", "record"):
+            session.stop(name)
+        events = columns(session, EVENT)
+        stopped = events[events["state"] == State.STOPPED]
+        assert set(stopped["role"][:2]) == {Role.MASTER, Role.SLAVE}
+        assert_safe_after(session, stopped["stamp_ns"].min())
+
+
+def test_a_watch_that_leaves_stops_nothing(tmp_path, demo_config):
+    with Processes(tmp_path, demo_config, *HELD) as session:
+        session.start_all()
+        words = [*session.shared, "--watch"]
+        watch = subprocess.Popen(
+            [*session.running["slave"].args[:3], "stop", *words],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        with looking(session) as link:
+            assert "watching over" in watch.stdout.readline()
+            pause(0.5)
+            out, _ = watch.communicate("q\n", timeout=10)
+            assert (watch.returncode, out) == (0, "")
+            pause(1.0)
+            assert states(link) == [State.ENGAGED] * 2
+
+
+def test_a_setting_changes_while_it_runs_and_nothing_jumps(tmp_path, demo_config):
+    with Processes(tmp_path, demo_config, *HELD) as session:
+        session.start_all()
+        pause(0.5)
+        assert asked(session, "set", "force.scale", "0.4") == (0, "force.scale = 0.4\n")
+        code, text = asked(session, "set", "operator.position_scale", "0.1")
+        assert (code, text) == (0, "operator.position_scale = 0.1\n")
+        code, text = asked(session, "set", "force.limit", "9")
+        assert code == 2
+        assert "cannot be changed while the master runs" in text
+        pause(1.0)
+        for name in ("master", "slave", "record"):
+            session.stop(name)
+        command, hand = columns(session, COMMAND), columns(session, HAND)
+        engaged = command[command["state"] == State.ENGAGED]
+        hand = hand[hand["state"] == State.ENGAGED]
+        ordered = np.diff(engaged["sequence"]) == 1
+        step = np.abs(np.diff(engaged["position"][:, 0]))[ordered].max()
+        fastest = np.abs(hand["velocity"][:, 0]).max()
+        assert step < 0.25 * fastest * 5e-3  # a few ticks of motion, not a change of place
+        assert not (command["state"][-100:] == State.FAULT).any()

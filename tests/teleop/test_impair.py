@@ -1,0 +1,411 @@
+"""The proxy between the sides: its decisions as a pure function, and its process on loopback."""
+
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+import uuid
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from teleop.clock import now_ns
+from teleop.errors import TeleopError, UsageError
+from teleop.impair import model
+from teleop.impair.config import ImpairConfig, WayConfig, wanted
+from teleop.impair.courier import Courier
+from teleop.impair.model import Fate, Memory
+from teleop.launch.supervisor import wait_for
+from teleop.link import Link, LinkConfig
+from teleop.link.bridge import ask
+from teleop.messages import Command, Event, MessageError, SlaveState, text_bytes
+from teleop.process import SUPERVISED
+from teleop.topics import COMMAND, EVENT, STATE, Role
+from tests.system.processes import free_ports
+
+KEY = model.key_of(1, "to_slave", "command")
+PERIOD_S = 1e-3
+
+
+def passed_on(config, count=1000, key=KEY, cut=lambda _: False):
+    """Send `count` numbered messages through a way; return deliveries (number, due) and fates."""
+    memory, out, fates = Memory(), [], []
+    for number in range(count):
+        data = number.to_bytes(4, "little")
+        deliveries, fate, memory = model.step(
+            config, key, memory, number * PERIOD_S, data, cut(number)
+        )
+        out += [(number, delivery.due, delivery.data) for delivery in deliveries]
+        fates.append(fate)
+    return out, fates
+
+
+def count_of(fates, kind):
+    return sum(kind in fate for fate in fates)
+
+
+shares = st.floats(0.0, 1.0)
+ways = st.builds(
+    lambda delay, jitter, **others: WayConfig(delay=delay, jitter=jitter * delay, **others),
+    delay=st.floats(0.0, 0.3),
+    jitter=shares,
+    jitter_time=st.sampled_from([0.0, 0.01, 0.1]),
+    loss=shares,
+    burst_loss=st.floats(0.0, 0.5),
+    burst_length=st.floats(1.0, 100.0),
+    reorder=shares,
+    reorder_by=st.floats(0.0, 0.01),
+    duplicate=shares,
+    corrupt=shares,
+)
+
+
+# --- decisions ------------------------------------------------------------------------------------
+
+
+def test_a_clean_way_passes_everything_on_at_once():
+    out, fates = passed_on(WayConfig())
+    assert [number for number, _, _ in out] == list(range(1000))
+    assert all(due == number * PERIOD_S for number, due, _ in out)
+    assert set(fates) == {Fate.PASSED}
+
+
+@given(ways, st.integers(0, 2**64 - 1))
+def test_the_same_key_gives_the_same_fates_and_another_key_others(config, key):
+    assert passed_on(config, 50, key) == passed_on(config, 50, key)
+    lossy = WayConfig(loss=0.5)
+    assert passed_on(lossy, 200, key)[1] != passed_on(lossy, 200, key ^ 1)[1]
+
+
+@given(ways)
+def test_no_message_leaves_before_its_time_or_after_its_latest(config):
+    out, fates = passed_on(config, 200)
+    least, most = config.delay - config.jitter, config.delay + config.jitter
+    for number, due, _ in out:
+        late = due - number * PERIOD_S - config.reorder_by * (Fate.HELD_BACK in fates[number])
+        assert least - 1e-9 <= late <= most + 1e-9
+
+
+@given(ways)
+def test_messages_change_places_only_where_they_are_held_back(config):
+    out, fates = passed_on(config, 200)
+    in_turn = [due for number, due, _ in out if Fate.HELD_BACK not in fates[number]]
+    assert in_turn == sorted(in_turn)
+
+
+@given(ways)
+def test_what_is_told_of_a_message_is_what_was_done_to_it(config):
+    out, fates = passed_on(config, 200)
+    copies = dict.fromkeys(range(200), 0)
+    for number, _, data in out:
+        copies[number] += 1
+        changed = sum(a != b for a, b in zip(data, number.to_bytes(4, "little"), strict=True))
+        assert changed == (Fate.CORRUPTED in fates[number])
+    gone = Fate.LOST | Fate.LOST_IN_BURST | Fate.CUT
+    for number, fate in enumerate(fates):
+        assert copies[number] == (0 if fate & gone else 1 + (Fate.DUPLICATED in fate))
+
+
+@pytest.mark.parametrize("name", ["loss", "reorder", "duplicate", "corrupt"])
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.5])
+def test_as_many_are_met_as_was_asked_for(name, share):
+    n = 20_000
+    kind = {
+        "loss": Fate.LOST,
+        "reorder": Fate.HELD_BACK,
+        "duplicate": Fate.DUPLICATED,
+        "corrupt": Fate.CORRUPTED,
+    }[name]
+    met = np.array([kind in fate for fate in passed_on(WayConfig(**{name: share}), n)[1]])
+    sigma = math.sqrt(share * (1 - share) / n)
+    assert abs(met.mean() - share) < 4 * sigma
+    runs = np.count_nonzero(met[1:] & met[:-1]) / n  # each by itself: pairs are as rare as that
+    assert abs(runs - share**2) < 5 * share * math.sqrt(1.0 / n)
+
+
+def test_nothing_that_is_drawn_depends_on_anything_else_that_is():
+    n = 20_000
+    config = WayConfig(burst_loss=0.2, burst_length=1.0, reorder=0.5, duplicate=0.5, corrupt=0.5)
+    fates = passed_on(config, n)[1]
+    kinds = (Fate.LOST_IN_BURST, Fate.HELD_BACK, Fate.DUPLICATED, Fate.CORRUPTED)
+    met = np.array([[kind in fate for kind in kinds] for fate in fates], float)
+    there = (met[:-1, 0] == 0) & (met[1:, 0] == 0)  # of a lost one the rest is not known
+    here, next_ = met[:-1][there][:, 1:], met[1:][there][:, 1:]
+    limit = 5 / math.sqrt(there.sum())
+    together = np.corrcoef(here.T, next_.T)
+    assert np.abs(together - np.eye(6)).max() < limit
+
+
+@pytest.mark.parametrize(("length", "depth"), [(5.0, 1.0), (50.0, 1.0), (50.0, 0.5)])
+def test_bursts_lose_their_share_and_last_as_long_as_asked_for(length, depth):
+    n, share = 200_000, 0.1
+    config = WayConfig(burst_loss=share, burst_length=length, burst_depth=depth)
+    lost = np.array([Fate.LOST_IN_BURST in fate for fate in passed_on(config, n)[1]])
+    bursts = n * share / depth / length
+    assert abs(lost.mean() - share) < 5 * share * math.sqrt(2.0 / bursts)
+    if depth == 1.0:
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], lost, [0]])))
+        assert np.mean(edges[1::2] - edges[::2]) == pytest.approx(length, rel=0.15)
+
+
+def test_asking_for_more_does_not_change_what_is_lost():
+    alone = passed_on(WayConfig(loss=0.1, burst_loss=0.05))[1]
+    busy = WayConfig(delay=0.1, jitter=0.05, loss=0.1, burst_loss=0.05, corrupt=0.3, reorder=0.2)
+    gone = Fate.LOST | Fate.LOST_IN_BURST
+    assert [fate & gone for fate in passed_on(busy)[1]] == [fate & gone for fate in alone]
+
+
+def test_a_wandering_delay_visits_all_of_its_range_and_keeps_the_order():
+    config = WayConfig(delay=0.1, jitter=0.05)
+    out, _ = passed_on(config, 20_000)
+    late = np.array([due - number * PERIOD_S for number, due, _ in out])
+    assert late.min() < 0.06
+    assert late.max() > 0.14
+    assert late.mean() == pytest.approx(0.1, abs=0.005)
+    assert np.abs(np.diff(late)).max() <= 2 * 0.05 / config.jitter_time * PERIOD_S + 1e-9
+
+
+def test_cuts_are_where_the_clock_says_and_go_round():
+    config = WayConfig(cuts=((0.1, 0.2),), cut_period=0.5)
+    _, fates = passed_on(config, 1000)
+    cut = [number for number, fate in enumerate(fates) if fate == Fate.CUT]
+    assert {101, 150, 198, 601, 698} <= set(cut)
+    assert len(cut) == pytest.approx(200, abs=2)
+    _, fates = passed_on(WayConfig(), 10, cut=lambda number: number in (3, 4))
+    assert [number for number, fate in enumerate(fates) if fate == Fate.CUT] == [3, 4]
+
+
+def test_a_corrupted_message_is_never_let_in():
+    data = Command(position=(0.01,) * 8).pack(7, 1, now_ns())
+    memory = Memory()
+    for _ in range(2000):
+        ((_, changed),), _, memory = model.step(WayConfig(corrupt=1.0), KEY, memory, 0.0, data)
+        with pytest.raises(MessageError):
+            Command.unpack(changed)
+
+
+def test_reliable_topics_are_late_but_whole_unless_asked_otherwise():
+    worst = WayConfig(
+        delay=0.1, jitter=0.05, loss=1.0, burst_loss=0.5, reorder=1.0, duplicate=1.0, corrupt=1.0,
+        cuts=((0.0, 1.0),),
+    )  # fmt: skip
+    assert worst.of(live=True) == worst
+    _, fates = passed_on(worst.of(live=False), 1500)
+    assert set(fates[1000:]) == {Fate.PASSED}
+    assert set(fates[:1000]) == {Fate.CUT}
+    clean = WayConfig(delay=0.1, loss=1.0, reliable="clean").of(live=False)
+    assert clean == WayConfig()
+
+
+# --- config ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *itertools.product(["loss", "burst_loss", "reorder", "duplicate", "corrupt"], [-0.1, 1.1]),
+        ("delay", -1.0),
+        ("jitter", 0.1),
+        ("jitter_time", 1e-300),
+        ("burst_loss", 0.99),
+        ("burst_length", 0.5),
+        ("burst_depth", 0.0),
+        ("reorder_by", -1.0),
+        ("cuts", ((2.0, 1.0),)),
+        ("cut_period", 0.0),
+    ],
+)
+def test_what_no_network_does_is_refused(field, value):
+    with pytest.raises(ValueError, match=f"^{field}: "):
+        WayConfig(**{field: value})
+
+
+def test_a_session_has_a_proxy_only_where_its_config_says_so():
+    assert wanted(None, []) is None
+    assert wanted(None, ["impair={}"]) == ImpairConfig()
+    assert wanted(None, ["impair.to_slave.loss=0.5"]).to_slave.loss == 0.5
+
+
+def test_the_proxy_leaves_the_machine_no_easier_than_a_side():
+    with pytest.raises(UsageError, match=r"^impair\.endpoint: .*plain tcp leaves this machine"):
+        ImpairConfig(endpoint="tcp/10.0.0.1:7449").link(LinkConfig())
+
+
+# --- the courier ----------------------------------------------------------------------------------
+
+
+def test_the_courier_hands_over_in_order_of_time_then_of_sending():
+    courier, out = Courier(), []
+    now = time.monotonic_ns()
+    for name, due in ((b"c", 3), (b"a", 1), (b"b", 2), (b"d", 3)):
+        courier.send(now + due * 1_000_000, out.append, name)
+    while len(courier):
+        courier.work()
+    assert out == [b"a", b"b", b"c", b"d"]
+    assert time.monotonic_ns() >= now + 3_000_000
+    assert courier.lateness.count == 4
+
+
+# --- the process ----------------------------------------------------------------------------------
+
+
+class Bridged:
+    """A proxy process, and how to reach each side of it."""
+
+    def __init__(self, folder, *arguments):
+        ends = [f"tcp/127.0.0.1:{port}" for port in free_ports(3)]
+        self.session = f"test-{uuid.uuid4().hex[:8]}"
+        self.shared = LinkConfig(master=ends[0], slave=ends[1])
+        self.to_proxy = LinkConfig(master=ends[0], slave=ends[2])
+        self.summary = folder / "impair.json"
+        words = [f"session={self.session}", f"link.master={ends[0]}", f"link.slave={ends[1]}"]
+        words += [f"impair.endpoint={ends[2]}"]
+        self.process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "teleop", "impair", "--json", str(self.summary)),
+                *(f"--set={word}" for word in words),
+                *arguments,
+            ],
+            env=os.environ | {SUPERVISED: str(os.getpid())},
+        )
+
+    def ask(self, *words):
+        return ask(self.to_proxy, self.session, self.to_proxy.slave, "\n".join(words))
+
+    def end(self):
+        """End the proxy and return what it counted."""
+        self.process.terminate()
+        assert self.process.wait(10) == 0
+        return json.loads(self.summary.read_text())
+
+
+@pytest.fixture
+def bridged(tmp_path):
+    began = []
+
+    def begin(*arguments):
+        began.append(Bridged(tmp_path, *arguments))
+        began[-1].ask("status")  # it is up
+        return began[-1]
+
+    yield begin
+    for proxy in began:
+        proxy.process.kill()
+        proxy.process.wait()
+
+
+def sides(proxy):
+    """Return master and slave of a bridged session, not entered yet."""
+    slave = Link(proxy.shared, proxy.session, Role.SLAVE)
+    return Link(proxy.to_proxy, proxy.session, Role.MASTER), slave
+
+
+def both_there(master, slave):
+    return master.present(Role.SLAVE) and slave.present(Role.MASTER)
+
+
+def await_way(master, slave, listener):
+    """Wait until both are announced to each other, and commands get through."""
+    assert wait_for(lambda: both_there(master, slave), 5.0)
+
+    def heard():
+        master.publish(COMMAND, Command())
+        return bool(listener.drain())
+
+    assert wait_for(heard, 5.0)
+    time.sleep(0.1)  # until the last of these has come
+    listener.drain()
+
+
+def publish(link, topic, message, count, period_s=PERIOD_S):
+    """Publish `count` messages on a grid."""
+    begin = time.monotonic()
+    for number in range(count):
+        time.sleep(max(0.0, begin + number * period_s - time.monotonic()))
+        link.publish(topic, message)
+
+
+def test_the_sides_meet_through_the_proxy_and_hear_what_it_lets_through(bridged):
+    proxy = bridged("--loss", "0.1", "--corrupt", "0.05", "--duplicate", "0.05")
+    master, slave = sides(proxy)
+    with slave, master:
+        listener = slave.listen((COMMAND, EVENT))
+        master.subscribe_latest(STATE)
+        await_way(master, slave, listener)
+        publish(master, COMMAND, Command(), 1000)
+        master.publish(EVENT, Event(role=Role.MASTER, text=text_bytes("hello")))
+        slave.publish(STATE, SlaveState())
+        assert wait_for(lambda: master.latest(STATE).message is not None, 2.0)
+        time.sleep(0.2)
+        heard = listener.drain()
+        assert sum(item.topic is EVENT for item in heard) == 1
+        counts = listener.counts(COMMAND)
+        told = proxy.ask("status")["to_slave"]["command"]
+        assert told["came"] > 900  # a stalled machine drops some before they are here
+        assert told["sent"] == told["came"] - told["lost"] + told["duplicated"]
+        assert 50 < told["lost"] < 170
+        assert told["corrupted"] > 0
+        # every message that was sent is accounted for on the other side, by kind
+        assert counts.received + counts.rejected == told["sent"]
+        both = told["duplicated"] - counts.repeated  # copies of messages that were corrupted too
+        assert 0 <= both <= 10
+        assert counts.corrupted + counts.layout == told["corrupted"] + both
+    proxy.end()
+
+
+def test_the_delay_is_the_one_asked_for(bridged):
+    proxy = bridged()
+    master, slave = sides(proxy)
+    late = {}
+    with slave, master:
+        listener = slave.listen((COMMAND,))
+        await_way(master, slave, listener)
+        for delay_s in (0.0, 0.05):
+            proxy.ask("set", f"to_slave.delay={delay_s}")
+            publish(master, COMMAND, Command(), 600)
+            time.sleep(0.2)
+            heard = listener.drain()
+            late[delay_s] = np.array([item.received_ns - item.stamp_ns for item in heard]) * 1e-9
+    assert np.median(late[0.05]) - np.median(late[0.0]) == pytest.approx(0.05, abs=0.001)
+    assert late[0.05].min() >= 0.05
+
+
+def test_a_cut_on_command_lets_nothing_through_and_takes_the_other_side_away(bridged):
+    proxy = bridged("--set", "impair.presence=0.3")
+    master, slave = sides(proxy)
+    with slave, master:
+        listener = slave.listen((COMMAND,))
+        await_way(master, slave, listener)
+
+        def heard():
+            publish(master, COMMAND, Command(), 50, period_s=0.005)
+            time.sleep(0.2)
+            return len(listener.drain())
+
+        assert heard() > 40
+        proxy.ask("cut", "to_slave")
+        assert heard() == 0
+        assert wait_for(lambda: not slave.present(Role.MASTER), 2.0)
+        assert master.present(Role.SLAVE)  # the other way is whole
+        proxy.ask("mend")
+        assert wait_for(lambda: slave.present(Role.MASTER), 2.0)
+        assert heard() > 40
+        with pytest.raises(TeleopError, match="allowed are to_slave, to_master"):
+            proxy.ask("cut", "sideways")
+        with pytest.raises(TeleopError, match=r"loss: .*within 0 \.\.\. 1"):
+            proxy.ask("set", "to_slave.loss=2")
+    assert 40 < proxy.end()["to_slave"]["command"]["cut"] <= 50
+
+
+def test_presence_ends_with_who_was_present(bridged):
+    proxy = bridged()
+    master, slave = sides(proxy)
+    with slave:
+        with master:
+            assert wait_for(lambda: both_there(master, slave), 5.0)
+        assert wait_for(lambda: not slave.present(Role.MASTER), 2.0)
