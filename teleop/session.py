@@ -253,7 +253,7 @@ def _coupled(session: Session, inputs: Inputs, dt: float) -> Session:
     if not inputs.usable:
         return Session(State.FAULT, Reason.NOT_USABLE)
     if not inputs.peer_fresh:
-        return Session(State.HOLDING, Reason.PEER_SILENT)
+        return Session(State.HOLDING, Reason.PEER_SILENT, peer=session.peer)
     if inputs.peer_state == State.STOPPED:
         return Session(State.STOPPED, Reason.PEER_STOPPED)
     if not inputs.engage:
@@ -262,7 +262,7 @@ def _coupled(session: Session, inputs: Inputs, dt: float) -> Session:
     if inputs.peer != session.peer:
         return Session(State.FAULT, Reason.PEER_RESTARTED)
     if inputs.peer_state == State.HOLDING:
-        return Session(State.HOLDING, Reason.PEER_HOLDS)
+        return Session(State.HOLDING, Reason.PEER_HOLDS, peer=session.peer)
     if inputs.peer_state == State.FAULT:
         return Session(State.FAULT, Reason.PEER_FAULT)
     if inputs.peer_state == State.OFF:
@@ -296,4 +296,6 @@ def _holding(session: Session, inputs: Inputs, dt: float) -> Session:
         return Session(State.STOPPED, Reason.PEER_STOPPED)
     if not inputs.engage:
         return Session(State.READY, Reason.RELEASED)
-    return Session(State.HOLDING, Reason.RELEASE_FIRST)
+    if inputs.peer != session.peer:
+        return Session(State.FAULT, Reason.PEER_RESTARTED)
+    return Session(State.HOLDING, Reason.RELEASE_FIRST, peer=session.peer)

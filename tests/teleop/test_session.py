@@ -153,6 +153,17 @@ def test_a_stop_of_the_peer_stops_whoever_is_coupled_to_it() -> None:
             assert after == Session(State.STOPPED, Reason.PEER_STOPPED)
 
 
+def test_a_restarted_peer_is_a_fault_for_whoever_was_coupled_or_held_for_it() -> None:
+    seen = set()
+    for before, inputs, after in TRANSITIONS:
+        calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable and inputs.peer_fresh
+        another = inputs.peer != before.peer and inputs.peer_state != State.STOPPED
+        if before.state in (*COUPLES, State.HOLDING) and calm and another and inputs.engage:
+            assert after == Session(State.FAULT, Reason.PEER_RESTARTED)
+            seen.add(before.state)
+    assert seen == {*COUPLES, State.HOLDING}
+
+
 def test_silence_while_coupled_is_held_and_ends_in_ready_fault_or_stop() -> None:
     for before, inputs, after in TRANSITIONS:
         calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable
