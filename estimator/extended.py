@@ -313,17 +313,6 @@ def _stretch(tendon: _Tendon, j: int, tension: float) -> tuple[float, float]:
 
 
 @compiled
-def _row(tendon: _Tendon, j: int, way: float) -> tuple[float, float, float, float]:
-    """Return (A, B, c, g) of a contact that slides: A T_before - B T_after - g slid = c."""
-    x, y = tendon.half[j], tendon.drag[j]
-    g = 2.0 * x * tendon.law.viscosity / tendon.dt if tendon.dt > 0.0 else 0.0
-    if way > 0.0:
-        return 1.0 - x, 1.0 + x, y, g
-    rho = tendon.law.asymmetry
-    return 1.0 + rho * x, 1.0 - rho * x, -rho * y, rho * g
-
-
-@compiled
 def _slide(
     tendon: _Tendon,
     tip: _Tip,
@@ -345,62 +334,77 @@ def _slide(
     Returns whether that came to an end, and dq_p/dT_in [m/N]; fills `slid` [m].
     """
     last = len(before) - 1
-    lower, diagonal, upper, right = work[0], work[1], work[2], work[3]
-    stretch, slope, zero = work[4], work[5], work[6]  # of each node, linear about `after`
+    law, half, drag, kept, scale = tendon.law, tendon.half, tendon.drag, tendon.kept, tendon.scale
+    upper, right, pivot = work[0], work[1], work[2]
+    slope, stiff, zero = work[3], work[4], work[5]  # of each node, linear about `after`
+    rho, dashpot = law.asymmetry, 2.0 * law.viscosity / tendon.dt if tendon.dt > 0.0 else 0.0
+    curved = law.toe != 0.0 or law.compression != 0.0
     held = tip.before
     for j in range(last + 1):
         held += lengths[j]
         after[j] = before[j]
+        slope[j] = scale * tendon.weights[j]
+        stiff[j] = 1.0 / slope[j]
+        zero[j] = (lengths[j] - kept[j]) * stiff[j]
     moved = target - held
     loose, T_in = forced, target if forced else 0.0
-    curved = tendon.law.toe != 0.0 or tendon.law.compression != 0.0
     ended, dq = False, 0.0
+    free_slope, free_zero = slope[last], zero[last]  # of the last node without what it pulls at
     for _ in range(6 * last):
-        for j in range(last + 1):
-            stretch[j], slope[j] = _stretch(tendon, j, after[j])
-            zero[j] = after[j] - (stretch[j] + tendon.kept[j] - lengths[j]) / slope[j]
+        if curved:
+            for j in range(last + 1):
+                stretch, slope[j] = _stretch(tendon, j, after[j])
+                stiff[j] = 1.0 / slope[j]
+                zero[j] = after[j] - (stretch + kept[j] - lengths[j]) * stiff[j]
+            free_slope, free_zero = slope[last], zero[last]
         q, dq, _load = _tip_travel(tip, after[last])
         known = q - dq * after[last] - tip.before
-        zero[last] = (slope[last] * zero[last] - known) / (slope[last] + dq)
-        slope[last] += dq
-        for j in range(last):
+        slope[last] = free_slope + dq
+        stiff[last] = 1.0 / slope[last]
+        zero[last] = (free_slope * free_zero - known) * stiff[last]
+        for j in range(last):  # A T_before - B T_after - g slid = c, tridiagonal in what slid
             if sliding[j] == 0.0:
-                lower[j], diagonal[j], upper[j], right[j] = 0.0, 1.0, 0.0, 0.0
+                upper[j], right[j], pivot[j] = 0.0, 0.0, 1.0
                 continue
-            A, B, c, g = _row(tendon, j, sliding[j])
-            lower[j] = A / slope[j]
-            upper[j] = B / slope[j + 1]
-            diagonal[j] = -lower[j] - upper[j] - g
+            x = half[j]
+            A, B, c, g = 1.0 - x, 1.0 + x, drag[j], x * dashpot
+            if sliding[j] < 0.0:
+                A, B, c, g = 1.0 + rho * x, 1.0 - rho * x, -rho * c, rho * g
+            lower, upper[j] = A * stiff[j], B * stiff[j + 1]
+            diagonal = -lower - upper[j] - g
             right[j] = c - A * zero[j] + B * zero[j + 1]
-            if j == 0 and loose:
-                diagonal[0] = -upper[0] - g
-                right[0] = c - A * T_in + B * zero[1]
-            elif j == 0:
-                right[0] -= lower[0] * moved
-        for j in range(1, last):
-            factor = lower[j] / diagonal[j - 1]
-            diagonal[j] -= factor * upper[j - 1]
-            right[j] -= factor * right[j - 1]
-        slid[last - 1] = right[last - 1] / diagonal[last - 1]
-        for j in range(last - 2, -1, -1):
-            slid[j] = (right[j] - upper[j] * slid[j + 1]) / diagonal[j]
+            if j > 0:
+                factor = lower * pivot[j - 1]
+                diagonal -= factor * upper[j - 1]
+                right[j] -= factor * right[j - 1]
+            elif loose:
+                diagonal += lower
+                right[0] += A * (zero[0] - T_in)
+            else:
+                right[0] -= lower * moved
+            pivot[j] = 1.0 / diagonal
+        ahead = 0.0
+        for j in range(last - 1, -1, -1):
+            ahead = (right[j] - upper[j] * ahead) * pivot[j]
+            slid[j] = ahead
         ended = True
         change = 0.0
+        into = moved
         for j in range(last + 1):
-            into = (moved if j == 0 else slid[j - 1]) - (0.0 if j == last else slid[j])
-            T = T_in if j == 0 and loose else zero[j] + into / slope[j]
+            out = 0.0 if j == last else slid[j]
+            T = T_in if j == 0 and loose else zero[j] + (into - out) * stiff[j]
             change = max(change, abs(T - after[j]))
-            after[j] = T
+            after[j], into = T, out
         if (curved or tip.low != tip.high) and change > 1e-9:
             ended = False
         for j in range(last):
-            x, y = tendon.half[j], tendon.drag[j]
             total, drop = max(after[j] + after[j + 1], 0.0), after[j] - after[j + 1]
-            room = 1e-10 * (1.0 + total)
             if sliding[j] == 0.0:
-                if drop > x * total + y + room:
+                room = 1e-10 * (1.0 + total)
+                friction = half[j] * total + drag[j]
+                if drop > friction + room:
                     sliding[j], ended = 1.0, False
-                elif drop < -tendon.law.asymmetry * (x * total + y) - room:
+                elif drop < -rho * friction - room:
                     sliding[j], ended = -1.0, False
             elif sliding[j] * slid[j] < -1e-16:
                 sliding[j], ended = 0.0, False
@@ -413,8 +417,8 @@ def _slide(
         after[j] = max(after[j], 0.0)
         reach += D * slope[j]
         if j < last and sliding[j] != 0.0:
-            A, B, _c, _g = _row(tendon, j, sliding[j])
-            D *= A / B
+            x = half[j] if sliding[j] > 0.0 else -rho * half[j]
+            D *= (1.0 - x) / (1.0 + x)
         else:
             D = 0.0
     return ended, reach
@@ -582,7 +586,7 @@ def advance(
     state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
     crept, sliding = memory[_CREPT:_ENDS], memory[_SLIDING:_SPEED]
     speed, rested = memory[_SPEED:_RESTED], memory[_RESTED:]
-    after, work = np.empty(NODES), np.empty((7, NODES))
+    after, work = np.empty(NODES), np.empty((6, NODES))
     half, drag = np.empty(NODES - 1), np.empty(NODES - 1)
     slid, gone = np.zeros(NODES - 1), np.zeros(NODES - 1)
     q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
@@ -607,6 +611,9 @@ def advance(
         _contacts(law, friction, state, speed, rested, half, drag)
         if leans:
             reach = _settle(tendon, tip, state, lengths, target, forced, after)
+            state[:] = after
+            for j in range(NODES):
+                lengths[j] = _stretch(tendon, j, after[j])[0] + kept[j]
         else:
             begin = target if math.isnan(before) else before
             most = _PIECE if law.static != 0.0 else 1.0
@@ -648,11 +655,9 @@ def advance(
             a = 2.0 * (v_new - v) / dt - a
             v = v_new
         q, before = new, target
-        for j in range(NODES):
-            part_of = _stretch(tendon, j, after[j])[0]
-            lengths[j] = part_of + kept[j]
-            crept[j] = crept[j] * (1.0 - gain) + law.creep * gain / scale * part_of
-        state[:] = after
+        if gain > 0.0:
+            crept *= 1.0 - gain
+            crept += law.creep * gain / scale * (lengths - kept)
         out[i, 0], out[i, 1] = after[0], after[NODES - 1]
         out[i, 2], out[i, 3], out[i, 4] = lengths.sum() + q, q, reach
     memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, before

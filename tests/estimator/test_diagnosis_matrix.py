@@ -19,6 +19,7 @@ from tests.hidden.campaign import Case, judge
 
 SHORT = {"duration": 30.0, "rate": 50.0}
 RIVALS = 2  # causes beside the true ones, in a case
+STRANGERS = 12  # causes that must not be taken for what the catalogue does not know
 
 
 def _case(seed, effects, bench):
@@ -34,7 +35,9 @@ def _twice(name):
 
 SINGLE = [case for name in hidden.EFFECTS for case in _twice(name)]
 CLEAN = [_case(seed, (), bench) for seed in (21,) for bench in ("blocked", "spring")]
-OUTSIDE = [_case(31, (name,), "spring") for name in hidden.OUTSIDE]
+OUTSIDE = [  # of friction that wanders tells test_diagnosis
+    _case(31, (name,), "spring") for name in hidden.OUTSIDE if "wandering_friction" not in name
+]
 PAIRS = [
     _case(41, ("friction_step", "distal_tension_bias"), "spring"),
     _case(42, ("viscous_friction", "encoder_slip"), "blocked"),
@@ -51,11 +54,12 @@ def results():
 
 
 def quickly(case):
-    """Judge a case against a part of the catalogue; a clean or strange one against all of it."""
-    if case in CLEAN or case in OUTSIDE:
+    """Judge a case against a part of the catalogue; a clean one against all of it."""
+    if case in CLEAN:
         return judge(case, oracle=False)
     rng = np.random.default_rng(zlib.crc32(repr(case).encode()))
-    among = {*case.effects, *rng.choice(NAMES, RIVALS, replace=False).tolist()}
+    others = STRANGERS if case in OUTSIDE else RIVALS
+    among = {*case.effects, *rng.choice(NAMES, others, replace=False).tolist()}
     return judge(case, [effect for effect in CATALOGUE if effect.name in among], oracle=False)
 
 

@@ -18,6 +18,7 @@ from teleop.recording.names import channel_name
 from teleop.recording.reader import read_columns
 from teleop.session import State
 from teleop.topics import HAND, TENDONS, TOPICS, Role
+from tests.conftest import ROOT
 from tests.system.processes import OURS, START_S, Processes, free_ports, pause
 
 
@@ -42,12 +43,19 @@ def run(config, folder, *arguments, wait=True, environment=OURS):
     return process.returncode, out, err
 
 
-def test_a_recorded_run_tells_everything(demo_config, tmp_path):
-    code, out, err = run(
-        demo_config, tmp_path, "--duration", "5", "--record", str(tmp_path), "--view", "none"
-    )
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Return the folder of a session of five seconds, and what it printed."""
+    folder = tmp_path_factory.mktemp("recorded")
+    words = ("--duration", "5", "--record", str(folder), "--view", "none")
+    code, out, err = run(ROOT / "configs" / "demo.yaml", folder, *words)
     assert code == 0, out + err
-    summary = json.loads((tmp_path / "run.json").read_text())
+    return folder, out
+
+
+def test_a_recorded_run_tells_everything(recorded):
+    folder, out = recorded
+    summary = json.loads((folder / "run.json").read_text())
 
     assert summary["reason"] == "duration reached"
     for role in ("master", "slave"):
@@ -62,7 +70,7 @@ def test_a_recorded_run_tells_everything(demo_config, tmp_path):
     assert "command to force" in out
     assert "ping-pong" in out
 
-    (recording,) = tmp_path.glob("*.mcap")
+    (recording,) = folder.glob("*.mcap")
     tendons = read_columns(recording, TENDONS.name)
     error = tendons["distal_tension"][:, 0] - tendons["bench_distal_tension"][:, 0]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(force["rmse_N"], rel=0.1)
@@ -71,9 +79,8 @@ def test_a_recorded_run_tells_everything(demo_config, tmp_path):
     assert (hand["state"] == State.ENGAGED).sum() > 2000
 
 
-def test_an_independent_reader_decodes_the_recording(demo_config, tmp_path):
-    run(demo_config, tmp_path, "--duration", "2", "--record", str(tmp_path), "--view", "none")
-    (recording,) = tmp_path.glob("*.mcap")
+def test_an_independent_reader_decodes_the_recording(recorded):
+    (recording,) = recorded[0].glob("*.mcap")
     ours = read_columns(recording, TENDONS.name)
     with recording.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
