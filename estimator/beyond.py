@@ -21,8 +21,9 @@ import numpy as np
 
 from estimator import extended
 from estimator.compiled import compiled
-from estimator.extended import NODES, SAMPLE
+from estimator.extended import SAMPLE
 from estimator.memory import Array
+from estimator.nodes import NODES
 
 SPEED_OVER = 0.02  # [s] over which speeds are averaged
 QUICK, SLOW = 0.02, 2.0  # [s] between which changes at the tip count

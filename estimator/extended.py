@@ -15,27 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.giving import settle
+from estimator.nodes import (
+    NODES,
+    PLACES,
+    Law,
+    Tendon,
+    Tip,
+    elongation,
+    fill_contacts,
+    take_hold,
+    tip_travel,
+)
+from estimator.sliding import ROWS, slide
 
 Array = NDArray[np.float64]
 
-NODES = 41
-"""Nodes from housing to tip."""
-
-_GRADED = 2.5
-PLACES = np.expm1(_GRADED * np.linspace(0.0, 1.0, NODES)) / math.expm1(_GRADED)
-"""Where nodes are, shares of K: close at the housing, where every reversal begins."""
-
-EDGES = np.concatenate([[0.0], 0.5 * (PLACES[:-1] + PLACES[1:]), [1.0]])
-"""Where the stretch of tendon that counts to a node ends and the next begins, shares of K."""
-
-_ROUNDS = 60
-_ENOUGH = 1e-11  # [m] of travel
 _SMALLEST = 1.0 / 8.0  # of a step
-_SMOOTH = 0.05  # of K, that friction never falls below, however far a fit is carried on
 _PIECE = 0.5  # of a sample: contacts that let go as they slide do so within it
-_STEEPEST = 0.45  # half the friction between two nodes, at most; beyond it nothing would pass
 _STIFF = 1e12  # [N/m]
-_LEAST = 1e-2  # [N] below which friction is no power of the tension any more
 
 
 class Physics(NamedTuple):
@@ -85,31 +83,6 @@ class Motion(NamedTuple):
     compliance: Array  # dq_p/dT_in [m/N] as the motor went on
 
 
-class _Law(NamedTuple):
-    """Scalars of `Physics`, as a step uses them."""
-
-    drag: float
-    viscosity: float
-    stribeck: float
-    stribeck_speed: float
-    stribeck_memory: float
-    static: float
-    static_time: float
-    static_distance: float
-    asymmetry: float
-    exponent: float
-    reference: float
-    rise: float
-    give: float
-    give_tension: float
-    toe: float  # [N] of a node's stretch, over its compliance
-    toe_tension: float
-    creep: float
-    creep_time: float
-    compression: float
-    threshold: float
-
-
 class _Holder(NamedTuple):
     """What the tip pulls at."""
 
@@ -119,31 +92,6 @@ class _Holder(NamedTuple):
     low: float
     high: float
     stiffness: float
-
-
-class _Tip(NamedTuple):
-    """What the tip pulls at in one sample: q_d for a tension, piecewise straight."""
-
-    compliance: float  # [m/N] while it moves freely, inertia of this step included
-    known: float  # [N] that inertia adds from the past
-    offset: float  # [m]
-    low: float
-    high: float
-    stiffness: float
-    before: float  # q_d [m] one sample ago
-    load: float  # [N] besides the spring, one sample ago
-
-
-class _Tendon(NamedTuple):
-    """A tendon at one sample: what its contacts and its elasticity do."""
-
-    law: _Law
-    half: Array  # half the friction coordinate of each contact
-    drag: Array  # [N] of each contact
-    dt: float  # [s]
-    weights: Array  # [m/N] of each node
-    scale: float  # of the elongation, by what creeps within the sample
-    kept: Array  # [m] that each node's share is longer, whatever its tension
 
 
 _SCALARS = 27  # before the arrays in what `constants_of` returns
@@ -168,17 +116,12 @@ SAMPLE = 7
 class _Line(NamedTuple):
     """A tendon ready for steps."""
 
-    law: _Law
+    law: Law
     holder: _Holder
     softness: float  # [m/N]: what the tension's rate is to the motor's speed
     weights: Array  # [m/N] of each node
     even: Array  # shares of the whole
     spread: Array  # speed over each contact for that of the motor, while all slides
-
-
-def even_weights() -> Array:
-    """Return the weights of a sheath bent evenly."""
-    return np.diff(EDGES)
 
 
 def by_travel(physics: Physics, time: Array, travel: Array, speed: Array) -> Motion:
@@ -206,7 +149,7 @@ def by_tension(physics: Physics, time: Array, tension: Array, rate: Array) -> Mo
 def constants_of(physics: Physics) -> Array:
     """Return what `advance` needs to know of a tendon, as one flat array."""
     p = physics
-    law = _Law(
+    law = Law(
         p.drag,
         p.viscosity,
         p.stribeck,
@@ -247,258 +190,6 @@ def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced:
 
 
 @compiled
-def _tip_travel(tip: _Tip, tension: float) -> tuple[float, float, float]:
-    """Return q_d [m], dq_d/dT_out [m/N] and the load besides the spring [N] at a tip tension."""
-    c = tip.compliance
-    if c <= 0.0:
-        return tip.offset, 0.0, 0.0
-    if tip.low == tip.high:
-        return c * (tension + tip.known - tip.low) + tip.offset, c, tip.low
-    # held by its friction: (q - offset)/c = T + known - load - stiffness (q - before)
-    slope = c / (1.0 + c * tip.stiffness)
-    q = tip.before + slope * (tension + tip.known - tip.load - (tip.before - tip.offset) / c)
-    load = tip.load + tip.stiffness * (q - tip.before)
-    if load > tip.high:
-        return c * (tension + tip.known - tip.high) + tip.offset, c, tip.high
-    if load < tip.low:
-        return c * (tension + tip.known - tip.low) + tip.offset, c, tip.low
-    return q, slope, load
-
-
-@compiled
-def _contacts(
-    law: _Law, K: float, state: Array, speed: Array, rested: Array, half: Array, drag: Array
-) -> None:
-    """Fill in, for each contact, half its friction coordinate and its drag [N].
-
-    From the tensions of the sample before, which are near enough and spare the search much.
-    """
-    for j in range(len(half)):
-        tension = 0.5 * (state[j] + state[j + 1])
-        share = max(1.0 + law.rise * tension, _SMOOTH)
-        if law.exponent != 1.0:
-            share *= (max(tension, _LEAST) / law.reference) ** (law.exponent - 1.0)
-        if law.stribeck != 0.0:
-            x = speed[j] / law.stribeck_speed
-            share *= 1.0 + law.stribeck * math.exp(-x * x)
-        if law.static != 0.0:
-            share *= 1.0 + law.static * rested[j]
-        ds = K * (PLACES[j + 1] - PLACES[j])
-        half[j] = min(0.5 * ds * share, _STEEPEST / max(1.0, law.asymmetry))
-        drag[j] = 2.0 * half[j] * law.drag
-
-
-@compiled
-def _rest(law: _Law, dt: float, slid: Array, rested: Array) -> None:
-    """Let contacts take hold while they rest and let go while they slide, in place."""
-    kept = math.exp(-dt / law.static_time)
-    for j in range(len(rested)):
-        rested[j] = 1.0 - (1.0 - rested[j]) * kept
-        rested[j] *= math.exp(-abs(slid[j]) / law.static_distance)
-
-
-@compiled
-def _stretch(tendon: _Tendon, j: int, tension: float) -> tuple[float, float]:
-    """Return the elongation [m] of a node's share of the tendon, and its slope [m/N]."""
-    law, weight = tendon.law, tendon.weights[j]
-    e, slope = weight * tension, weight
-    if law.toe != 0.0:
-        fading = math.exp(-max(tension, 0.0) / law.toe_tension)
-        e += weight * law.toe * (1.0 - fading)
-        slope += weight * law.toe / law.toe_tension * fading
-    if j == 0 and law.compression != 0.0 and tension > law.threshold:
-        e += law.compression * (tension - law.threshold) ** 2
-        slope += 2.0 * law.compression * (tension - law.threshold)
-    return tendon.scale * e, tendon.scale * slope
-
-
-@compiled
-def _slide(
-    tendon: _Tendon,
-    tip: _Tip,
-    before: Array,
-    lengths: Array,
-    target: float,
-    forced: bool,
-    after: Array,
-    sliding: Array,
-    slid: Array,
-    work: Array,
-) -> tuple[bool, float]:
-    """Find the balance of contacts that stick or slide, by how far each of them slides.
-
-    Each contact is guessed to stick or to slide one way (`sliding`, kept from the sample before),
-    the balance of all is solved, and guesses that Coulomb contradicts are put right until none is
-    left. The housing's end is at `target`, a tension [N] if `forced`, else a travel [m].
-
-    Returns whether that came to an end, and dq_p/dT_in [m/N]; fills `slid` [m].
-    """
-    last = len(before) - 1
-    law, half, drag, kept, scale = tendon.law, tendon.half, tendon.drag, tendon.kept, tendon.scale
-    upper, right, pivot = work[0], work[1], work[2]
-    slope, stiff, zero = work[3], work[4], work[5]  # of each node, linear about `after`
-    rho, dashpot = law.asymmetry, 2.0 * law.viscosity / tendon.dt if tendon.dt > 0.0 else 0.0
-    curved = law.toe != 0.0 or law.compression != 0.0
-    held = tip.before
-    for j in range(last + 1):
-        held += lengths[j]
-        after[j] = before[j]
-        slope[j] = scale * tendon.weights[j]
-        stiff[j] = 1.0 / slope[j]
-        zero[j] = (lengths[j] - kept[j]) * stiff[j]
-    moved = target - held
-    loose, T_in = forced, target if forced else 0.0
-    ended, dq = False, 0.0
-    free_slope, free_zero = slope[last], zero[last]  # of the last node without what it pulls at
-    for _ in range(6 * last):
-        if curved:
-            for j in range(last + 1):
-                stretch, slope[j] = _stretch(tendon, j, after[j])
-                stiff[j] = 1.0 / slope[j]
-                zero[j] = after[j] - (stretch + kept[j] - lengths[j]) * stiff[j]
-            free_slope, free_zero = slope[last], zero[last]
-        q, dq, _load = _tip_travel(tip, after[last])
-        known = q - dq * after[last] - tip.before
-        slope[last] = free_slope + dq
-        stiff[last] = 1.0 / slope[last]
-        zero[last] = (free_slope * free_zero - known) * stiff[last]
-        for j in range(last):  # A T_before - B T_after - g slid = c, tridiagonal in what slid
-            if sliding[j] == 0.0:
-                upper[j], right[j], pivot[j] = 0.0, 0.0, 1.0
-                continue
-            x = half[j]
-            A, B, c, g = 1.0 - x, 1.0 + x, drag[j], x * dashpot
-            if sliding[j] < 0.0:
-                A, B, c, g = 1.0 + rho * x, 1.0 - rho * x, -rho * c, rho * g
-            lower, upper[j] = A * stiff[j], B * stiff[j + 1]
-            diagonal = -lower - upper[j] - g
-            right[j] = c - A * zero[j] + B * zero[j + 1]
-            if j > 0:
-                factor = lower * pivot[j - 1]
-                diagonal -= factor * upper[j - 1]
-                right[j] -= factor * right[j - 1]
-            elif loose:
-                diagonal += lower
-                right[0] += A * (zero[0] - T_in)
-            else:
-                right[0] -= lower * moved
-            pivot[j] = 1.0 / diagonal
-        ahead = 0.0
-        for j in range(last - 1, -1, -1):
-            ahead = (right[j] - upper[j] * ahead) * pivot[j]
-            slid[j] = ahead
-        ended = True
-        change = 0.0
-        into = moved
-        for j in range(last + 1):
-            out = 0.0 if j == last else slid[j]
-            T = T_in if j == 0 and loose else zero[j] + (into - out) * stiff[j]
-            change = max(change, abs(T - after[j]))
-            after[j], into = T, out
-        if (curved or tip.low != tip.high) and change > 1e-9:
-            ended = False
-        for j in range(last):
-            total, drop = max(after[j] + after[j + 1], 0.0), after[j] - after[j + 1]
-            if sliding[j] == 0.0:
-                room = 1e-10 * (1.0 + total)
-                friction = half[j] * total + drag[j]
-                if drop > friction + room:
-                    sliding[j], ended = 1.0, False
-                elif drop < -rho * friction - room:
-                    sliding[j], ended = -1.0, False
-            elif sliding[j] * slid[j] < -1e-16:
-                sliding[j], ended = 0.0, False
-        if ended and not loose and after[0] < 0.0:  # slack: its end goes where it likes
-            loose, T_in, ended = True, 0.0, False
-        if ended:
-            break
-    reach, D = 0.0, 1.0
-    for j in range(last + 1):
-        after[j] = max(after[j], 0.0)
-        reach += D * slope[j]
-        if j < last and sliding[j] != 0.0:
-            x = half[j] if sliding[j] > 0.0 else -rho * half[j]
-            D *= (1.0 - x) / (1.0 + x)
-        else:
-            D = 0.0
-    return ended, reach
-
-
-@compiled
-def _lean(
-    tendon: _Tendon, tip: _Tip, before: Array, lengths: Array, T_out: float, after: Array
-) -> tuple[float, float, float]:
-    """Go from the tip to the housing over contacts that give before they slide.
-
-    Returns the travel of the motor [m], its slope by T_out, and that of T_in.
-    """
-    law = tendon.law
-    last = len(before) - 1
-    q_d, by, _load = _tip_travel(tip, T_out)
-    moved = q_d - tip.before
-    after[last] = T_out
-    T, D = T_out, 1.0
-    q_p, dq_p = q_d, by
-    for j in range(last - 1, -1, -1):
-        part, part_by = _stretch(tendon, j + 1, T)
-        q_p += part + tendon.kept[j + 1]
-        dq_p += part_by * D
-        moved += part + tendon.kept[j + 1] - lengths[j + 1]
-        by += part_by * D
-        x, y = tendon.half[j], tendon.drag[j]
-        r = law.asymmetry * x
-        dashpot = 2.0 * x * law.viscosity / tendon.dt if tendon.dt > 0.0 else 0.0
-        pull = (2.0 * x * T + y) / (1.0 - x)
-        release = (2.0 * r * T + law.asymmetry * y) / (1.0 + r)
-        if law.give_tension > 0.0:
-            stiff, stiff_by = 2.0 * x * law.give_tension / law.give, 0.0
-        else:
-            stiff, stiff_by = pull / law.give, 2.0 * x / (1.0 - x) / law.give
-        friction = before[j] - before[j + 1] + stiff * moved
-        if friction > pull:
-            T, D = T + pull + dashpot * moved, D * (1.0 + x) / (1.0 - x) + dashpot * by
-        elif friction < -release:
-            T, D = T - release + dashpot * moved, D * (1.0 - r) / (1.0 + r) + dashpot * by
-        else:
-            T, D = T + friction, D + stiff * by + stiff_by * D * moved
-        if T < 0.0:
-            T, D = 0.0, 0.0
-        after[j] = T
-    part, part_by = _stretch(tendon, 0, T)
-    return q_p + part + tendon.kept[0], dq_p + part_by * D, D
-
-
-@compiled
-def _settle(
-    tendon: _Tendon,
-    tip: _Tip,
-    before: Array,
-    lengths: Array,
-    target: float,
-    forced: bool,
-    after: Array,
-) -> float:
-    """Find the balance of contacts that give before they slide; return dq_p/dT_in [m/N]."""
-    T = before[len(before) - 1]
-    low, high = -1.0, 1e6
-    q_p, dq_p, D = 0.0, 0.0, 1.0
-    for _ in range(_ROUNDS):
-        q_p, dq_p, D = _lean(tendon, tip, before, lengths, T, after)
-        over, by = (after[0] - target, D) if forced else (q_p - target, dq_p)
-        if abs(over) < _ENOUGH or (T == 0.0 and over > 0.0):
-            break
-        if over > 0.0:
-            high = T
-        else:
-            low = T
-        if high - low < 1e-13 * (1.0 + T):
-            break
-        guess = max(T - over / max(by, 1e-18), 0.0)
-        T = guess if low < guess < high else 0.5 * (max(low, 0.0) + min(high, 2.0 * T + 10.0))
-    return dq_p / max(D, 1e-9)
-
-
-@compiled
 def _spread(weights: Array, K: float, compliance: float) -> Array:
     """Return the speed over each contact for that of the motor, while all of the tendon slides."""
     n = len(weights)
@@ -528,7 +219,7 @@ def _packed(scalars: Array, compliance: float, weights: Array, friction: float) 
 def _line(constants: Array) -> _Line:
     """Return what `constants_of` has packed."""
     c, last = constants, NODES - 1
-    law = _Law(
+    law = Law(
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
         c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19],
     )  # fmt: skip
@@ -548,9 +239,9 @@ def start(constants: Array, tension: float, stretch: float, offset: float) -> Ar
     state[:NODES] = tension
     kept = line.even * stretch
     none = np.empty(0)
-    tendon = _Tendon(line.law, none, none, 0.0, line.weights, 1.0, kept)
+    tendon = Tendon(line.law, none, none, 0.0, line.weights, 1.0, kept)
     for j in range(NODES):
-        state[LENGTHS + j] = _stretch(tendon, j, tension)[0] + kept[j]
+        state[LENGTHS + j] = elongation(tendon, j, tension)[0] + kept[j]
     state[_Q] = line.holder.compliance * tension + offset
     state[_DRIVEN] = math.nan
     state[_RESTED:] = 1.0
@@ -586,7 +277,7 @@ def advance(
     state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
     crept, sliding = memory[_CREPT:_ENDS], memory[_SLIDING:_SPEED]
     speed, rested = memory[_SPEED:_RESTED], memory[_RESTED:]
-    after, work = np.empty(NODES), np.empty((6, NODES))
+    after, work = np.empty(NODES), np.empty((ROWS, NODES))
     half, drag = np.empty(NODES - 1), np.empty(NODES - 1)
     slid, gone = np.zeros(NODES - 1), np.zeros(NODES - 1)
     q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
@@ -598,22 +289,22 @@ def advance(
         gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
         kept = crept * (1.0 - gain) + even * stretch
         scale = 1.0 + law.creep * gain
-        tendon = _Tendon(law, half, drag, dt, weights, scale, kept)
+        tendon = Tendon(law, half, drag, dt, weights, scale, kept)
         c, known = compliance, 0.0
         if heavy and dt > 0.0:  # the trapezoidal rule: what follows from the past, and what is free
             from_rest = q - offset
             c = compliance / (1.0 + compliance * (4.0 * mass / dt + 2.0 * damping) / dt)
             known = mass * (4.0 * (from_rest / dt + v) / dt + a)
             known += damping * (2.0 * from_rest / dt + v)
-        tip = _Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
+        tip = Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
         if law.stribeck != 0.0 and not late:
             speed[:] = speeds if told else spread * (rate * softness if forced else rate)
-        _contacts(law, friction, state, speed, rested, half, drag)
+        fill_contacts(law, friction, state, speed, rested, half, drag)
         if leans:
-            reach = _settle(tendon, tip, state, lengths, target, forced, after)
+            reach = settle(tendon, tip, state, lengths, target, forced, after)
             state[:] = after
             for j in range(NODES):
-                lengths[j] = _stretch(tendon, j, after[j])[0] + kept[j]
+                lengths[j] = elongation(tendon, j, after[j])[0] + kept[j]
         else:
             begin = target if math.isnan(before) else before
             most = _PIECE if law.static != 0.0 else 1.0
@@ -621,13 +312,13 @@ def advance(
             gone[:] = 0.0
             while done < 1.0:
                 goal = begin + (done + share) * (target - begin)
-                part = _Tendon(law, half, drag, share * dt, weights, scale, kept)
-                ended, reach = _slide(
+                part = Tendon(law, half, drag, share * dt, weights, scale, kept)
+                ended, reach = slide(
                     part, tip, state, lengths, goal, forced, after, sliding, slid, work
                 )
                 if not ended:  # in circles: from rest, and if need be by a smaller step
                     sliding[:] = 0.0
-                    ended, reach = _slide(
+                    ended, reach = slide(
                         part, tip, state, lengths, goal, forced, after, sliding, slid, work
                     )
                 if not ended and share > smallest and not heavy:
@@ -639,17 +330,17 @@ def advance(
                 gone += slid
                 state[:] = after
                 if law.static != 0.0:
-                    _rest(law, part.dt, slid, rested)
-                    _contacts(law, friction, state, speed, rested, half, drag)
+                    take_hold(law, part.dt, slid, rested)
+                    fill_contacts(law, friction, state, speed, rested, half, drag)
                 for j in range(NODES):
-                    lengths[j] = _stretch(part, j, after[j])[0] + kept[j]
-                at, _slope, load = _tip_travel(tip, after[NODES - 1])
+                    lengths[j] = elongation(part, j, after[j])[0] + kept[j]
+                at, _slope, load = tip_travel(tip, after[NODES - 1])
                 if done < 1.0:
-                    tip = _Tip(c, known, offset, tip.low, tip.high, tip.stiffness, at, load)
+                    tip = Tip(c, known, offset, tip.low, tip.high, tip.stiffness, at, load)
         if late and dt > 0.0:
             now = speeds if told else np.abs(gone) / dt
             speed += -math.expm1(-dt / law.stribeck_memory) * (now - speed)
-        new, _slope, load = _tip_travel(tip, after[NODES - 1])
+        new, _slope, load = tip_travel(tip, after[NODES - 1])
         if dt > 0.0:
             v_new = 2.0 * (new - q) / dt - v
             a = 2.0 * (v_new - v) / dt - a

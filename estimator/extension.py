@@ -25,7 +25,8 @@ from estimator.effects.effect import (
     Scene,
     Values,
 )
-from estimator.extended import EDGES, Physics, even_weights
+from estimator.extended import Physics
+from estimator.nodes import EDGES, even_weights
 from estimator.sheath import Section, Sheath
 
 FRICTION_COEFFICIENT = 0.1  # nominal; bend radii follow, force and elongation do not

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from estimator import signals
 from estimator.compiled import compiled
-from estimator.extended import PLACES, Motion, Physics, by_tension, by_travel, even_weights
+from estimator.extended import Motion, Physics, by_tension, by_travel
+from estimator.nodes import PLACES, even_weights
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
 from teleop.errors import PeerError, TeleopError, UsageError
-from teleop.launch.summary import loop_lines
+from teleop.launch.summary import loop_lines, trouble
 from teleop.link import NEVER_NS, Counts, Link
 from teleop.messages import Answer, Command, text_bytes
 from teleop.meter import LoopMeter, in_words
@@ -250,4 +250,6 @@ def main(args: argparse.Namespace) -> int:
         print("\n".join(loop_lines(summary)))
     if master.error:
         raise master.error
+    if not supervised() and (ended := trouble({"master": summary})):
+        raise TeleopError(ended)
     return 0

@@ -37,7 +37,7 @@ from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
 from teleop.errors import PeerError, TeleopError, UsageError
-from teleop.launch.summary import force_line, loop_lines
+from teleop.launch.summary import force_line, loop_lines, trouble
 from teleop.link import Counts, Link
 from teleop.messages import MAX_JOINTS, PROFILE_POINTS, SlaveState
 from teleop.meter import LoopMeter, in_words
@@ -264,6 +264,8 @@ def main(args: argparse.Namespace) -> int:
         print("\n".join([*loop_lines(summary), f"force     {force_line(summary['force_error'])}"]))
     if slave.error:
         raise slave.error
+    if not supervised() and (ended := trouble({"slave": summary})):
+        raise TeleopError(ended)
     return 0
 
 

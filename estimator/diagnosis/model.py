@@ -18,7 +18,8 @@ from estimator.effects.effect import (
     Signals,
     Values,
 )
-from estimator.extended import Motion, Physics, by_tension, by_travel, even_weights
+from estimator.extended import Motion, Physics, by_tension, by_travel
+from estimator.nodes import even_weights
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ from estimator.effects.effect import (
     Scene,
     Values,
 )
-from estimator.extended import EDGES, PLACES, Physics
+from estimator.extended import Physics
+from estimator.nodes import EDGES, PLACES
 
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 

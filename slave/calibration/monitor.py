@@ -127,6 +127,8 @@ class Watch(NamedTuple):
 def prepare(model: TendonModel) -> Watched:
     """Return what is to be known of a tendon before it is watched."""
     sheath = model.sheath
+    if sheath.K == 0.0:  # no friction: no transition, by which a change could be told
+        return Watched(0.0, math.inf, 0.0, 0.0, (), (), math.inf, blind=True)
     dx = np.concatenate([np.full(PIECES, section.length / PIECES) for section in sheath.sections])
     radius = np.concatenate([np.full(PIECES, section.radius) for section in sheath.sections])
     ds = sheath.friction * dx / radius

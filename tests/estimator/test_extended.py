@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from estimator.extended import EDGES, Physics, by_tension, by_travel, even_weights
+from estimator.extended import Physics, by_tension, by_travel
+from estimator.nodes import EDGES, even_weights
 from estimator.sheath import Sheath
 from estimator.transmission import batch, slack_profile, tables
 from tests.brute.chain import Chain, Position, Spring

@@ -1,6 +1,7 @@
 """The monitor, fed by the estimators of a simulated joint in use."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,6 +105,8 @@ def test_on_an_uneven_sheath_a_change_is_found_too_unless_all_bends_are_at_the_t
         0
     ].model()
     assert monitor.prepare(model).blind
+    straight = replace(model, sheath=Sheath.uniform(0.0, 1.5, 9000.0))
+    assert monitor.prepare(straight).blind
 
 
 def test_a_smaller_change_is_advised_of_but_not_demanded():

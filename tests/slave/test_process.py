@@ -399,6 +399,13 @@ def test_the_command_runs_alone_and_leaves_its_summary(tmp_path):
 
 
 @pytest.mark.usefixtures("quiet_process")
+def test_alone_too_a_fault_that_lasts_to_the_end_is_exit_code_1(monkeypatch):
+    monkeypatch.setattr(process.loop, "own_fault", lambda *_: Reason.OVER_LIMIT)
+    with pytest.raises(TeleopError, match="a fault of the slave ended the session: "):
+        process.main(arguments("--duration", "0.3"))
+
+
+@pytest.mark.usefixtures("quiet_process")
 def test_a_rig_that_is_not_there_is_told_in_a_line(monkeypatch):
     def missing(config):
         raise RigFault("/dev/ttyUSB7: no such device")
