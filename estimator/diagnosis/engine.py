@@ -36,7 +36,7 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
-from estimator.diagnosis.record import Record, RecordError, felt
+from estimator.diagnosis.record import Record, RecordError, felt, in_short_blocks
 from estimator.diagnosis.score import (
     Errors,
     better_by,
@@ -67,6 +67,7 @@ LEAST_LEFT = 0.01  # of it, that is worth looking for another cause
 EXPLAINED = 0.25  # of what noise does not explain, that may be left of a cause that is named
 FURTHER = 2.5  # times the tolerance: an error that is worth another cause
 LAST = 12  # rounds of the fit to all samples
+LOPSIDED = 4.0  # times the mean square of the other half
 
 
 def quiet(_what: str, _share: float) -> None:
@@ -109,6 +110,9 @@ def diagnose(
     noisy = [felt(record, _again(record, bench, plain)) for record in records]
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
         bench = bench_of(noisy)
+        plain = baseline(bench)
+    if _lopsided(bench, plain):
+        bench = bench_of([in_short_blocks(record) for record in bench.records])
         plain = baseline(bench)
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
     fit, steps = plain, list[Step]()
@@ -169,6 +173,15 @@ def _again(record: Record, bench: Bench, fit: Fit) -> Callable[[Record], Simulat
         return simulate(other, about, fit.model.shared, fit.model.own[k], ())
 
     return again
+
+
+def _lopsided(bench: Bench, plain: Fit) -> bool:
+    """Return whether what is wrong is nearly all in the blocks of one half, fitted or held out."""
+    fitted, held_out = (
+        max(one.mean for one in errors(bench, plain, held_out=half).values())
+        for half in (False, True)
+    )
+    return not LOPSIDED * fitted > held_out > fitted / LOPSIDED
 
 
 def _is_all(bench: Bench, fit: Fit, plain: Fit) -> bool:

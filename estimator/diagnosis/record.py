@@ -32,6 +32,7 @@ LEAST = 100  # samples
 MOST = 20_000  # samples that are simulated; a longer record is thinned
 BLOCK = 5.0  # [s] that are fitted, and then as long that are not
 BLOCKS = 12  # at least, in a short record
+SHORT = 0.1  # of a block's length, where what is wrong fills but a block
 SPIKE = 8.0  # times what neighbours differ by
 FLOOR = 2e-4  # of a channel's range: nothing is simulated better
 TURN = 1e-3  # of the range of the drive: turns that are no jitter of an encoder
@@ -164,8 +165,7 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
     if driver == PROXIMAL_DISPLACEMENT:
         good[PROXIMAL_TENSION], trouble = _between_turns(time, drive, good[PROXIMAL_TENSION])
         troubles += trouble
-    length = min(BLOCK, (time[-1] - time[0]) / BLOCKS)
-    block = ((time - time[0]) / length).astype(np.int64)
+    block = _blocks(time)
     return Record(
         time=time,
         signals=signals,
@@ -184,6 +184,20 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
 def in_full(record: Record) -> Record:
     """Return a record of which all samples are fitted."""
     return replace(record, train=np.ones_like(record.train))
+
+
+def in_short_blocks(record: Record) -> Record:
+    """Return a record that is cut into shorter blocks, so that a short stretch is in some of both.
+
+    What is wrong in one block only can be fitted and not judged, or judged and not fitted.
+    """
+    block = _blocks(record.time, SHORT)
+    return replace(record, train=block % 2 == 0, block=block)
+
+
+def _blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
+    length = share * min(BLOCK, float(time[-1] - time[0]) / BLOCKS)
+    return ((time - time[0]) / length).astype(np.int64)
 
 
 def felt(record: Record, again: Callable[[Record], Simulation]) -> Record:

@@ -11,7 +11,7 @@ from estimator.diagnosis.bench import Bench, Fit
 
 Array = NDArray[np.float64]
 
-BIN = 1.0  # [s] that errors are summed over; longer than they remember each other
+BIN = 1.0  # [s] that errors are summed over, at most; longer than they remember each other
 DRAWS = 400
 LEAST = 0.5  # squares of the noise: better than this is not better
 LEAST_INDEPENDENT = 0.02  # of the samples, however alike neighbours are
@@ -34,7 +34,8 @@ def errors(bench: Bench, fit: Fit, *, held_out: bool = True) -> dict[str, Errors
     """Return the errors of a model by channel, all records together."""
     parts: dict[str, list[Errors]] = {}
     for record, one in zip(bench.records, fit.simulated, strict=True):
-        bins = ((record.time - record.time[0]) / BIN).astype(np.int64)
+        # no bin goes beyond its block: both numbers rise with time
+        bins = ((record.time - record.time[0]) / BIN).astype(np.int64) + record.block
         for channel in record.compared:
             rows = record.good[channel] & (record.train != held_out)
             off = (record.signals[channel] - one.signals[channel])[rows] / record.noise[channel]

@@ -32,8 +32,8 @@ from estimator.effects.effect import Effect, Scene, Values
 Array = NDArray[np.float64]
 
 THIN = 1200  # samples of a record in a first look
-STARTS = 2  # of each effect
-LED, BARE = 40, 12  # of all effects
+SECOND, BARE = 10, 12  # starts of all effects, besides the best of each
+HALVINGS = 3  # of a linear step that leads uphill
 ROUNDS = (4, 6)  # of the first fits, on thin records
 KEPT = (14, 6)  # effects that go on after each of them
 LONG = 25  # rounds of the last fit, on whole records
@@ -64,7 +64,7 @@ class Start(NamedTuple):
 class Starts(NamedTuple):
     """Two ways to begin with an effect."""
 
-    led: list[Start]  # it and the model's own parameters where a linear step leads them
+    led: list[list[Start]]  # of each: it and the model's own parameters where a linear step leads
     bare: list[Start]  # on top of the model as it is
 
 
@@ -98,7 +98,10 @@ def candidates(
         by_part = by_most(thin_bench, there)
         more = promised(thin_bench, by_part, around, sudden, report, workers)
         led, bare = led + more.led, bare + more.bare
-    models = [one.model for one in (*_cheapest(led, LED), *_cheapest(bare, BARE))]
+    firsts = [pair[0] for pair in led]
+    seconds = [pair[1] for pair in led if len(pair) > 1]
+    begin = [*firsts, *_cheapest(seconds, SECOND), *_cheapest(bare, BARE)]
+    models = [one.model for one in sorted(begin, key=lambda one: one.cost)]
     best: list[Candidate] = []
     for rounds, kept, hopeless in zip(ROUNDS, KEPT, HOPELESS, strict=True):
 
@@ -127,12 +130,13 @@ def promised(
     """Return models to begin fits from: for each effect those of its starts that promise most.
 
     Each start is taken as far as a linear step of all parameters would go along it, the model's own
-    parameters with it; and the best as it is, since where a record starts, for one, nothing is
-    linear.
+    parameters with it, or a part of that way where the whole leads uphill; and the best as it is,
+    since where a record starts, for one, nothing is linear.
     """
     r = residual(bench, fit)
     J = slopes_of(bench, about, fit)
     solve = np.linalg.pinv(J)
+    without = cost(bench, fit)
     begin = [(effect, values) for effect in effects for values in effect.starts(about[0])]
 
     def start(model: Model) -> Start:
@@ -148,24 +152,29 @@ def promised(
         power = float(alone @ alone)
         if power < 1e-12:
             return None
-        led = []
-        for share in {1.0, -(float(alone @ r)) / power}:
+
+        def led(share: float) -> tuple[float, Model]:
             scaled, step = _scaled(effect, values, share)
             wanted = r + step * change
             base = -(solve @ wanted)
             foreseen = float(np.sum((wanted + J @ base) ** 2))
-            led.append((foreseen, _with(moved(bench, fit.model, base), effect, scaled)))
-        _, best = min(led, key=lambda one: one[0])
-        return start(best), Start(begun.model, float(np.sum((r + change) ** 2)))
+            return foreseen, _with(moved(bench, fit.model, base), effect, scaled)
+
+        share = min((1.0, -(float(alone @ r)) / power), key=lambda share: led(share)[0])
+        best = start(led(share)[1])
+        for _ in range(HALVINGS):
+            if best.cost < without:
+                break
+            share *= 0.5
+            best = min(best, start(led(share)[1]), key=lambda one: one.cost)
+        return best, Start(begun.model, float(np.sum((r + change) ** 2)))
 
     of_effect: dict[str, list[tuple[Start, Start]]] = {}
     for one in _each(promise, begin, report, "trying effects", workers):
         if one is not None:
             of_effect.setdefault(one[0].model.effects[-1][0].label, []).append(one)
-    led, bare = list[Start](), list[Start]()
-    for pairs in of_effect.values():
-        led += _cheapest([of_two for of_two, _ in pairs], STARTS)
-        bare += _cheapest([of_two for _, of_two in pairs], 1)
+    led = [_cheapest([of_two for of_two, _ in pairs], 2) for pairs in of_effect.values()]
+    bare = [_cheapest([of_two for _, of_two in pairs], 1)[0] for pairs in of_effect.values()]
     return Starts(led, bare)
 
 
