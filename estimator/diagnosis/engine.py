@@ -66,6 +66,7 @@ RIVALS = 2  # at most, besides the cause
 LEAST_LEFT = 0.01  # of it, that is worth looking for another cause
 EXPLAINED = 0.25  # of what noise does not explain, that may be left of a cause that is named
 FURTHER = 2.5  # times the tolerance: an error that is worth another cause
+AHEAD = 1.5  # times as cheap as any other: a cause that is followed although not worth it alone
 LAST = 12  # rounds of the fit to all samples
 LOPSIDED = 4.0  # times the mean square of the other half
 
@@ -130,11 +131,40 @@ def diagnose(
                 continue
         first = first or _ranking(bench, plain, fit, found)
         if step is None:
+            two = _by_two(bench, plain, fit, found, rest, report, workers)
+            steps, fit = [*steps, *two], two[-1].fit if two else fit
             break
         steps.append(step)
         fit = step.fit
     steps, fit = _needed(bench, steps, fit)
     return _outcome(bench, plain, fit, steps, first, usable, validate)
+
+
+def _by_two(
+    bench: Bench,
+    plain: Fit,
+    fit: Fit,
+    found: Sequence[Candidate],
+    rest: Sequence[Effect],
+    report: Report,
+    workers: int,
+) -> list[Step]:
+    """Return two causes, none of which is worth it alone, if together they leave but noise.
+
+    One of two can make a quiet channel worse while it takes most away from a loud one. It must fit
+    far better than any other, since nothing else speaks for it yet.
+    """
+    ahead = sorted(found, key=lambda one: one.cost)
+    others = [one.cost for one in ahead if one.effect.name != ahead[0].effect.name] if ahead else []
+    if not others or ahead[0].cost * AHEAD > min(others):
+        return []
+    lead = ahead[0]
+    rest = [effect for effect in rest if effect.name != lead.effect.name]
+    more = candidates(bench, lead.fit, rest, report, workers)
+    second = _step(bench, plain, lead.fit, more)
+    if second is None or not _within(bench, errors(bench, second.fit), FURTHER):
+        return []
+    return [Step(lead.effect, (), _ranking(bench, plain, fit, list(found)), lead.fit), second]
 
 
 def _needed(bench: Bench, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:

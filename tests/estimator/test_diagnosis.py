@@ -13,12 +13,18 @@ from tests import hidden
 NAMES_ASKED_FOR = 34
 
 # seed, what is hidden, where; test_diagnosis_matrix.py has all of them
-HIDDEN = [(3, "creep", "blocked"), (4, "joint_friction", "spring")]
+HIDDEN = [
+    (3, "creep", "blocked"),
+    (3, "friction_drift", "spring"),  # no linear step leads to it
+    (4, "joint_friction", "spring"),
+]
 
 
-def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES):
+def diagnosed(seed, hide, bench, channels=hidden.CHANNELS, among=NAMES, size=1.0):
     print(f"seed {seed}: {hide} on the {bench} bench, {len(channels)} channels")
-    made = hidden.make(seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0)
+    made = hidden.make(
+        seed, hide, bench=bench, channels=channels, duration=30.0, rate=50.0, size=size
+    )
     effects = [effect for effect in CATALOGUE if effect.name in among]
     return made, diagnose([prepare(made.time, dict(made.channels))], effects, workers=2)
 
@@ -31,6 +37,21 @@ def test_a_hidden_effect_is_named(seed, effect, bench):
     assert found.verdict in {Verdict.NAMED, Verdict.AMBIGUOUS}
     for channel, noise in found.noise.items():
         assert found.after.held_out[channel].rmse < 1.3 * noise
+
+
+def test_what_is_wrong_in_one_short_stretch_only_is_named():
+    _, found = diagnosed(3, "pretension", "blocked", among={"pretension", "creep"}, size=0.5)
+    assert found.verdict is Verdict.NAMED
+    assert found.causes == ("pretension",)
+
+
+def test_two_causes_are_found_of_which_neither_is_worth_it_alone():
+    gains = {"proximal_tension_gain", "distal_tension_gain", "creep"}
+    hide = ("saturation", "proximal_tension_gain")
+    _, found = diagnosed(3000, hide, "spring", among={"saturation", *gains})
+    assert found.verdict is Verdict.AMBIGUOUS
+    assert found.causes[0] == "saturation"
+    assert {*found.causes[1:], *found.ambiguous_with} <= gains
 
 
 @pytest.mark.parametrize("bench", ["blocked", "spring"])
