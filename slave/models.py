@@ -15,6 +15,8 @@ from slave.diagnosis import model_file
 from slave.tendon_config import TendonConfig
 from teleop.errors import UsageError
 
+FAR = 1.4  # times the friction that was calibrated, from where a model is hardly of that sheath
+
 Given = Mapping[str, Path]
 """Model files by the name of their tendon; that of every other tendon by the empty name."""
 
@@ -101,6 +103,20 @@ def with_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
         elongation_error=tendon.elongation_error,
         tip_tension_rate=tendon.tip_tension_rate,
     )
+
+
+def strange(calibrated: Sequence[TendonConfig], used: Sequence[TendonConfig]) -> list[str]:
+    """Return a warning for each model file whose friction is far from what was calibrated.
+
+    Nothing in a model file says of which rig it is; measured data do not know.
+    """
+    said: dict[str, None] = {}
+    for before, after in zip(calibrated, used, strict=True):
+        K_before, K = before.model().sheath.K, after.model().sheath.K
+        if after.model_file != before.model_file and not K_before / FAR <= K <= K_before * FAR:
+            line = f"{after.model_file}: its K is {K:.3g}, the calibrated one {K_before:.3g}"
+            said[f"WARNING: {line}: is it of this sheath, and bent as now?"] = None
+    return list(said)
 
 
 def sentences(tendon: TendonConfig) -> list[str]:

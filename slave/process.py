@@ -295,7 +295,10 @@ def known_before(
     past = Past(now_ns(), ())
     if not config.initialise.at_start:
         tendons = tendon_configs(config, rig.tendons, rig.joints, files)
-        for line in introduced(tendons):
+        said = introduced(tendons)
+        if files and (config.tendons or config.calibration):
+            said += models.strange(tendon_configs(config, rig.tendons, rig.joints), tendons)
+        for line in said:
             print(line, flush=True)
         barred = hindrance_of(config, rig, modelled=bool(files))
         return loop.know(rig.joints, [tendon.model() for tendon in tendons], barred), past

@@ -182,6 +182,14 @@ def test_the_slave_says_what_it_does_with_each_effect(file):
     assert introduced([TendonConfig(model_file=file)])[-1].startswith("WARNING")
 
 
+def test_a_model_of_another_sheath_is_a_warning(file):
+    used = [TendonConfig(model_file=file)]
+    near, far = ([TendonConfig(effective_friction=K)] for K in (0.7, 1.5))
+    assert models.strange(near, used) == models.strange(used, used) == []
+    (line,) = models.strange(far * 2, used * 2)
+    assert re.search(r"WARNING: .*model\.yaml: its K is 0\.8\d*, the calibrated one 1\.5", line)
+
+
 def test_a_cause_that_is_one_of_several_is_a_warning(file):
     tree = yaml.safe_load(file.read_text()) | {"unsure": ["encoder_slip"]}
     file.write_text(yaml.safe_dump(tree))
