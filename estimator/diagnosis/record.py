@@ -197,7 +197,7 @@ def in_short_blocks(record: Record) -> Record:
 
 def _blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
     length = share * min(BLOCK, float(time[-1] - time[0]) / BLOCKS)
-    return ((time - time[0]) / length).astype(np.int64)
+    return np.asarray((time - time[0]) / length, dtype=np.int64)
 
 
 def felt(record: Record, again: Callable[[Record], Simulation]) -> Record:
