@@ -34,6 +34,7 @@ NAMES_SHOWN = 12  # of a file's columns in an error message
 PERIOD = 1.5  # [s] a slower median period is no record of motion: milliseconds
 NOISE_FLOOR = 0.1  # [N] a cell at rest may read so far below zero ...
 NOISE_SHARE = 0.02  # ... and by this share of its peak further (zero error)
+ZERO_SHARE = 0.25  # of its peak, where a diagnosis is to say how far its zero is off
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,11 @@ class MeasuredTable:
 
 
 def read_table(
-    path: Path, columns: Columns | None = None, drop_nonfinite: bool = False
+    path: Path,
+    columns: Columns | None = None,
+    drop_nonfinite: bool = False,
+    *,
+    diagnosed: bool = False,
 ) -> MeasuredTable:
     """Read and check the samples of one tendon.
 
@@ -107,17 +112,24 @@ def read_table(
         The columns' names; the standard ones by default.
     drop_nonfinite : bool
         Leave out rows with values that are not finite instead of refusing the file.
+    diagnosed : bool
+        What a load cell does wrong is to be found out: it may read below zero by more than noise,
+        and single samples by any amount.
 
     Raises
     ------
     UsageError
         The file, or something in it, cannot be right.
     """
-    return read_tables(path, (columns or Columns(),), drop_nonfinite)[0]
+    return read_tables(path, (columns or Columns(),), drop_nonfinite, diagnosed=diagnosed)[0]
 
 
 def read_tables(
-    path: Path, tendons: Sequence[Columns], drop_nonfinite: bool = False
+    path: Path,
+    tendons: Sequence[Columns],
+    drop_nonfinite: bool = False,
+    *,
+    diagnosed: bool = False,
 ) -> tuple[MeasuredTable, ...]:
     """Read and check the samples of several tendons of one file; see `read_table`.
 
@@ -139,7 +151,7 @@ def read_tables(
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
     for names in found:
-        _check(path, raw, names, numbers)
+        _check(path, raw, names, numbers, diagnosed)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
         tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped))
@@ -221,7 +233,11 @@ def _renumbered(raw: RawTable, kept: NDArray[np.intp]) -> Any:
 
 
 def _check(
-    path: Path, raw: RawTable, names: Mapping[str, str], numbers: Mapping[str, Array]
+    path: Path,
+    raw: RawTable,
+    names: Mapping[str, str],
+    numbers: Mapping[str, Array],
+    diagnosed: bool,
 ) -> None:
     """Refuse time that does not increase, units that are plainly wrong, tendons that push."""
 
@@ -239,16 +255,19 @@ def _check(
         if item not in names:
             continue
         tension = numbers[names[item]]
-        row, low = int(np.abs(tension).argmax()), int(tension.argmin())
+        row = int(np.abs(tension).argmax())
+        low = int((_without_dips(tension) if diagnosed else tension).argmin())
         peak = float(tension[row])
         if abs(peak) > TENSION_PEAK:
             raise wrong(
                 item, row, f"{peak:.6g} is no tendon's tension in newtons; is it in mN or g?"
             )
-        floor = NOISE_FLOOR + NOISE_SHARE * float(tension.max(initial=0.0))
+        share = ZERO_SHARE if diagnosed else NOISE_SHARE
+        floor = NOISE_FLOOR + share * float(tension.max(initial=0.0))
         if tension[low] < -floor:
             what = f"{float(tension[low]):.6g} N: a tendon cannot push"
-            limit = f"noise is taken to end at {-floor:.3g} N"
+            below = "a zero that is off" if diagnosed else "noise"
+            limit = f"{below} is taken to end at {-floor:.3g} N"
             raise wrong(item, low, f"{what} ({limit}); correct its zero or its sign")
     for item in ("proximal_displacement", "distal_displacement"):
         if item in names and (span := float(np.ptp(numbers[names[item]]))) > TRAVEL_SPAN:
@@ -256,3 +275,10 @@ def _check(
             raise wrong(item, row, f"travel spans {span:.6g} m; is it in metres?")
     if periods.size and (median := float(np.median(periods))) > PERIOD:
         raise wrong("time", 1, f"samples are {median:.6g} s apart; is it in seconds?")
+
+
+def _without_dips(signal: Array) -> Array:
+    """Return a signal without single samples that are below both of their neighbours."""
+    filled = signal.copy()
+    filled[1:-1] = np.maximum(signal[1:-1], np.minimum(signal[:-2], signal[2:]))
+    return filled

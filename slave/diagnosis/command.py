@@ -140,7 +140,9 @@ def read(
     UsageError
         If a file cannot be right, cannot be diagnosed, or lacks a channel that another has.
     """
-    tables = [read_table(path, columns, drop_nonfinite) for path in (*paths, *validate)]
+    tables = [
+        read_table(path, columns, drop_nonfinite, diagnosed=True) for path in (*paths, *validate)
+    ]
     first = tables[0]
     for table in tables[1:]:
         if set(signals_of(table)) != set(signals_of(first)):

@@ -178,6 +178,20 @@ def test_the_line_named_is_the_files_far_down_too(path):
     assert "line 43212: 'oops'" in refusal(path, HEAD + "".join(rows))
 
 
+def test_a_diagnosis_reads_a_zero_that_is_off_and_spikes_but_no_wrong_sign(path):
+    pull = 10.0 * np.sin(np.linspace(0.0, np.pi, 50))
+
+    def rows(tension):
+        return HEAD + "".join(f"{0.1 * k:.1f},{T:.3f},0\n" for k, T in enumerate(tension))
+
+    spiked = pull - 1.0
+    spiked[20] = -8.0
+    path.write_text(rows(spiked))
+    assert read_table(path, diagnosed=True).proximal_tension.min() == -8.0
+    assert "cannot push" in refusal(path)
+    assert "a zero that is off" in refusal(path, rows(-pull), diagnosed=True)
+
+
 def test_the_bench_is_checked_too(path):
     text = "time_s,proximal_tension_N,distal_tension_N\n0,1,1\n0.1,2,-3\n"
     assert "'distal_tension_N', line 3" in refusal(path, text)
