@@ -37,6 +37,9 @@ SPIKE = 8.0  # times what neighbours differ by
 FLOOR = 2e-4  # of a channel's range: nothing is simulated better
 TURN = 1e-3  # of the range of the drive: turns that are no jitter of an encoder
 SPEED_OVER = 0.02  # [s] over which speed is taken
+ORDERS = (2, 3, 4, 5, 6)  # of the differences that an encoder's noise is taken from
+JITTER = 4.0  # times its noise: a driver that turns by less has not turned
+ROUND = 0.4  # of the largest bend about a turn, that the least has: it is no corner
 
 
 class Simulation(Protocol):
@@ -159,10 +162,12 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         for name, signal in signals.items()
     }
     whole = np.interp(time, time[good[driver]], signals[driver][good[driver]])
-    drive = monotone(whole, 4.0 * noise_sigma(whole))
     if driver == PROXIMAL_TENSION:
-        drive = np.maximum(drive, 0.0)
-    if driver == PROXIMAL_DISPLACEMENT:
+        drive = np.maximum(monotone(whole, JITTER * noise_sigma(whole)), 0.0)
+    else:
+        jitter = JITTER * _encoder_noise(whole)
+        drive = monotone(whole, jitter)
+        time, signals, good, drive = _with_turns(time, signals, good, drive, jitter)
         good[PROXIMAL_TENSION], trouble = _between_turns(time, drive, good[PROXIMAL_TENSION])
         troubles += trouble
     block = _blocks(time)
@@ -283,6 +288,51 @@ def _turning_points(signal: Array, band: float) -> list[int]:
     if turns[-1] != len(values) - 1:
         turns.append(len(values) - 1)
     return turns
+
+
+def _encoder_noise(travel: Array) -> float:
+    """Return the standard deviation of an encoder's noise [m].
+
+    White noise is in differences of every order alike, motion is less in each further one: what few
+    samples have of a hand's fast motion is no noise, or its turns would be lost.
+    """
+    return min(
+        float(np.median(np.abs(np.diff(travel, m)))) * 1.4826 / math.sqrt(math.comb(2 * m, m))
+        for m in ORDERS
+    )
+
+
+def _with_turns(
+    time: Array, signals: Signals, good: dict[str, Mask], drive: Array, least: float
+) -> tuple[Array, Signals, dict[str, Mask], Array]:
+    """Return a record with rows where the motor turned between two samples, that do not count.
+
+    Friction remembers how far it went. A parabola through three samples tells, where the motion is
+    round there; and rows are added where that is further than the samples by `least` [m].
+    """
+    bend = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
+    rows, when, where = [], [], []
+    for i in _turning_points(drive, TURN * float(np.ptp(drive)))[1:-1]:
+        about = bend[max(i - 2, 0) : i + 1]
+        if len(about) < 3 or np.ptp(np.sign(about)) or not np.abs(about).min() > (
+            ROUND * float(np.abs(about).max())
+        ):
+            continue
+        before, here = float(time[i - 1]), float(time[i])
+        slope = float(drive[i] - drive[i - 1]) / (here - before)
+        at = 0.5 * (before + here) - 0.5 * slope / float(about[1])
+        height = float(drive[i - 1]) + (at - before) * (slope + float(about[1]) * (at - here))
+        if abs(height - float(drive[i])) > least and before < at < float(time[i + 1]):
+            rows.append(i if at < here else i + 1)
+            when.append(at)
+            where.append(height)
+    added = {name: np.interp(when, time, signal) for name, signal in signals.items()}
+    return (
+        np.insert(time, rows, when),
+        {name: np.insert(signal, rows, added[name]) for name, signal in signals.items()},
+        {name: np.insert(mask, rows, False) for name, mask in good.items()},
+        np.insert(drive, rows, where),
+    )
 
 
 def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Trouble]]:

@@ -142,6 +142,32 @@ def test_spikes_are_kept_out_and_said_to_be_and_sharp_turns_are_not():
     assert np.abs(ready.drive - T).max() < 0.2
 
 
+def test_what_few_samples_have_of_a_fast_motion_is_no_noise_and_its_turns_are_found():
+    def swings(t):
+        return 1e-3 * (1.0 - np.cos(2.2 * np.pi * t))
+
+    time = np.arange(1000) * 0.02
+    rest = (time > 10.0) & (time < 10.0 + 10.0 / 11.0)  # a whole swing left out
+    small = 2e-5 * np.sin(np.pi * np.clip((time - 10.2) / 0.4, 0.0, 1.0)) ** 2
+    q = np.where(rest, swings(10.0) + small, swings(time))
+    q = 1.2e-7 * np.round(q / 1.2e-7)
+    ready = prepare(time, {"proximal_tension": 1e4 * q, "proximal_displacement": q})
+    assert np.abs(np.interp(time, ready.time, ready.drive) - q).max() < 1e-6
+    turns = np.arange(1, 43) / 2.2
+    turns = turns[(turns < 9.9) | (turns > 11.0)]
+    assert np.abs(np.interp(turns, ready.time, ready.drive) - swings(turns)).max() < 1e-6
+    added = ~np.isin(ready.time, time)
+    assert added.any()
+    assert not any((mask & added).any() for mask in ready.good.values())
+
+
+def test_a_corner_is_no_turn_between_samples():
+    time = np.arange(1000) * 0.02
+    q = 1e-3 * np.clip(np.abs((0.4 * time + 0.013) % 2.0 - 1.0), 0.2, 0.8)
+    ready = prepare(time, {"proximal_tension": 1e4 * q, "proximal_displacement": q})
+    assert np.array_equal(ready.time, time)
+
+
 def test_a_long_record_is_thinned_and_its_turns_stay():
     time = np.arange(50_000) * 0.001
     q = 1e-3 * np.sin(time)
