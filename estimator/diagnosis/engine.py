@@ -243,7 +243,7 @@ def _step(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | 
     order = sorted(found, key=lambda one: -_score(bench, base, one))
     if not order:
         return None
-    best = order[0]
+    best = _simplest(bench, plain, base, order)
     if (
         _score(bench, base, best) < MARGIN
         or gain_of(best.held_out, base) < LEAST_GAIN
@@ -252,7 +252,7 @@ def _step(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | 
         return None
     most = left_of(best.held_out, errors(bench, plain))
     rivals: list[str] = []
-    for other in order[1:]:
+    for other in order:
         if other.effect.name in (best.effect.name, *rivals) or len(rivals) == RIVALS:
             continue
         behind = _score(bench, base, best) - _score(bench, base, other)
@@ -261,6 +261,27 @@ def _step(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | 
         if behind < ALIKE or more < ALIKE_LEFT or unsure:
             rivals.append(other.effect.name)
     return Step(best.effect, tuple(rivals), _ranking(bench, plain, fit, found), best.fit)
+
+
+def _simplest(
+    bench: Bench, plain: Fit, base: dict[str, Errors], order: list[Candidate]
+) -> Candidate:
+    """Return of the best causes, which are as good as each other, that of the fewest parameters.
+
+    One with more can be bent into another: an antagonist of hardly any friction is joint friction.
+    """
+
+    def left(one: Candidate) -> float:
+        return left_of(one.held_out, errors(bench, plain))
+
+    best = order[0]
+    alike = [
+        one
+        for one in order
+        if _score(bench, base, best) - _score(bench, base, one) < ALIKE
+        and left(one) - left(best) < ALIKE_LEFT
+    ]
+    return min(alike, key=lambda one: len(one.effect.parameters))
 
 
 def _ranking(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:

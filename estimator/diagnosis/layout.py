@@ -19,9 +19,10 @@ class Layout:
         self.base, self.effects, self.records = base, effects, len(model.own)
         self.names = [p.name for p in base.shared]
         self.parameters = list(base.shared)
+        span = max(float(np.ptp(record.drive)) for record in bench.records)
         for effect in effects:
             self.names += [f"{effect.name}.{p.name}" for p in effect.parameters]
-            self.parameters += effect.parameters
+            self.parameters += effect.within(effect.parameters, span)
         self.common = len(self.parameters)  # those of the bench come first
         for k, record in enumerate(bench.records):
             self.names += [f"{p.name} ({k + 1})" for p in base.own]

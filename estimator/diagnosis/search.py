@@ -27,7 +27,7 @@ from estimator.diagnosis.bench import (
 from estimator.diagnosis.fit import improved, moved, slopes_of
 from estimator.diagnosis.record import thin
 from estimator.diagnosis.score import Errors, errors
-from estimator.effects.effect import Effect, Scene, Values
+from estimator.effects.effect import Effect, Parameter, Scene, Values
 
 Array = NDArray[np.float64]
 
@@ -37,6 +37,7 @@ HALVINGS = 3  # of a linear step that leads uphill
 ROUNDS = (4, 6)  # of the first fits, on thin records
 KEPT = (14, 6)  # effects that go on after each of them
 LONG = 25  # rounds of the last fit, on whole records
+AT_BOUND = 0.03  # of a bound: a number so near to it hardly moves away from it again
 FURTHEST = 6.0  # times a start's amplitude that a linear step may go
 HOPELESS = (40.0, 4.0)  # times the best's cost: not worth going on with
 
@@ -112,7 +113,8 @@ def candidates(
         models = [one.fit.model for one in best if one.cost < hopeless * best[0].cost]
 
     def finished(model: Model) -> Candidate:
-        return _candidate(bench, about, model, LONG)
+        begun = [model] if (inside := _off_bounds(model, about[0])) is None else [model, inside]
+        return min((_candidate(bench, about, one, LONG) for one in begun), key=lambda one: one.cost)
 
     done = list(_each(finished, models, report, "finishing the best", workers))
     rest = [_scored(bench, simulated(bench, about, one.fit.model)) for one in best[len(models) :]]
@@ -203,6 +205,31 @@ def _scaled(effect: Effect, values: Values, share: float) -> tuple[Values, float
 
 def _with(model: Model, effect: Effect, values: Values) -> Model:
     return model._replace(effects=(*model.effects, (effect, values)))
+
+
+def _off_bounds(model: Model, scene: Scene) -> Model | None:
+    """Return a model whose last effect has its usual shape again where a bound has stopped it.
+
+    A thin record does not have what is short, such as a memory: there it may end at a bound that
+    whole records would not have led it to, and would not lead it away from. None if there is none.
+    """
+    *rest, (effect, values) = model.effects
+    usual = np.median(np.array(list(effect.starts(scene))), axis=0).tolist()
+    shape = tuple(
+        start
+        if p.neutral is None and not p.jumps and _at_bound(value, p)
+        else value
+        for value, start, p in zip(values, usual, effect.parameters, strict=True)
+    )
+    if shape == tuple(values):
+        return None
+    return model._replace(effects=(*rest, (effect, shape)))
+
+
+def _at_bound(value: float, parameter: Parameter) -> bool:
+    return any(
+        abs(value - bound) <= AT_BOUND * abs(bound) for bound in (parameter.low, parameter.high)
+    )
 
 
 def _candidate(bench: Bench, about: Sequence[Scene], start: Model, rounds: int) -> Candidate:

@@ -84,6 +84,10 @@ def _same_drive(drive: Array, _values: Values, _scene: Scene) -> Array:
     return drive
 
 
+def _as_they_are(parameters: tuple[Parameter, ...], _span: float) -> tuple[Parameter, ...]:
+    return parameters
+
+
 @dataclass(frozen=True)
 class Effect:
     """One way in which a transmission differs from the paper's model.
@@ -108,6 +112,8 @@ class Effect:
         Values to begin fits from; one that decides in which valley a fit ends is spread here.
     needs
         Channels without which the effect is not defined.
+    within
+        Its parameters, for records whose motor goes through a span [m]: what needs a way to show.
     live
         Of a sensor at the housing: its readings put right one by one, in another session too.
     """
@@ -124,6 +130,7 @@ class Effect:
     true: Callable[[Array, Values, Scene], Array] = _same_drive
     where: str = ""
     needs: frozenset[str] = frozenset()
+    within: Callable[[tuple[Parameter, ...], float], tuple[Parameter, ...]] = _as_they_are
     live: Correction | None = None
 
     @property

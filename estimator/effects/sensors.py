@@ -23,6 +23,7 @@ from estimator.effects.effect import (
 from estimator.effects.ends import play
 
 ONSETS = 12
+WAVE = 5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
 WORDS = {
     PROXIMAL_TENSION: "the load cell at the housing",
     DISTAL_TENSION: "the load cell at the tip",
@@ -325,9 +326,15 @@ PULLEY_ECCENTRICITY = Effect(
 def _ripple_starts(scene: Scene) -> Iterable[Values]:
     q, residual, others = _common(scene)
     span = max(float(np.ptp(q)), 1e-6)
-    numbers = np.arange(5.0 / span, min(2e4, 1500.0 / span), 0.6 / span)
+    numbers = np.arange(WAVE / span, min(2e4, 1500.0 / span), 0.6 / span)
     step = max(1, len(q) // 3000)
     return waves(q[::step], residual[::step], np.ones(len(q))[::step], others[::step], numbers)
+
+
+def _rippling(parameters: tuple[Parameter, ...], span: float) -> tuple[Parameter, ...]:
+    *amplitudes, number = parameters
+    low = min(max(number.low, WAVE / max(span, 1e-6)), 0.5 * number.high)
+    return (*amplitudes, number._replace(low=low))
 
 
 def _ripple(signals: Signals, values: Values, scene: Scene) -> Signals:
@@ -358,6 +365,7 @@ COGGING_RIPPLE = Effect(
     starts=_ripple_starts,
     reads=_ripple,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
+    within=_rippling,
     live=_ripple_live,
 )
 
