@@ -314,8 +314,10 @@ def _with_turns(
     rows, when, where = [], [], []
     for i in _turning_points(drive, TURN * float(np.ptp(drive)))[1:-1]:
         about = bend[max(i - 2, 0) : i + 1]
-        if len(about) < 3 or np.ptp(np.sign(about)) or not np.abs(about).min() > (
-            ROUND * float(np.abs(about).max())
+        if (
+            len(about) < 3
+            or np.ptp(np.sign(about))
+            or not np.abs(about).min() > (ROUND * float(np.abs(about).max()))
         ):
             continue
         before, here = float(time[i - 1]), float(time[i])

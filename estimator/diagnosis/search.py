@@ -216,9 +216,7 @@ def _off_bounds(model: Model, scene: Scene) -> Model | None:
     *rest, (effect, values) = model.effects
     usual = np.median(np.array(list(effect.starts(scene))), axis=0).tolist()
     shape = tuple(
-        start
-        if p.neutral is None and not p.jumps and _at_bound(value, p)
-        else value
+        start if p.neutral is None and not p.jumps and _at_bound(value, p) else value
         for value, start, p in zip(values, usual, effect.parameters, strict=True)
     )
     if shape == tuple(values):

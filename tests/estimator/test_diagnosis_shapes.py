@@ -38,7 +38,7 @@ def test_what_a_bound_has_stopped_begins_in_its_usual_shape_again(bench):
         return _off_bounds(PLAIN._replace(effects=((STRIBECK_LATE, values),)), scene)
 
     assert again((0.17, 1.7e-3, 0.1)) is None
-    (_, values), = again((0.17, 1.7e-3, 0.0201)).effects
+    ((_, values),) = again((0.17, 1.7e-3, 0.0201)).effects
     assert values == pytest.approx((0.17, 1.7e-3, 0.15))
 
 
