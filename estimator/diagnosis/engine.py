@@ -270,16 +270,13 @@ def _simplest(
 
     One with more can be bent into another: an antagonist of hardly any friction is joint friction.
     """
-
-    def left(one: Candidate) -> float:
-        return left_of(one.held_out, errors(bench, plain))
-
-    best = order[0]
+    best, at_first = order[0], errors(bench, plain)
+    most = left_of(best.held_out, at_first) + ALIKE_LEFT
+    least = _score(bench, base, best) - ALIKE
     alike = [
         one
         for one in order
-        if _score(bench, base, best) - _score(bench, base, one) < ALIKE
-        and left(one) - left(best) < ALIKE_LEFT
+        if _score(bench, base, one) > least and left_of(one.held_out, at_first) < most
     ]
     return min(alike, key=lambda one: len(one.effect.parameters))
 

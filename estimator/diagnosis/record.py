@@ -83,6 +83,8 @@ class Record:
         Standard deviation of what a simulation cannot know, by channel.
     good
         Which samples count, by channel, shape (n,) each.
+    measured
+        Which rows are samples; the others, at turns of the motor between two, count nowhere, (n,).
     train
         Which samples are fitted while others are kept for the test, shape (n,).
     block
@@ -100,6 +102,7 @@ class Record:
     speed: Array
     noise: dict[str, float]
     good: dict[str, Mask]
+    measured: Mask
     train: Mask
     block: NDArray[np.int64]
     troubles: tuple[Trouble, ...]
@@ -162,12 +165,19 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         for name, signal in signals.items()
     }
     whole = np.interp(time, time[good[driver]], signals[driver][good[driver]])
+    measured = np.ones(len(time), dtype=np.bool_)
     if driver == PROXIMAL_TENSION:
         drive = np.maximum(monotone(whole, JITTER * noise_sigma(whole)), 0.0)
     else:
         jitter = JITTER * _encoder_noise(whole)
         drive = monotone(whole, jitter)
-        time, signals, good, drive = _with_turns(time, signals, good, drive, jitter)
+        turns = _between_samples(time, drive, jitter)
+        added = {name: np.interp(turns.time, time, signal) for name, signal in signals.items()}
+        signals = {name: np.insert(one, turns.rows, added[name]) for name, one in signals.items()}
+        good = {name: np.insert(mask, turns.rows, False) for name, mask in good.items()}
+        measured = np.insert(measured, turns.rows, False)
+        time = np.insert(time, turns.rows, turns.time)
+        drive = np.insert(drive, turns.rows, turns.drive)
         good[PROXIMAL_TENSION], trouble = _between_turns(time, drive, good[PROXIMAL_TENSION])
         troubles += trouble
     block = _blocks(time)
@@ -179,6 +189,7 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         speed=rate(time, drive),
         noise=noise,
         good=good,
+        measured=measured,
         train=block % 2 == 0,
         block=block,
         troubles=tuple(troubles),
@@ -239,6 +250,7 @@ def thin(record: Record, most: int) -> Record:
         drive=record.drive[kept],
         speed=record.speed[kept],
         good={name: good[kept] for name, good in record.good.items()},
+        measured=record.measured[kept],
         train=record.train[kept],
         block=record.block[kept],
     )
@@ -302,39 +314,38 @@ def _encoder_noise(travel: Array) -> float:
     )
 
 
-def _with_turns(
-    time: Array, signals: Signals, good: dict[str, Mask], drive: Array, least: float
-) -> tuple[Array, Signals, dict[str, Mask], Array]:
-    """Return a record with rows where the motor turned between two samples, that do not count.
+class _Turns(NamedTuple):
+    """Turns of the motor between two samples."""
+
+    rows: list[int]  # before which they belong
+    time: list[float]  # [s]
+    drive: list[float]  # [m]
+
+
+def _between_samples(time: Array, drive: Array, least: float) -> _Turns:
+    """Return where the motor turned between two samples, further than those by `least` [m].
 
     Friction remembers how far it went. A parabola through three samples tells, where the motion is
-    round there; and rows are added where that is further than the samples by `least` [m].
+    round there.
     """
     bend = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
-    rows, when, where = [], [], []
+    turns = _Turns([], [], [])
     for i in _turning_points(drive, TURN * float(np.ptp(drive)))[1:-1]:
         about = bend[max(i - 2, 0) : i + 1]
-        if (
-            len(about) < 3
-            or np.ptp(np.sign(about))
-            or not np.abs(about).min() > (ROUND * float(np.abs(about).max()))
-        ):
+        if len(about) < 3 or np.ptp(np.sign(about)):
+            continue
+        if not np.abs(about).min() > ROUND * float(np.abs(about).max()):
             continue
         before, here = float(time[i - 1]), float(time[i])
         slope = float(drive[i] - drive[i - 1]) / (here - before)
         at = 0.5 * (before + here) - 0.5 * slope / float(about[1])
         height = float(drive[i - 1]) + (at - before) * (slope + float(about[1]) * (at - here))
-        if abs(height - float(drive[i])) > least and before < at < float(time[i + 1]):
-            rows.append(i if at < here else i + 1)
-            when.append(at)
-            where.append(height)
-    added = {name: np.interp(when, time, signal) for name, signal in signals.items()}
-    return (
-        np.insert(time, rows, when),
-        {name: np.insert(signal, rows, added[name]) for name, signal in signals.items()},
-        {name: np.insert(mask, rows, False) for name, mask in good.items()},
-        np.insert(drive, rows, where),
-    )
+        earliest = max([before, *turns.time[-1:]])
+        if abs(height - float(drive[i])) > least and earliest < at < float(time[i + 1]):
+            turns.rows.append(i if at < here else i + 1)
+            turns.time.append(at)
+            turns.drive.append(height)
+    return turns
 
 
 def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Trouble]]:

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.diagnosis.record import Array, Record
@@ -87,7 +88,7 @@ def over_time(found: Diagnosis, k: int) -> Figure:
     grid = figure.subplots(
         2 * len(channels), 1, sharex=True, squeeze=False, height_ratios=[2, 1] * len(channels)
     )[:, 0]
-    keep = _spread(len(record.time), POINTS)
+    keep = _spread(np.flatnonzero(record.measured), POINTS)
     time = record.time[keep]
     for channel, above, below in zip(channels, grid[::2], grid[1::2], strict=True):
         measured, (before, after), unit = _of(found, k, channel)
@@ -118,7 +119,7 @@ def loop(found: Diagnosis, k: int) -> Figure:
     figure = Figure(figsize=(8.2, 3.8))
     pair = figure.subplots(1, 2, sharex=True, sharey=True)
     titles = (("before", found.baseline, VERMILION), ("after", found.extended, BLUE))
-    keep = _spread(len(record.time), POINTS)
+    keep = _spread(np.flatnonzero(record.measured), POINTS)
     for axes, (title, fit, colour) in zip(pair, titles, strict=True):
         signals = fit.simulated[k].signals
         simulated_x = x_factor * signals[across] if across in signals else x
@@ -145,7 +146,7 @@ def structure(found: Diagnosis) -> Figure:
         for axes, (label, values) in zip(row, _against(found, channel).items(), strict=True):
             for when, colour in ((0, VERMILION), (1, BLUE)):
                 off = _left(found, channel, when)
-                some = _spread(len(off), SCATTERED)
+                some = _spread(np.arange(len(off)), SCATTERED)
                 axes.plot(values[some], off[some], ".", color=colour, markersize=1.2, alpha=0.35)
                 axes.plot(*_medians(values, off), color=colour, marker="o", markersize=2.5)
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
@@ -244,6 +245,6 @@ def _shade(axes: Axes, record: Record) -> None:
         axes.axvspan(times[0], times[-1], color=SHADE, linewidth=0.0)
 
 
-def _spread(count: int, most: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Return at most about `most` of `count` rows, evenly spread."""
-    return np.arange(0, count, max(1, -(-count // most)))
+def _spread(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Return at most about `most` of the rows, evenly spread."""
+    return rows[:: max(1, -(-len(rows) // most))]

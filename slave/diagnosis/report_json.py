@@ -59,7 +59,7 @@ def tree(
         "next": words.next_steps(found),
         "troubles": [trouble._asdict() for trouble in found.troubles],
         "files": list(files),
-        "samples": [len(record.time) for record in found.bench.records],
+        "samples": [int(record.measured.sum()) for record in found.bench.records],
         "thinned": [record.thinned for record in found.bench.records],
         "seconds": seconds,
         "version": version("tendon-teleop"),

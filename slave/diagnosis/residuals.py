@@ -18,16 +18,17 @@ def write(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
         record = found.bench.records[k]
         panels = []
         for channel in record.compared:
-            measured = record.signals[channel]
+            rows = record.measured
+            measured = record.signals[channel][rows]
             models = {
-                ("before", BEFORE): found.baseline.simulated[k].signals[channel],
-                ("after", AFTER): found.extended.simulated[k].signals[channel],
+                ("before", BEFORE): found.baseline.simulated[k].signals[channel][rows],
+                ("after", AFTER): found.extended.simulated[k].signals[channel][rows],
             }
             title = f"{words.CHANNEL_WORDS[channel]} [{words.unit_of(channel)}]"
             lines = {("measured", MEASURED): measured} | models
             off = {key: measured - values for key, values in models.items()}
-            panels.append(_panel(f"{title}, {file}", record.time, lines))
-            panels.append(_panel(f"residual of {title}", record.time, off))
+            panels.append(_panel(f"{title}, {file}", record.time[rows], lines))
+            panels.append(_panel(f"residual of {title}", record.time[rows], off))
         columns.append(panels)
     save(path, words.sentence(found), columns)
 
