@@ -27,6 +27,7 @@ FRICTION = Parameter("K", "", 0.01, 5.0, 0.05)
 COMPLIANCE = Parameter("L/EA", "m/N", 1e-7, 2e-3, 5e-6)
 TIP = Parameter("tip compliance", "m/N", 0.0, 0.1, 1e-5)
 TAUT = Parameter("taut at", "m", -10.0, 10.0, 1e-5)  # of each record
+ASSUMED = 1e-4  # [m/N] L/EA where no travel was measured: tensions alone do not tell it
 TAUT_WITHIN = 3.0  # times the noise: a tension at the start that is none
 TIP_ZERO = Parameter("tip zero", "m", -10.0, 10.0, 1e-6)  # of each record
 
@@ -85,7 +86,7 @@ def simulate(
         On top, in this order.
     """
     K, *elastic = shared
-    compliance, tip = elastic if elastic else (1e-4, 0.0)
+    compliance, tip = elastic if elastic else (ASSUMED, 0.0)
     physics = Physics(np.full(len(record.time), K), compliance, even_weights(), tip)
     for effect, values in effects:
         physics = effect.physics(physics, values, scene)

@@ -1,9 +1,11 @@
 """A diagnosis in words: the verdict in one sentence, tables of text, and what to do next."""
 
+import re
 from collections.abc import Iterable, Sequence
 
 from estimator.diagnosis.bench import NOISE, tolerance
 from estimator.diagnosis.engine import EXPLAINED
+from estimator.diagnosis.model import ASSUMED
 from estimator.diagnosis.outcome import (
     Diagnosis,
     Fitnesses,
@@ -134,6 +136,11 @@ def next_steps(found: Diagnosis) -> list[str]:
     effects += [effect for name in found.ambiguous_with for effect in _named(name)[:1]]
     advice = {effect.advice: effect.name for effect in reversed(effects)}
     steps += [f"{name}: {words}" for words, name in reversed(advice.items())]
+    if found.bench.records[0].driver == PROXIMAL_TENSION and (rough := _with_lengths(found)):
+        steps.append(
+            f"Record the motor's travel: without it {', '.join(rough)} "
+            f"hold for an L/EA of {quantity(ASSUMED, 'm/N')} only."
+        )
     if found.verdict is Verdict.UNEXPLAINED and _unsure(found):
         steps.append(
             "Record for longer, with swings of several depths and speeds, so that a cause can be "
@@ -252,6 +259,11 @@ def _cause(found: Diagnosis, step: Step) -> str:
         for effect in _named(name)[:1]
     ]
     return " or ".join([first, *rivals])
+
+
+def _with_lengths(found: Diagnosis) -> list[str]:
+    """Return the parameters with a length in their unit."""
+    return [name for name, one in found.parameters.items() if re.search(r"\bm\b", one.unit)]
 
 
 def _unsure(found: Diagnosis) -> list[str]:

@@ -45,6 +45,18 @@ def test_a_named_cause_is_said_with_size_and_gain(found):
     assert words.next_steps(found) == [f"{FAULT}: {found.steps[0].effect.advice}"]
 
 
+def test_without_the_motor_s_travel_lengths_are_said_to_hold_for_an_elasticity_only(found):
+    viscous = found._replace(parameters={"viscous_friction.viscosity": Number(9, 8, 10, "N s/m")})
+    assert not any("travel" in line for line in words.next_steps(viscous))
+    (record,) = found.bench.records
+    tensions = type(record)(**vars(record) | {"driver": "proximal_tension"})
+    bench = found.bench._replace(records=(tensions,))
+    line = words.next_steps(viscous._replace(bench=bench))[-1]
+    assert "without it viscous_friction.viscosity hold for an L/EA of 0.1 mm/N only" in line
+    gain = found._replace(bench=bench, parameters={f"{FAULT}.gain": Number(0.1, 0.0, 0.2, "")})
+    assert len(words.next_steps(gain)) == 1
+
+
 def test_rivals_are_said_with_what_would_tell_them_apart(found):
     step = found.steps[0]._replace(rivals=(RIVAL,))
     unsure = found._replace(verdict=Verdict.AMBIGUOUS, steps=(step,), experiments=("weigh it",))
