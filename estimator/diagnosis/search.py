@@ -214,13 +214,18 @@ def _off_bounds(model: Model, scene: Scene) -> Model | None:
     whole records would not have led it to, and would not lead it away from. None if there is none.
     """
     *rest, (effect, values) = model.effects
-    usual = np.median(np.array(list(effect.starts(scene))), axis=0).tolist()
-    shape = tuple(
-        start if p.neutral is None and not p.jumps and _at_bound(value, p) else value
-        for value, start, p in zip(values, usual, effect.parameters, strict=True)
-    )
-    if shape == tuple(values):
+    stopped = [
+        p.neutral is None and not p.jumps and _at_bound(value, p)
+        for value, p in zip(values, effect.parameters, strict=True)
+    ]
+    starts = list(effect.starts(scene)) if any(stopped) else []
+    if not starts:
         return None
+    usual = np.median(np.array(starts), axis=0).tolist()
+    shape = tuple(
+        start if at_bound else value
+        for value, start, at_bound in zip(values, usual, stopped, strict=True)
+    )
     return model._replace(effects=(*rest, (effect, shape)))
 
 

@@ -1,5 +1,7 @@
 """Shapes of effects that a fit must not end in, and which of equal causes is named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,9 @@ def test_what_a_bound_has_stopped_begins_in_its_usual_shape_again(bench):
     def again(values):
         return _off_bounds(PLAIN._replace(effects=((STRIBECK_LATE, values),)), scene)
 
+    none = replace(STRIBECK_LATE, starts=lambda _: [])
+    stopped = PLAIN._replace(effects=((none, (0.17, 1.7e-3, 0.0201)),))
+    assert _off_bounds(stopped, scene) is None
     assert again((0.17, 1.7e-3, 0.1)) is None
     ((_, values),) = again((0.17, 1.7e-3, 0.0201)).effects
     assert values == pytest.approx((0.17, 1.7e-3, 0.15))
