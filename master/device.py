@@ -18,6 +18,8 @@ class HandState:
     stop: bool = False  # ... holds the emergency stop
     finer: bool = False  # ... holds the button for a smaller position scale
     coarser: bool = False  # ... for a larger one
+    weaker: bool = False  # ... for a smaller force scale
+    stronger: bool = False  # ... for a larger one
 
 
 class DeviceFault(Exception):

@@ -13,9 +13,13 @@ from master.device import HandState
 from teleop.errors import UsageError
 
 SLEW_S = 0.5  # [s] for a force scale to go to its new value
-STEP = 2.0**0.5  # by which a button changes the position scale
+STEP = 2.0**0.5  # by which a button changes a scale
 SCALES = (0.01, 1.0)  # within which buttons keep it
 KEYS = ("force.scale", "operator.lock", "operator.position_scale")
+BUTTONS = (  # that make a scale smaller and larger
+    ("operator.position_scale", "finer", "coarser"),
+    ("force.scale", "weaker", "stronger"),
+)
 
 
 class Live(NamedTuple):
@@ -24,7 +28,7 @@ class Live(NamedTuple):
     config: MasterConfig
     force_scale: float
     rate: float = 0.0  # [1/s] at which it goes there
-    held: bool = False  # a button that changes a setting
+    held: tuple[bool, ...] = (False, False)  # whether one of `BUTTONS` is, for each scale
 
     @property
     def settled(self) -> bool:
@@ -55,7 +59,7 @@ def change(live: Live, key: str, value: str) -> tuple[Live, str]:
         if name == "force.scale":
             wanted = replace(config.force, scale=_number("scale", value)).scale
             gap = abs(wanted - config.force.scale)
-            return Live(config, wanted, gap / SLEW_S), f"{name} = {wanted:g}"
+            return live._replace(force_scale=wanted, rate=gap / SLEW_S), f"{name} = {wanted:g}"
         if name == "operator.lock":
             operator = replace(config.operator, lock=_axes(value))
             told = str(list(operator.lock))
@@ -84,17 +88,29 @@ def _axes(text: str) -> tuple[int, ...]:
 def press(live: Live, hand: HandState | None) -> tuple[Live, str]:
     """Return the settings after a look at the device's buttons, and what one has changed.
 
-    A press counts once, and both at once count for nothing.
+    A press counts once, and both buttons of a scale at once count for nothing.
     """
-    held = hand is not None and (hand.finer or hand.coarser)
-    pressed = held and not live.held
-    live = live if held == live.held else live._replace(held=held)
-    if hand is None or not pressed or hand.finer == hand.coarser:
+    if hand is None:
         return live, ""
-    now = live.config.operator.position_scale
+    down = [(getattr(hand, less), getattr(hand, more)) for _, less, more in BUTTONS]
+    held, before = tuple(map(any, down)), live.held
+    if held == before:
+        return live, ""
+    live, told = live._replace(held=held), []
+    for (key, *_), (less, more), was in zip(BUTTONS, down, before, strict=True):
+        if less != more and not was:
+            live, words = change(live, key, f"{_stepped(_scale(live, key), less):.6g}")
+            told.append(words)
+    return live, ", ".join(told)
+
+
+def _scale(live: Live, key: str) -> float:
+    return live.force_scale if key == "force.scale" else live.config.operator.position_scale
+
+
+def _stepped(now: float, less: bool) -> float:
     low, high = min(SCALES[0], now), max(SCALES[1], now)
-    scale = min(max(now / STEP if hand.finer else now * STEP, low), high)
-    return change(live, "operator.position_scale", f"{scale:.6g}")
+    return min(max(now / STEP if less else now * STEP, low), high)
 
 
 def step(live: Live, dt: float) -> Live:

@@ -98,21 +98,40 @@ def test_any_text_at_all_is_a_value_or_a_usage_error(value, key):
     assert math.isfinite(after.force_scale)
 
 
-def test_a_press_of_a_button_changes_the_scale_once_and_within_bounds():
-    state = live.start(MasterConfig())
-    finer, coarser = (HandState((0.0,), (0.0,), True, **{n: True}) for n in ("finer", "coarser"))
-    rest = HandState((0.0,), (0.0,), True)
-    state, words = live.press(state, finer)
-    assert words == "operator.position_scale = 0.176777"
+def buttons(*held: str) -> HandState:
+    return HandState((0.0,), (0.0,), True, **dict.fromkeys(held, True))
+
+
+@pytest.mark.parametrize(
+    ("key", "less", "more", "first", "largest"),
+    [
+        ("operator.position_scale", "finer", "coarser", "0.176777", 1.0),
+        ("force.scale", "weaker", "stronger", "0.141421", 1.0),
+    ],
+)
+def test_a_press_of_a_button_changes_its_scale_once_and_within_bounds(
+    key, less, more, first, largest
+):
+    state, words = live.press(live.start(MasterConfig()), buttons(less))
+    assert words == f"{key} = {first}"
     for _ in range(100):
-        state, words = live.press(state, finer)
+        state, words = live.press(state, buttons(less))
         assert words == ""
-    for button, end in ((finer, 0.01), (coarser, 1.0)):
+    for button, end in ((less, 0.01), (more, largest)):
         for _ in range(40):
-            state, _ = live.press(state, rest)
-            state, _ = live.press(state, button)
-        assert state.config.operator.position_scale == end
-    state, _ = live.press(state, rest)
-    both = HandState((0.0,), (0.0,), True, finer=True, coarser=True)
-    assert live.press(state, both)[1] == ""
+            state, _ = live.press(state, buttons())
+            state, words = live.press(state, buttons(button))
+        assert words == f"{key} = {end:g}"
+    state, _ = live.press(state, buttons())
+    assert live.press(state, buttons(less, more))[1] == ""
     assert live.press(state, None)[1] == ""
+
+
+def test_a_press_of_a_button_of_each_scale_at_once_changes_both_and_no_force_jumps():
+    before = MasterConfig()
+    state, words = live.press(live.start(before), buttons("coarser", "weaker"))
+    assert words == "operator.position_scale = 0.353553, force.scale = 0.141421"
+    soon = live.step(state, 1e-3).config.force.scale
+    assert 0.99 * before.force.scale < soon < before.force.scale
+    away, _ = live.press(state, None)
+    assert live.press(away, buttons("coarser", "weaker"))[1] == ""  # the same press, still

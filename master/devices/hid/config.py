@@ -1,6 +1,6 @@
 """The config of a HID device: which one, and what its inputs do."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
 
@@ -47,18 +47,24 @@ class ButtonsConfig:
     stop: int | None = None  # emergency stop
     finer: int | None = None  # makes the position scale smaller by a step
     coarser: int | None = None  # ... larger
+    weaker: int | None = None  # makes the force scale smaller by a step
+    stronger: int | None = None  # ... larger
     find: str = ""  # the device that has them, as in `find` above; empty = the same one
 
     def __post_init__(self) -> None:
         """Refuse a button with two meanings."""
-        numbers = (self.engage, self.clutch, self.stop, self.finer, self.coarser)
-        given = [b for b in numbers if b is not None]
-        for name in ("engage", "clutch", "stop", "finer", "coarser"):
-            number = getattr(self, name)
-            if number is not None and not 1 <= number <= 128:
+        given = self.given
+        for name, number in given.items():
+            if not 1 <= number <= 128:
                 raise ValueError(f"{name}: must be within 1 ... 128")
-        if len(set(given)) != len(given):
-            raise ValueError("engage, clutch, stop, finer, coarser: must be different buttons")
+        if len(set(given.values())) != len(given):
+            raise ValueError(f"{', '.join(given)}: must be different buttons")
+
+    @property
+    def given(self) -> dict[str, int]:
+        """The buttons that there are: `HandState`'s name of each, and its number."""
+        numbers = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "find"}
+        return {name: number for name, number in numbers.items() if number is not None}
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,11 +38,7 @@ class Plan(NamedTuple):
     joints: int
     lanes: tuple[Lane, ...]
     forces: int
-    engage: int  # masks of buttons
-    clutch: int
-    stop: int
-    finer: int
-    coarser: int
+    buttons: tuple[tuple[str, int], ...]  # name in `HandState`, and mask
     smoothing: float  # [s]
 
 
@@ -70,9 +66,8 @@ def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, in
     DeviceFault
         The device does not have what the config asks for; the message names the key.
     """
-    for name in ("engage", "clutch", "stop", "finer", "coarser"):
-        number = getattr(config.buttons, name)
-        if number is not None and number > buttons:
+    for name, number in config.buttons.given.items():
+        if number > buttons:
             raise DeviceFault(
                 f"buttons.{name}: there is no button {number}; the device has {buttons or 'none'}"
                 + "; name another for them in buttons.find" * (not buttons)
@@ -85,11 +80,7 @@ def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, in
         joints=max(config.joints) + 1,
         lanes=lanes,
         forces=len(driver.forces),
-        engage=_mask(config.buttons.engage),
-        clutch=_mask(config.buttons.clutch),
-        stop=_mask(config.buttons.stop),
-        finer=_mask(config.buttons.finer),
-        coarser=_mask(config.buttons.coarser),
+        buttons=tuple((name, 1 << (n - 1)) for name, n in config.buttons.given.items()),
         smoothing=config.smoothing,
     )
 
@@ -116,13 +107,8 @@ def _lane(axis: AxisConfig, joint: int, driver: Driver, signs: Mapping[str, int]
     )
 
 
-def _mask(button: int | None) -> int:
-    return 0 if button is None else 1 << (button - 1)
-
-
 def _knows(plan: Plan, controls: Controls, switches: Controls) -> bool:
-    buttons = plan.engage | plan.clutch | plan.stop | plan.finer | plan.coarser
-    return not buttons & ~switches.known and not any(
+    return all(mask & switches.known for _, mask in plan.buttons) and not any(
         math.isnan(controls.axes[lane.axis]) for lane in plan.lanes if not lane.rate
     )
 
@@ -136,11 +122,9 @@ def step(
     plan: Plan, memory: Memory, controls: Controls, switches: Controls, dt: float
 ) -> tuple[HandState, Memory]:
     """Return the hand after `dt` [s]; `switches` are the controls that have the buttons."""
-    told = switches.buttons
-    clutch, stop = bool(plan.clutch & told), bool(plan.stop & told)
+    held = {name: bool(mask & switches.buttons) for name, mask in plan.buttons}
     knows = _knows(plan, controls, switches)
-    engage = bool(plan.engage & told) or not knows
-    driven = bool(plan.engage & told) and not clutch
+    driven = held["engage"] and not held.get("clutch", False)
     position, velocity = list(memory.position), [0.0] * plan.joints
     known = [False] * plan.joints
     for lane in plan.lanes:
@@ -160,11 +144,7 @@ def step(
     hand = HandState(
         position=tuple(position),
         velocity=tuple(velocity),
-        engage=engage,
-        clutch=clutch,
-        stop=stop,
-        finer=bool(plan.finer & told),
-        coarser=bool(plan.coarser & told),
+        **{**held, "engage": held["engage"] or not knows},
     )
     return hand, Memory(hand.position, hand.velocity, tuple(known), knows)
 

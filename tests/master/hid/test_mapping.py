@@ -105,13 +105,14 @@ def test_buttons_are_told_apart():
         assert said == tuple(bool(mask & bit) for bit in (ENGAGE, CLUTCH, STOP))
 
 
-def test_the_buttons_of_the_scale_are_told_and_only_those_that_are_given():
+@pytest.mark.parametrize(("less", "more"), [("finer", "coarser"), ("weaker", "stronger")])
+def test_the_buttons_of_a_scale_are_told_and_only_those_that_are_given(less, more):
     stick = AxisConfig("x", travel=0.1)
-    hand = Hand(stick, buttons=ButtonsConfig(engage=1, finer=2, coarser=4))
+    hand = Hand(stick, buttons=ButtonsConfig(engage=1, **{less: 2, more: 4}))
     told = [hand.read(0.0, buttons=bit) for bit in (1, 2, 4, 8, 2 | 8)]
-    assert [state.finer for state in told] == [False, True, False, False, True]
-    assert [state.coarser for state in told] == [False, False, False, True, True]
-    assert not Hand(stick).read(0.0, buttons=ALL).finer
+    assert [getattr(state, less) for state in told] == [False, True, False, False, True]
+    assert [getattr(state, more) for state in told] == [False, False, False, True, True]
+    assert not getattr(Hand(stick).read(0.0, buttons=ALL), less)
 
 
 def test_a_button_that_is_not_given_is_never_held():
