@@ -1,0 +1,61 @@
+"""What tests of the link share: links on free ports, and messages across them."""
+
+import itertools
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from teleop.link import Latest, Link, LinkConfig
+from teleop.link.presence import EXCLUSIVE
+from teleop.messages import Command
+from teleop.topics import COMMAND, Role
+
+MS = 1_000_000
+
+
+def free_config(**changes: Any) -> LinkConfig:
+    """A link on two loopback ports that nobody has."""
+    with socket.socket() as one, socket.socket() as two:
+        for probe in (one, two):
+            probe.bind(("127.0.0.1", 0))
+        ports = [probe.getsockname()[1] for probe in (one, two)]
+    endpoints = dict(zip(("master", "slave"), (f"tcp/127.0.0.1:{p}" for p in ports), strict=True))
+    return LinkConfig(**(endpoints | changes))
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.002)
+
+
+@contextmanager
+def session(config: LinkConfig, *roles: Role) -> Iterator[list[Link]]:
+    """Links of these roles, opened in this order, all of them knowing each other."""
+    with ExitStack() as stack:
+        links = [stack.enter_context(Link(config, "test", role)) for role in roles]
+        for one, two in itertools.permutations(links, 2):
+            if one.role in EXCLUSIVE or two.role in EXCLUSIVE:
+                wait_until(lambda one=one, two=two: one.present(two.role))
+        time.sleep(0.05)
+        yield links
+
+
+def pump(sender: Link, receiver: Link, count: int = 1) -> Latest[Command]:
+    """Publish commands until the receiver has let in `count` more."""
+    latest = receiver.latest(COMMAND)
+    goal = latest.counts.received + count
+
+    def heard() -> bool:
+        sender.publish(COMMAND, Command(state=1))
+        return receiver.latest(COMMAND).counts.received >= goal
+
+    wait_until(heard)
+    return latest
+
+
+def packed(sequence: int, sender: int = 7, stamp_ns: int = 0) -> bytes:
+    return Command().pack(sender, sequence, stamp_ns)

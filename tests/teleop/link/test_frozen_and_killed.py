@@ -1,0 +1,84 @@
+"""A peer in a process of its own, which is killed or frozen."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from teleop.clock import now_ns
+from teleop.link import Link, LinkConfig
+from teleop.messages import Event, SlaveState
+from teleop.topics import COMMAND, EVENT, STATE, Role
+from tests.conftest import ROOT
+from tests.teleop.link.bench import MS, wait_until
+
+PEER = """
+import sys, time
+from teleop.process import die_with_parent
+die_with_parent(int(sys.argv[3]))
+from teleop.link import Link, LinkConfig
+from teleop.messages import Command
+from teleop.topics import COMMAND, EVENT, STATE, Role
+with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "test", Role.MASTER) as link:
+    link.subscribe_latest(STATE)
+    listener = link.listen((EVENT,))
+    while True:
+        link.publish(COMMAND, Command())
+        time.sleep(0.001)
+"""
+
+
+@contextmanager
+def other_process(config: LinkConfig) -> Iterator[subprocess.Popen[bytes]]:
+    """A master in a process of its own."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", PEER, config.master, config.slave, str(os.getpid())],
+        cwd=ROOT,
+    )
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.kill()
+        process.wait()
+
+
+def test_a_killed_peer_is_gone_and_its_successor_welcome(config: LinkConfig) -> None:
+    with Link(config, "test", Role.SLAVE) as slave:
+        slave.subscribe_latest(COMMAND)
+        with other_process(config) as first:
+            wait_until(lambda: slave.latest(COMMAND).counts.received > 20)
+            first.send_signal(signal.SIGKILL)
+            wait_until(lambda: not slave.present(Role.MASTER), seconds=1.0)
+        with other_process(config):
+            wait_until(lambda: slave.latest(COMMAND).counts.restarts == 1)
+            wait_until(lambda: slave.present(Role.MASTER))
+
+
+def test_a_frozen_peer_grows_old_and_is_fresh_again_when_it_thaws(config: LinkConfig) -> None:
+    with Link(config, "test", Role.SLAVE) as slave:
+        slave.subscribe_latest(COMMAND)
+        with other_process(config) as master:
+            wait_until(lambda: slave.latest(COMMAND).counts.received > 100)
+            master.send_signal(signal.SIGSTOP)
+            wait_until(lambda: slave.latest(COMMAND).age_ns(now_ns()) > 300 * MS)
+            assert slave.present(Role.MASTER)
+            master.send_signal(signal.SIGCONT)
+            wait_until(lambda: slave.latest(COMMAND).is_fresh(now_ns(), 20 * MS))
+
+
+def test_publishing_to_a_frozen_peer_goes_on(config: LinkConfig) -> None:
+    with Link(config, "test", Role.SLAVE) as slave, other_process(config) as master:
+        wait_until(lambda: slave.latest(COMMAND).counts.received > 0)
+        time.sleep(0.1)  # for its subscriptions to be known here
+        master.send_signal(signal.SIGSTOP)
+        longest = 0.0
+        for _ in range(20_000):  # far more than all buffers on the way hold
+            for topic, message in ((STATE, SlaveState()), (EVENT, Event())):
+                began = time.monotonic()
+                slave.publish(topic, message)
+                longest = max(longest, time.monotonic() - began)
+        assert longest < 1.0  # one that waits for room does so for 5 s

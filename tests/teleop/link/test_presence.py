@@ -1,0 +1,58 @@
+"""Tokens of presence: what they say, and who has to leave."""
+
+import time
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from teleop.link.presence import EXCLUSIVE, Stage, Token, conflict, new_nonce
+from teleop.topics import Role
+
+TOKENS = st.builds(
+    Token,
+    role=st.sampled_from(list(Role)),
+    layout=st.sampled_from([1, 2]),
+    nonce=st.integers(0, 2**64 - 1),
+    stage=st.sampled_from(list(Stage)),
+    relayed=st.booleans(),
+)
+
+
+@given(TOKENS)
+def test_a_token_survives_its_key(token: Token) -> None:
+    assert Token.from_key(token.key("demo")) == token
+
+
+@given(st.text())
+def test_a_foreign_key_is_no_token(text: str) -> None:
+    assert Token.from_key(f"teleop/x/@/{text}") is None or text.count("/") >= 3
+
+
+@given(TOKENS, TOKENS)
+def test_of_two_that_cannot_both_be_there_exactly_one_leaves(one: Token, two: Token) -> None:
+    both = one.role in EXCLUSIVE and two.role in EXCLUSIVE and one.nonce != two.nonce
+    clash = both and (one.role == two.role or one.layout != two.layout)
+    leaves = [conflict(one, [two]) is not None, conflict(two, [one]) is not None]
+    if both:
+        assert sum(leaves) == clash
+    if clash and one.stage != two.stage:
+        assert leaves[one.stage < two.stage] == 0 or leaves[0] == (one.stage < two.stage)
+        assert leaves[0] == (one.stage < two.stage)
+
+
+@given(TOKENS, TOKENS)
+def test_listeners_make_nobody_leave_and_leave_only_for_another_layout(
+    one: Token, two: Token
+) -> None:
+    if two.role not in EXCLUSIVE:
+        assert conflict(one, [two]) is None
+    if one.role not in EXCLUSIVE and two.role in EXCLUSIVE and one.nonce != two.nonce:
+        assert (conflict(one, [two]) is not None) == (one.layout != two.layout)
+
+
+def test_nonces_differ_and_grow() -> None:
+    drawn = []
+    for _ in range(200):
+        drawn.append(new_nonce())
+        time.sleep(1e-5)
+    assert drawn == sorted(set(drawn))

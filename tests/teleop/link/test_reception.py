@@ -1,0 +1,157 @@
+"""The bookkeeping of arrivals: what is let in, what is counted, how old it is."""
+
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from teleop.link import NEVER_NS, Counts, Latest
+from teleop.link.reception import DRIFT, Reception
+from teleop.messages import Command, SlaveState
+from teleop.topics import COMMAND
+from tests.teleop.link.bench import MS, packed
+
+
+def total(counts: Counts) -> int:
+    return counts.received + counts.rejected
+
+
+@given(st.lists(st.integers(1, 40), max_size=60), st.randoms(use_true_random=False))
+def test_every_arrival_is_counted_once_and_what_is_let_in_only_ever_gets_newer(
+    sequences: list[int], chance: random.Random
+) -> None:
+    reception = Reception(COMMAND, visit=lambda nonce: nonce == 7)
+    admitted, damaged = [], 0
+    for sequence in sequences:
+        data = packed(sequence)
+        if chance.random() < 0.2:
+            position = chance.randrange(len(data))
+            data = data[:position] + bytes([data[position] ^ 0x10]) + data[position + 1 :]
+            damaged += 1
+        head = reception.admit(data)
+        if head is not None:
+            admitted.append(head.sequence)
+    counts = reception.counts
+    assert admitted == sorted(set(admitted))
+    assert total(counts) == len(sequences)
+    assert counts.corrupted + counts.layout == damaged
+    if admitted:
+        missing = set(range(admitted[0], admitted[-1])) - set(admitted)
+        assert counts.lost == len(missing)
+
+
+def test_a_gap_behind_a_full_channel_is_overwritten_not_lost() -> None:
+    reception = Reception(COMMAND, visit=lambda _: True)
+    reception.admit(packed(1))
+    reception.admit(packed(5), overflowed=True)
+    reception.admit(packed(8))
+    assert (reception.counts.overwritten, reception.counts.lost) == (3, 2)
+
+
+def test_another_sender_is_let_in_only_when_ours_is_gone_and_it_is_announced() -> None:
+    there = {7}
+    reception = Reception(COMMAND, visit=lambda nonce: nonce in there)
+    assert reception.admit(packed(1, sender=9)) is None  # unknown so far: passed over
+    assert reception.counts == Counts(unknown=1)
+    assert reception.counts.rejected == 0
+    assert reception.admit(packed(5, sender=7))
+    there.add(9)
+    assert reception.admit(packed(100, sender=9)) is None
+    assert reception.counts.foreign == 1
+    there.discard(7)
+    assert reception.admit(packed(1, sender=9))
+    assert reception.admit(packed(6, sender=7)) is None
+    assert reception.counts == Counts(received=2, restarts=1, foreign=2, unknown=1)
+
+
+def test_a_message_of_another_topic_or_layout_is_counted_as_layout() -> None:
+    reception = Reception(COMMAND, visit=lambda _: True)
+    assert reception.admit(SlaveState().pack(7, 1, 0)) is None
+    assert reception.admit(b"") is None
+    assert reception.counts.layout == 2
+
+
+def test_no_message_is_older_than_any_limit() -> None:
+    latest = Latest(COMMAND, visit=lambda _: True)
+    assert latest.age_ns(0) == NEVER_NS
+    assert not latest.is_fresh(0, 10**18)
+    latest.take([], 5, overflowed=False)
+    assert not latest.new
+
+
+@pytest.mark.parametrize("offset_ns", [0, -5_000_000_000_000, 123_456_789])
+def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
+    offset_ns: int,
+) -> None:
+    """Against a simulated wire on which the true age of every message is known."""
+    chance = random.Random(1)  # noqa: S311 - a wire, not a secret
+    latest = Latest(COMMAND, visit=lambda _: True)
+    quickest = 200_000
+    in_flight: list[tuple[int, int]] = []  # (arrives, sent), on our clock
+    newest_sent = None
+    for tick in range(3000):
+        now = tick * MS
+        stalled = 1000 <= tick < 1300
+        delay = quickest + int(chance.expovariate(1e-5)) + (1300 - tick) * MS * stalled
+        in_flight.append((now + delay, now))
+        arrived = sorted(m for m in in_flight if m[0] <= now)
+        in_flight = [m for m in in_flight if m[0] > now]
+        data = [packed(sent // MS + 1, stamp_ns=sent + offset_ns) for _, sent in arrived]
+        latest.take(sorted(data, key=lambda d: Command.unpack(d).sequence), now, overflowed=False)
+        if arrived:
+            newest_sent = max([newest_sent or 0, *(sent for _, sent in arrived)])
+        if tick > 100 and newest_sent is not None:
+            truth = now - newest_sent
+            age = latest.age_ns(now)
+            slack = 3 * MS + 300 * MS // DRIFT  # one poll, the quickest way, the drift of a stall
+            assert truth - slack <= age <= truth + slack
+
+
+def test_a_message_that_was_held_up_is_old_when_it_arrives() -> None:
+    latest = Latest(COMMAND, visit=lambda _: True)
+    for k in range(100):
+        latest.take([packed(k + 1, stamp_ns=k * MS)], k * MS, overflowed=False)
+    assert latest.is_fresh(99 * MS, 2 * MS)
+    latest.take([packed(101, stamp_ns=100 * MS)], 600 * MS, overflowed=False)
+    assert latest.new
+    assert not latest.is_fresh(600 * MS, 400 * MS)
+    latest.take([packed(700, stamp_ns=601 * MS)], 601 * MS, overflowed=False)
+    assert latest.is_fresh(601 * MS, 2 * MS)
+
+
+def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
+    there = {7}
+    latest = Latest(COMMAND, visit=lambda nonce: nonce in there)
+    latest.take([packed(1, sender=7, stamp_ns=10**15)], 0, overflowed=False)
+    there.symmetric_difference_update({7, 9})
+    latest.take([packed(1, sender=9, stamp_ns=0)], 10 * MS, overflowed=False)
+    assert latest.age_ns(10 * MS) == 0
+
+
+@pytest.mark.parametrize("gain", [0.0005, -0.0005])
+def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain: float) -> None:
+    """The most that NTP slews, for ten minutes: 0.3 s between the clocks in the end."""
+    latest = Latest(COMMAND, visit=lambda _: 1)
+    for k in range(60_000):
+        now = k * 10 * MS
+        data = packed(k + 1, stamp_ns=round(now * (1.0 - gain)))
+        latest.take([data], now, overflowed=False)
+        assert latest.is_fresh(now, 1 * MS)
+
+
+def test_a_peer_that_slept_is_fresh_again_once_its_token_has_come_back() -> None:
+    visit = {7: 1}
+    latest = Latest(COMMAND, visit=lambda nonce: visit[nonce])
+    slept = 10_000 * MS
+    latest.take([packed(1, stamp_ns=0)], 0, overflowed=False)
+    visit[7] = 0
+    latest.take([packed(2, stamp_ns=MS)], slept, overflowed=False)
+    assert not latest.is_fresh(slept, 9_000 * MS)  # until then it is taken for held up
+    visit[7] = 2
+    for k in range(3, 10):
+        now = slept + k * MS
+        latest.take([packed(k, stamp_ns=k * MS)], now, overflowed=False)
+        assert latest.is_fresh(now, MS)
+    latest.take([packed(10, stamp_ns=10 * MS)], slept + 510 * MS, overflowed=False)
+    assert not latest.is_fresh(slept + 510 * MS, 400 * MS)  # what is held up is old as before

@@ -1,0 +1,116 @@
+"""Whoever must not be there, beside one who is: the second master, another version."""
+
+import threading
+
+import pytest
+
+from teleop.errors import PeerError
+from teleop.link import Link, LinkConfig
+from teleop.link import link as link_module
+from teleop.link.presence import Stage, Token
+from teleop.messages import LAYOUT
+from teleop.topics import Role
+from tests.teleop.link.bench import free_config, pump, session, wait_until
+
+
+@pytest.mark.usefixtures("true_settling")
+def test_a_second_master_on_the_same_endpoint_is_refused(config: LinkConfig) -> None:
+    with (
+        session(config, Role.SLAVE, Role.MASTER) as (_, master),
+        pytest.raises(PeerError, match=r"session 'test' has a master already"),
+        Link(config, "test", Role.MASTER),
+    ):
+        pass
+    assert master.role == Role.MASTER
+
+
+@pytest.mark.usefixtures("true_settling")
+def test_a_second_slave_is_refused(config: LinkConfig) -> None:
+    with (
+        Link(config, "test", Role.SLAVE),
+        pytest.raises(PeerError, match=r"session 'test' has a slave already"),
+        Link(config, "test", Role.SLAVE),
+    ):
+        pass
+
+
+@pytest.mark.usefixtures("true_settling")
+def test_a_second_master_from_another_machine_is_refused_and_the_first_stays(
+    config: LinkConfig,
+) -> None:
+    elsewhere = free_config(slave=config.slave)
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
+        late = Link(elsewhere, "test", Role.MASTER)
+        late.nonce = 1  # its clock is far behind, so it looks the oldest
+        late._token = Token(Role.MASTER, LAYOUT, 1, Stage.CLAIM)
+        with pytest.raises(PeerError, match=r"has a master already"), late:
+            pass
+        for link in (slave, master):
+            link.check_peers()
+        pump(master, slave)
+
+
+@pytest.mark.usefixtures("true_settling")
+def test_of_two_masters_started_at_once_one_runs(config: LinkConfig) -> None:
+    with Link(config, "test", Role.SLAVE):
+        for _ in range(3):
+            opened, refused = [], []
+            barrier = threading.Barrier(2)
+
+            def start(
+                mine: LinkConfig,
+                opened: list[Link] = opened,
+                refused: list[PeerError] = refused,
+                barrier: threading.Barrier = barrier,
+            ) -> None:
+                link = Link(mine, "test", Role.MASTER)
+                barrier.wait()
+                try:
+                    opened.append(link.__enter__())
+                except PeerError as error:
+                    refused.append(error)
+
+            threads = [
+                threading.Thread(target=start, args=(c,))
+                for c in (config, free_config(slave=config.slave))
+            ]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            for link in opened:
+                link.__exit__(None, None, None)
+            assert (len(opened), len(refused)) == (1, 1)
+
+
+def test_two_masters_that_met_only_later_are_told_apart_while_running(config: LinkConfig) -> None:
+    other = free_config(slave=config.slave)
+    with Link(config, "test", Role.MASTER) as older, Link(other, "test", Role.MASTER) as younger:
+        for link in (older, younger):
+            link.check_peers()
+        with Link(config, "test", Role.SLAVE):
+
+            def younger_is_refused() -> bool:
+                try:
+                    younger.check_peers()
+                except PeerError:
+                    return True
+                return False
+
+            wait_until(younger_is_refused)
+            older.check_peers()
+
+
+@pytest.mark.parametrize("role", [Role.MASTER, Role.RECORDER])
+@pytest.mark.usefixtures("true_settling")
+def test_another_message_layout_is_refused_with_both_numbers(
+    config: LinkConfig, monkeypatch: pytest.MonkeyPatch, role: Role
+) -> None:
+    with Link(config, "test", Role.SLAVE) as slave:
+        monkeypatch.setattr(link_module, "LAYOUT", 0xABCDEF01)
+        with (
+            pytest.raises(PeerError, match=rf"{LAYOUT:08x}.*abcdef01.*same version"),
+            Link(config, "test", role),
+        ):
+            pass
+        slave.check_peers()

@@ -1,0 +1,251 @@
+"""Links to each other, on loopback."""
+
+import itertools
+import socket
+import time
+from typing import Any
+
+import pytest
+
+from teleop.clock import now_ns
+from teleop.errors import PeerError, UsageError
+from teleop.link import Counts, Link, LinkConfig
+from teleop.link.config import Endpoint
+from teleop.link.listener import Listener
+from teleop.link.network import open_session
+from teleop.link.ping_pong import ping_pong
+from teleop.link.presence import Stage, Token, new_nonce
+from teleop.messages import LAYOUT, Command, Event, LoopReport, SlaveState, text_bytes
+from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, Role
+from tests.teleop.link.bench import MS, free_config, packed, pump, session, wait_until
+
+
+def test_messages_cross_whole_and_in_order(config: LinkConfig) -> None:
+    with session(config, Role.SLAVE, Role.MASTER, Role.RECORDER) as (slave, master, recorder):
+        for link, topic in ((slave, COMMAND), (master, STATE)):
+            link.subscribe_latest(topic)
+        listener = recorder.listen(TOPICS)
+        time.sleep(0.1)
+        sent = []
+        for k in range(50):
+            stamp = master.publish(COMMAND, Command(state=k, position=(k * 0.5,) * 8))
+            slave.publish(STATE, SlaveState(joints=k, echo_stamp_ns=stamp))
+            sent.append(stamp)
+            time.sleep(0.002)
+        slave.publish(EVENT, Event(role=Role.SLAVE, text=text_bytes("ready")))
+        master.publish(REPORT, LoopReport(role=Role.MASTER))
+        slave.publish(REPORT, LoopReport(role=Role.SLAVE))
+
+        wait_until(lambda: slave.latest(COMMAND).counts.received > 0)
+        wait_until(lambda: master.latest(STATE).counts.received > 0)
+        command, state = slave.latest(COMMAND).message, master.latest(STATE).message
+        assert command is not None
+        assert state is not None
+        assert command.sender == master.nonce
+        assert command.stamp_ns == sent[command.sequence - 1]
+        assert command.state == command.sequence - 1
+        assert command.position == (command.state * 0.5,) * 8
+        assert state.echo_stamp_ns == sent[state.joints]
+
+        heard: list[Any] = []
+        wait_until(lambda: heard.extend(listener.drain()) or listener.counts(REPORT).received == 2)
+        assert {h.sender for h in heard if h.topic == REPORT} == {master.nonce, slave.nonce}
+        commands = [h for h in heard if h.topic == COMMAND]
+        assert len(commands) > 25
+        assert [h.sequence for h in commands] == sorted({h.sequence for h in commands})
+        for h in commands:
+            assert Command.unpack(h.data).state == h.sequence - 1
+            assert h.stamp_ns == sent[h.sequence - 1]
+            assert h.sender == master.nonce
+            assert h.received_ns >= h.stamp_ns - MS
+        counts = listener.counts(COMMAND)
+        first, last = commands[0].sequence, commands[-1].sequence
+        assert counts == Counts(received=len(commands), lost=last - first + 1 - len(commands))
+
+
+def test_new_is_true_for_one_look_and_age_grows_until_the_next_message(config: LinkConfig) -> None:
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
+        latest = pump(master, slave)
+        assert latest.new
+        time.sleep(0.2)  # what is still on its way
+        slave.latest(COMMAND)
+        assert not slave.latest(COMMAND).new
+        first = latest.age_ns(now_ns())
+        time.sleep(0.05)
+        assert slave.latest(COMMAND).age_ns(now_ns()) >= first + 50 * MS
+
+
+def test_a_late_look_finds_the_newest_and_calls_the_rest_overwritten(config: LinkConfig) -> None:
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
+        pump(master, slave)
+        time.sleep(0.05)
+        slave.latest(COMMAND)
+        before = slave.latest(COMMAND).counts.received
+        for k in range(100):
+            master.publish(COMMAND, Command(state=k))
+            time.sleep(0.0005)
+        time.sleep(0.1)
+        latest = slave.latest(COMMAND)
+        assert latest.message is not None
+        assert latest.message.state > 90
+        assert latest.counts.overwritten >= 75
+        assert latest.counts.lost <= 10
+        assert latest.counts.received - before <= 16
+        assert slave.counts() == latest.counts
+
+
+def test_sessions_on_the_same_endpoints_do_not_hear_each_other(config: LinkConfig) -> None:
+    with Link(config, "one", Role.SLAVE) as slave, Link(config, "two", Role.MASTER) as master:
+        slave.subscribe_latest(COMMAND)
+        for _ in range(50):
+            master.publish(COMMAND, Command())
+            time.sleep(0.002)
+        assert slave.latest(COMMAND).message is None
+        assert not slave.present(Role.MASTER)
+        assert not master.present(Role.SLAVE)
+
+
+def test_without_a_peer_publishing_is_quiet_and_the_peer_is_found_when_it_comes(
+    config: LinkConfig,
+) -> None:
+    with Link(config, "test", Role.MASTER) as master:
+        for _ in range(100):
+            master.publish(COMMAND, Command())
+        assert not master.present(Role.SLAVE)
+        master.check_peers()
+        with Link(config, "test", Role.SLAVE) as slave:
+            wait_until(lambda: master.present(Role.SLAVE))
+            pump(master, slave)
+        wait_until(lambda: not master.present(Role.SLAVE))
+        for _ in range(100):
+            master.publish(COMMAND, Command())
+        with Link(config, "test", Role.SLAVE) as slave:
+            pump(master, slave)
+
+
+def test_a_restarted_master_is_taken_up_again_and_counted(config: LinkConfig) -> None:
+    with Link(config, "test", Role.SLAVE) as slave:
+        with Link(config, "test", Role.MASTER) as master:
+            pump(master, slave, 20)
+        with Link(config, "test", Role.MASTER) as master:
+            latest = pump(master, slave, 3)
+            assert latest.message is not None
+            assert latest.message.sender == master.nonce
+        assert latest.counts.restarts == 1
+        assert latest.counts.foreign == 0
+        assert latest.counts.lost == 0
+
+
+def test_a_machine_that_slept_is_not_silent_after_it_has_come_back(config: LinkConfig) -> None:
+    """The same process as far as anyone can tell, its clock ten seconds behind."""
+    nonce, sequence = new_nonce(), itertools.count(1)
+    with Link(config, "test", Role.SLAVE) as slave:
+        latest = slave.subscribe_latest(COMMAND)
+        for behind_ns in (0, 10_000 * MS):
+            master = Link(config, "test", Role.MASTER)
+            master.nonce = nonce
+            master._token = Token(Role.MASTER, LAYOUT, nonce, Stage.CLAIM)
+            with master:
+
+                def fresh(master: Link = master, behind_ns: int = behind_ns) -> bool:
+                    stamp = now_ns() - behind_ns
+                    master.publish_raw(COMMAND, Command().pack(nonce, next(sequence), stamp))
+                    time.sleep(0.002)
+                    slave.latest(COMMAND)
+                    return latest.new and latest.is_fresh(now_ns(), 20 * MS)
+
+                wait_until(fresh, seconds=5.0)
+            wait_until(lambda: not slave.present(Role.MASTER))
+        assert latest.counts.restarts == 0
+
+
+def test_what_an_intruder_puts_on_the_key_is_counted_and_kept_out(config: LinkConfig) -> None:
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
+        latest = pump(master, slave)
+        with open_session(config, [], [config.slave]) as intruder:
+            put = intruder.declare_publisher("teleop/test/command").put
+            genuine = Command(state=2).pack(master.nonce, 10**6, now_ns())
+
+            def counted() -> tuple[int, ...]:
+                counts = slave.latest(COMMAND).counts
+                return counts.layout, counts.corrupted, counts.foreign
+
+            for data, expected in (
+                (b"", (1, 0, 0)),
+                (b"\0" * 5000, (2, 0, 0)),
+                (genuine[:-1] + b"\x01", (2, 1, 0)),
+                (Command(state=2).pack(12345, 10**6, now_ns()), (2, 1, 1)),
+            ):
+
+                def inject(data: bytes = data, expected: tuple[int, ...] = expected) -> bool:
+                    if counted() != expected:
+                        put(data)
+                        time.sleep(0.02)
+                    return counted() == expected
+
+                wait_until(inject)
+        assert latest.message is not None
+        assert latest.message.sender == master.nonce
+        assert latest.message.state == 1
+
+
+def test_a_port_of_someone_else_is_named_with_a_remedy(config: LinkConfig) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", Endpoint.parse(config.slave).port))
+        other.listen()
+        with pytest.raises(UsageError) as caught, Link(config, "test", Role.SLAVE):
+            pass
+    assert not isinstance(caught.value, PeerError)
+    assert config.slave in str(caught.value)
+    assert "another process has this port" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_address_of_another_machine_is_named_with_a_remedy() -> None:
+    config = free_config(slave="tcp/192.0.2.1:7448", insecure_plaintext_off_loopback=True)
+    with (
+        pytest.raises(UsageError, match=r"192\.0\.2\.1:7448.*does not have that address"),
+        Link(config, "test", Role.SLAVE),
+    ):
+        pass
+
+
+def test_a_closed_link_leaves_its_port_free(config: LinkConfig) -> None:
+    for _ in range(3):
+        with Link(config, "test", Role.SLAVE):
+            pass
+
+
+def test_a_role_publishes_only_its_own_topics(config: LinkConfig) -> None:
+    with Link(config, "test", Role.SLAVE) as slave:
+        with pytest.raises(ValueError, match="hand is published by"):
+            slave.publish(HAND, HAND.message())
+        with pytest.raises(ValueError, match="several publishers"):
+            slave.subscribe_latest(EVENT)
+
+
+def test_a_listener_that_never_drains_keeps_a_bounded_backlog(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("teleop.link.listener.BACKLOG", 10)
+    listener = Listener(lambda *_: True)
+
+    class Sample:
+        def __init__(self, data: bytes) -> None:
+            self.payload = self
+            self.to_bytes = lambda: data
+
+    store: Any = listener.store(COMMAND)
+    store(Sample(packed(1)))
+    assert len(listener.drain()) == 1
+    for k in range(2, 102):
+        store(Sample(packed(k)))
+    assert [h.sequence for h in listener.drain()] == list(range(92, 102))
+    assert listener.counts(COMMAND) == Counts(received=11, lost=90)
+
+
+def test_the_yardstick_measures_and_cleans_up() -> None:
+    result = ping_pong(Command.schema.size, SlaveState.schema.size, 50)
+    assert result["n"] > 0
+    assert 0.0 < result["one_way_p50_ms"] < result["p50_ms"]
+    assert result["p50_ms"] <= result["p99_ms"] <= result["p99_9_ms"]
