@@ -32,6 +32,7 @@ from estimator.sliding import ROWS, slide
 Array = NDArray[np.float64]
 
 _SMALLEST = 1.0 / 8.0  # of a step
+_APPROACH = 12  # steps from each of the turns before the first sample to the next
 _PIECE = 0.5  # of a sample: contacts that let go as they slide do so within it
 _STIFF = 1e12  # [N/m]
 
@@ -71,6 +72,7 @@ class Physics(NamedTuple):
     mass: float = 0.0  # [kg] at the tip
     damping: float = 0.0  # [N s/m] at the tip
     start: float = 0.0  # [N] all along the tendon before the first sample
+    earlier: Array = np.empty(0)  # [m] or [N] from the first sample, where the drive turned before
 
 
 class Motion(NamedTuple):
@@ -184,9 +186,24 @@ def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced:
     samples[:, OFFSET], samples[:, COMPLIANCE] = physics.tip_offset, physics.tip_compliance
     samples[:, TARGET], samples[:, SPEED] = drive, rate
     memory = start(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
+    if len(physics.earlier):
+        _approach(constants, memory, samples[0], physics.earlier, forced=forced)
     return Motion(
         *np.ascontiguousarray(advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST).T)
     )
+
+
+def _approach(
+    constants: Array, memory: Array, first: Array, earlier: Array, *, forced: bool
+) -> None:
+    """Take a tendon from its start over earlier turns to the first sample, slowly, in place."""
+    turns = np.concatenate([[0.0], np.maximum(first[TARGET] + earlier, 0.0), [first[TARGET]]])
+    way = np.interp(
+        np.arange(1, _APPROACH * (len(turns) - 1) + 1) / _APPROACH, range(len(turns)), turns
+    )
+    samples = np.repeat(first[None], len(way), axis=0)
+    samples[:, DT], samples[:, TARGET], samples[:, SPEED] = 1.0, way, 0.0
+    advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST)
 
 
 @compiled

@@ -68,7 +68,7 @@ EXPLAINED = 0.25  # of what noise does not explain, that may be left of a cause 
 FURTHER = 2.5  # times the tolerance: an error that is worth another cause
 AHEAD = 1.5  # times as cheap as any other: a cause that is followed although not worth it alone
 LAST = 12  # rounds of the fit to all samples
-LOPSIDED = 4.0  # times the mean square of the other half
+BRIEF = 0.8  # of what is wrong, in two blocks
 
 
 def quiet(_what: str, _share: float) -> None:
@@ -112,7 +112,7 @@ def diagnose(
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
         bench = bench_of(noisy)
         plain = baseline(bench)
-    if _lopsided(bench, plain):
+    if _brief(bench, plain):
         bench = bench_of([in_short_blocks(record) for record in bench.records])
         plain = baseline(bench)
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
@@ -205,13 +205,19 @@ def _again(record: Record, bench: Bench, fit: Fit) -> Callable[[Record], Simulat
     return again
 
 
-def _lopsided(bench: Bench, plain: Fit) -> bool:
-    """Return whether what is wrong is nearly all in the blocks of one half, fitted or held out."""
-    fitted, held_out = (
-        max(one.mean for one in errors(bench, plain, held_out=half).values())
-        for half in (False, True)
-    )
-    return not LOPSIDED * fitted > held_out > fitted / LOPSIDED
+def _brief(bench: Bench, plain: Fit) -> bool:
+    """Return whether what is wrong is nearly all in one block, or in two side by side."""
+    most = total = 0.0
+    for record, one in zip(bench.records, plain.simulated, strict=True):
+        excess = np.zeros(record.block[-1] + 1)
+        for channel in record.compared:
+            good = record.good[channel]
+            off = (one.signals[channel] - record.signals[channel])[good] / record.noise[channel]
+            excess += np.bincount(record.block[good], off**2 - 1.0, len(excess))
+        excess = np.maximum(excess, 0.0)
+        most = max(most, float(np.convolve(excess, np.ones(2)).max()))
+        total += float(excess.sum())
+    return most > BRIEF * total
 
 
 def _is_all(bench: Bench, fit: Fit, plain: Fit) -> bool:

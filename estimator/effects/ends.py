@@ -1,6 +1,6 @@
 """Effects at the ends of a tendon: its start, the joint, and what moves the tip."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -32,7 +32,30 @@ PRETENSION = Effect(
     advice="Begin each record with a full pull and release; that wipes the start out.",
     starts=lambda scene: [(float(scene.measured[PROXIMAL_TENSION][0]),), (2.0,), (6.0,)],
     physics=lambda physics, values, _: physics._replace(start=values[0]),
+    where="the same all along",
 )
+
+
+def _left_by(way: str, where: str, came_from: Callable[[float, float], list[float]]) -> Effect:
+    """Return the pretension that motion before the record has left behind in the sheath."""
+    return Effect(
+        name="pretension",
+        cause=f"the record begins in the midst of motion, after a {way} that the sheath remembers",
+        equation=f"before the first sample the motor came from further {where}, by a share of its "
+        "range in the record (the tension did, where there is no travel)",
+        parameters=(Parameter("share", "", 0.0, 1.0, 0.01, None),),
+        source=PRETENSION.source,
+        advice=PRETENSION.advice,
+        starts=lambda _: [(share,) for share in (0.01, 0.04, 0.2)],
+        physics=lambda physics, values, scene: physics._replace(
+            earlier=np.array(came_from(values[0], float(np.ptp(scene.drive))))
+        ),
+        where=f"left by a {way}",
+    )
+
+
+PRETENSION_PULLED = _left_by("pull", "out", lambda share, span: [share * span])
+PRETENSION_RELEASED = _left_by("release", "in", lambda share, span: [span, -share * span])
 
 
 def play(travel: Array, width: float) -> Array:
@@ -194,6 +217,8 @@ TIP_MOVED_BACK = Effect(
 
 EFFECTS = (
     PRETENSION,
+    PRETENSION_PULLED,
+    PRETENSION_RELEASED,
     JOINT_BACKLASH,
     JOINT_FRICTION,
     ANTAGONIST_TENSION,

@@ -62,6 +62,23 @@ def test_a_tension_drives_it_as_the_travel_did_that_made_it(effect):
     assert np.abs(again.proximal_displacement - done.proximal_displacement).max() < 1e-9
 
 
+@pytest.mark.parametrize("turns", [1, 2], ids=["in a release", "in a pull"])
+@pytest.mark.parametrize("by", ["travel", "tension"])
+def test_a_record_may_begin_in_the_midst_of_motion(by, turns):
+    travel = nested(2e-3, least=0.45)
+    T_in, T_out, _ = through(chain(), travel, [Position(0.0)] * len(travel))
+    at = (np.flatnonzero(np.diff(np.sign(np.diff(travel)))) + 1)[:turns]
+    begin = at[-1] + 15
+    drive, run = {"travel": (travel, by_travel), "tension": (T_in, by_tension)}[by]
+    rest, time = drive[begin:], TIME[begin:]
+    slow = np.zeros_like(rest)
+    done = run(physics(earlier=drive[at] - rest[0]), time, rest, slow)
+    assert np.abs(done.distal_tension - T_out[begin:]).max() < 0.002 * T_in.max()
+    assert np.abs(done.proximal_tension - T_in[begin:]).max() < 0.006 * T_in.max()
+    without = run(physics(), time, rest, slow)
+    assert np.abs(without.distal_tension - T_out[begin:]).max() > 0.05 * T_in.max()
+
+
 @pytest.mark.parametrize(
     ("effect", "beads"),
     [({}, {}), ({"drag": 0.6}, {"drag": 0.6}), ({"asymmetry": 0.7}, {"asymmetry": 0.7})],
