@@ -204,6 +204,7 @@ def _approach(
     samples = np.repeat(first[None], len(way), axis=0)
     samples[:, DT], samples[:, TARGET], samples[:, SPEED] = 1.0, way, 0.0
     advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST)
+    memory[_V] = memory[_A] = 0.0
 
 
 @compiled

@@ -25,6 +25,7 @@ from estimator.diagnosis.bench import (
     simulated,
 )
 from estimator.diagnosis.fit import improved, moved, slopes_of
+from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.record import thin
 from estimator.diagnosis.score import Errors, errors
 from estimator.effects.effect import Effect, Parameter, Scene, Values
@@ -137,6 +138,7 @@ def promised(
     """
     r = residual(bench, fit)
     J = slopes_of(bench, about, fit)
+    J[:, ~Layout(bench, fit.model).smooth] = 0.0  # no slope leads to when something happened
     solve = np.linalg.pinv(J)
     without = cost(bench, fit)
     begin = [(effect, values) for effect in effects for values in effect.starts(about[0])]

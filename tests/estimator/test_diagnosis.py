@@ -4,9 +4,19 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import record
-from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis.bench import (
+    bench_of,
+    cost,
+    rescaled,
+    scenes,
+    scenes_without,
+    simulated,
+)
+from estimator.diagnosis.engine import diagnose, quiet
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError, prepare
+from estimator.diagnosis.search import THIN, promised
 from estimator.effects import CATALOGUE, NAMES
 from tests import hidden
 
@@ -74,6 +84,21 @@ def test_two_causes_are_found_of_which_neither_is_worth_it_alone():
     assert found.verdict is Verdict.AMBIGUOUS
     assert found.causes[0] == "saturation"
     assert {*found.causes[1:], *found.ambiguous_with} <= gains
+
+
+def test_a_second_cause_is_looked_for_by_no_slope_in_the_time_of_a_sudden_one():
+    """There is none: it led a linear step astray, and the cause was dropped before its fit."""
+    hide = ("friction_step", "constant_drag")
+    made = hidden.make(3002, hide, bench="spring", duration=60.0, rate=100.0)
+    sudden, drag = (next(e for e in CATALOGUE if e.name == name) for name in hide)
+    begun = (sudden, tuple(made.truth["friction_step"].values()))
+    bench = bench_of([prepare(made.time, dict(made.channels))])
+    fit = baseline(bench, (begun,))
+    bench = rescaled(bench, fit)
+    bench = bench._replace(records=(record.thin(bench.records[0], THIN),))
+    fit = simulated(bench, scenes_without(bench, fit), fit.model)
+    led = promised(bench, fit, scenes(bench, fit), [drag], quiet, 1).led[0][0]
+    assert led.cost < 0.1 * cost(bench, fit)
 
 
 @pytest.mark.parametrize("bench", ["blocked", "spring"])
