@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 KEPT = 3  # folders of former states, for going back and forth between two
-_COMPILED = ("estimator", "slave/plant")
+_COMPILED = ("estimator", "master", "slave", "teleop")
 _NAME = "tendon-teleop"
 
 

@@ -1,0 +1,52 @@
+"""The tendons of a rig, as records: which joints they move, what is measured and estimated."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.records import F64, I64, Field, Flag, Record, Records, one
+from estimator.tendon_estimate import TendonEstimate
+from teleop.messages import MAX_JOINTS
+
+SIGNS = (1.0, -1.0)  # of a joint's travel in that of its tendons a and b
+
+
+class JointTendons(Record):
+    """The tendons of one joint: `a`, or `a` and `b`."""
+
+    count: I64 = 0
+    tendon: Annotated[NDArray[np.int64], Field("i8", 2, fill=-1)]  # numbered over the whole rig
+
+
+class RigLayout(Record):
+    """Which tendons a rig has and which joints they move, `Rig.joints`."""
+
+    joints: I64 = 0
+    tendons: I64 = 0
+    joint: Annotated[Sequence[JointTendons], Field(JointTendons, MAX_JOINTS)]
+
+
+class EstimatedTendon(Record):
+    """One tendon in one sample: measured, corrected and estimated."""
+
+    tension: F64 = math.nan  # [N] measured at the housing
+    displacement: F64 = math.nan  # [m] measured motor position; NaN without an encoder
+    corrected_tension: F64 = math.nan  # [N] without the sensor's effects that a model knows
+    corrected_displacement: F64 = math.nan  # [m]
+    valid: Flag = False  # whether the estimator took the sample
+    estimate: TendonEstimate
+
+
+def rig_layout(joints: Sequence[Sequence[int]]) -> Records:
+    """Return the layout of `Rig.joints`, shape (1,)."""
+    layout = RigLayout.array()
+    record = one(layout)
+    record.joints = len(joints)
+    record.tendons = sum(map(len, joints))
+    for k, tendons in enumerate(joints):
+        record.joint[k].count = len(tendons)
+        record.joint[k].tendon[: len(tendons)] = tendons
+    return layout

@@ -1,0 +1,88 @@
+"""Records: the same names and values in Python, in numpy and in compiled code."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from estimator.records import F64, I64, U64, Field, Flag, Record, as_record, as_records, one
+
+
+class Inner(Record):
+    value: F64 = 0.5
+    count: I64 = -1
+    told: Flag = True
+
+
+class Outer(Record):
+    many: Annotated[Sequence[Inner], Field(Inner, 3)]
+    single: Inner
+    numbers: Annotated[NDArray[np.float64], Field("f8", 4, fill=math.nan)]
+    nonce: U64 = 0
+
+
+@dataclass(frozen=True)
+class Nested:
+    gain: float = 2.0
+
+
+@dataclass(frozen=True)
+class Config:
+    limit: float = 1.5
+    rounds: int = 3
+    on: bool = True
+    name: str = "left out"
+    nested: Nested = field(default_factory=Nested)
+
+
+@compiled
+def change(outer: Outer, index: int) -> float:
+    outer.many[index].value += 1.0
+    outer.single.count = 7
+    outer.numbers[index] = 0.25
+    return outer.many[index].value
+
+
+@compiled
+def scaled(config: Config, value: float) -> float:
+    return config.limit * config.nested.gain * value if config.on else 0.0
+
+
+def test_defaults_reach_every_level() -> None:
+    record = Outer.new(nonce=2**63)
+    assert record.nonce == 2**63
+    assert np.isnan(record.numbers).all()
+    assert [r.value for r in record.many] == [0.5] * 3
+    assert record.single.count == -1
+    assert bool(record.single.told)
+
+
+def test_compiled_code_changes_the_very_record() -> None:
+    records = Outer.array(2)
+    record = one(records, 1)
+    assert change(record, 2) == 1.5
+    assert records[1]["many"][2]["value"] == 1.5
+    assert record.single.count == 7
+    assert record.numbers[2] == 0.25
+    assert np.isnan(one(records).numbers).all()  # the other one is as it was
+
+
+def test_records_share_no_memory_with_their_defaults() -> None:
+    change(Outer.new(), 0)
+    assert Outer.new().many[0].value == 0.5
+
+
+def test_a_config_becomes_a_record_of_its_numbers() -> None:
+    assert as_records(Config()).dtype.names == ("limit", "rounds", "on", "nested")
+    assert scaled(as_record(Config(limit=3.0)), 2.0) == 12.0
+    assert scaled(as_record(Config(on=False)), 2.0) == 0.0
+
+
+def test_an_unknown_field_is_refused() -> None:
+    with pytest.raises(AttributeError):
+        Inner.new(valeu=1.0)
