@@ -17,6 +17,7 @@ from teleop.link.presence import Stage, Token
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.roster import Roster
 from teleop.messages import LAYOUT, Message
+from teleop.packet import Packet
 from teleop.topics import Role, Topic
 
 M = TypeVar("M", bound=Message)
@@ -97,6 +98,16 @@ class Link:
         stamp = now_ns()
         publisher.sequence += 1
         publisher.put(topic.message.schema.pack(message, self.nonce, publisher.sequence, stamp))
+        return stamp
+
+    def publish_packet(self, topic: Topic[M], packet: Packet[M]) -> int:
+        """Send what a loop has in `packet` and return its stamp [ns]; the head is filled in."""
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            publisher = self._publishers[topic.name] = self._declare(topic)
+        stamp = now_ns()
+        publisher.sequence += 1
+        publisher.put(packet.seal(self.nonce, publisher.sequence, stamp))
         return stamp
 
     def publish_raw(self, topic: Topic[Any], data: bytes) -> None:
