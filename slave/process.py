@@ -63,8 +63,8 @@ class Past(NamedTuple):
     samples: tuple[RigSample, ...]  # all that it has given since, oldest first
 
 
-class Slave:
-    """The world around `loop.step`: one rig, one link, and the counts.
+class SlaveProcess:
+    """The world around `loop.tick`: one rig, one link, and the counts.
 
     Attributes
     ----------
@@ -79,93 +79,130 @@ class Slave:
         config: SlaveConfig,
         link: Link,
         rig: Rig,
-        known: Known,
-        grid: Grid,
+        model: RigModel,
+        clock: LoopClock,
         past: Past | None = None,
         bilateral: Bilateral = loop.DIRECT,
-        door: Door | None = None,
+        requests: RequestListener | None = None,
     ) -> None:
         self.error: TeleopError | None = None
         self.ended = ""
-        self._config, self._link, self._rig = config, link, rig
-        self._known, self._bilateral = known, bilateral
+        self._link, self._rig, self._model = link, rig, model
         past = past or Past(now_ns(), ())
-        self.memory = loop.start(known, rig.starts_at_zero, past.samples)
-        self._meter = LoopMeter(Role.SLAVE, grid)
-        self._housekeeping = Housekeeping(link, known)
-        noise = max(model.tension_noise for model in known.models)
-        self._score, self._verdicts = Score(noise), Counter[str]()
-        self._freshness_ns = round(config.freshness * 1e9)
+        self._slave = loop.start(model, config, bilateral, rig.starts_at_zero, past.samples)
+        self.memory: SlaveMemory = one(self._slave.memory)
+        self._before = [part.copy() for part in self._changing()]
+        self._rows = loop.EstimatedSample.array(ROWS)
+        self._samples = 0
+        self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
+        self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
+        self._meter = LoopMeter(Role.SLAVE, clock.stats)
+        self._telemetry = Telemetry(link, model, self._slave)
+        self._score = Score(max(model.tension_noise for model in model.models))
+        self._verdicts = Counter[int]()
+        self._timeout_ns = round(config.command_timeout * 1e9)
         self._start_ns = past.start_ns
-        self._echo_ns = 0  # stamp of the newest command heard
         self._ledger_due_ns = 0
-        self._door = door or Door(link)
+        self._requests = requests or RequestListener(link)
 
     def tick(self, tick: Tick) -> None:
-        """Read, step, write, publish."""
+        """Answer the newest command; then do what nobody waits for."""
         time_s = (tick.stamp_ns - self._start_ns) * 1e-9
-        samples, fault = self._read(time_s)
-        latest = self._link.latest(COMMAND)
-        command = latest.message
+        fault = self._read(time_s)
+        commands = self._link.latest(COMMAND)
         now = now_ns()
-        asked = self._door(now, self.memory.session.stops)
-        if asked.words and self.memory.session.state is not State.STOPPED:  # the first caller's
-            self._housekeeping.stop_words = asked.words
-
-        def step(fault: Reason, late_s: float = 0.0) -> tuple[loop.Output, Memory]:
-            return loop.step(
-                self._known,
-                self._config,
-                self.memory,
-                samples,
-                command,
-                latest.is_fresh(now_ns(), self._freshness_ns),
-                fault,
-                tick.dt + late_s,
-                self._bilateral,
-                asked.stop,
-                asked.reset,
-            )
-
-        output, memory = step(fault)
+        requests = self._requests(now, self.memory.session.stops)
+        verdict = self._step(tick.dt, fault, requests)
         late_ns = now_ns() - now
         if late_ns > STALL_NS:
-            output, memory = step(fault, late_ns * 1e-9)
-        if output.motor and fault is Reason.NONE:
+            self._take_back()
+            verdict = self._step(tick.dt + late_ns * 1e-9, fault, requests)
+        if self.memory.has_motor and fault is Reason.NONE:
             try:
-                self._rig.write(np.array(output.motor))
+                self._rig.write(self.memory.motor[: self._rig.tendons].copy())
             except RigFault as error:
-                output, memory = step(self._failed(error))
-        self.memory = memory
-        self._echo_ns = command.stamp_ns if command else 0
-        self._publish(output)
-        self._door.relay(Role.SLAVE, memory.session, asked.words)
-        self._publish_ledger(tick.stamp_ns)
-        self._verdicts[str(output.verdict.name)] += 1
-        self._housekeeping(time_s, memory)
-        self._report(tick.stamp_ns, latest.counts)
-        self._meter.tick(memory.session, now_ns() - tick.stamp_ns, self._housekeeping.detail)
+                self._take_back()
+                verdict = self._step(tick.dt, self._failed(error), requests)
+        if tick.answers:
+            self._state.record.answer_ns = now_ns() - commands.received_ns
+        self._link.publish_packet(STATE, self._state)
+        answered_ns = now_ns()
+        self._verdicts[verdict] += 1
+        self._meter.answer.add(answered_ns - tick.stamp_ns)
+        self._follow_up(tick, time_s, requests)
+        self._meter.tick(
+            outline(self.memory.session), now_ns() - tick.stamp_ns, self._telemetry.detail
+        )
 
     def close(self) -> None:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
-        side = self.memory.session
-        last = side if side.state in (State.OFF, State.FAULT, State.STOPPED) else Session()
-        self._link.publish(STATE, self._state(last, (), 0.0))
-        tell(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
+        last = outline(self.memory.session)
+        if last.state not in (State.OFF, State.FAULT, State.STOPPED):
+            last = SessionOutline(State.OFF, Reason.NOT_USABLE)
+        state = self._state.record
+        state.state, state.reason, state.joints = last.state, last.reason, 0
+        for name in ("position", "force", "force_low", "force_high", "status"):
+            self._state.records[name] = 0
+        state.sample_age_ns = 0
+        self._link.publish_packet(STATE, self._state)
+        publish_event(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
-        numbers = self._meter.summary(self.memory.session, self._link.counts(), self._verdicts)
+        verdicts = {str(Verdict(bits).name): n for bits, n in self._verdicts.items()}
+        side = outline(self.memory.session)
+        numbers = self._meter.summary(side, self._link.counts(), verdicts)
         return numbers | {"force_error": self._score.summary(), "rig": self._rig.summary()}
 
-    def _read(self, time_s: float) -> tuple[Sequence[RigSample], Reason]:
+    def _changing(self) -> tuple[Records, Records]:
+        return self._slave.memory, self._slave.estimators
+
+    def _take_back(self) -> None:
+        """Forget the tick that was just stepped."""
+        for now, before in zip(self._changing(), self._before, strict=True):
+            now[:] = before
+
+    def _step(self, dt: float, fault: Reason, requests: Requests) -> int:
+        commands = self._commands
+        given = TickInput(
+            dt,
+            commands.is_there,
+            commands.is_fresh(now_ns(), self._timeout_ns),
+            int(fault),
+            int(requests.stop),
+            requests.reset,
+        )
+        slave = self._slave
+        return loop.tick(
+            slave.settings,
+            slave.layout,
+            slave.prepared,
+            slave.estimators,
+            slave.memory,
+            slave.scratch,
+            self._rows,
+            self._samples,
+            given,
+            commands.packet.records,
+            self._state.records,
+        )
+
+    def _read(self, time_s: float) -> Reason:
+        """Take over the rig's new samples; return what is wrong with it."""
+        self._samples = 0
         try:
-            return self._rig.read(time_s), Reason.NONE
+            samples = self._rig.read(time_s)
         except RigFinished:
             self.ended = Reason.RIG_FINISHED.text
-            return (), Reason.RIG_FINISHED
+            return Reason.RIG_FINISHED
         except RigFault as error:
-            return (), self._failed(error)
+            return self._failed(error)
+        if len(samples) > len(self._rows):  # behind a stall; it stays that long
+            self._rows = loop.EstimatedSample.array(2 * len(samples))
+        for sample in samples:
+            loop.fill_sample(self._rows, self._samples, sample)
+            self._samples += 1
+        return Reason.NONE
 
     def _failed(self, error: RigFault) -> Reason:
         self._end(TeleopError(f"rig: {error}"))
@@ -175,30 +212,43 @@ class Slave:
         self.error = self.error or error
         self.ended = str(self.error)
 
-    def _publish(self, output: loop.Output) -> None:
-        memory = self.memory
-        joints = loop.joint_estimates(self._known, memory)
-        self._link.publish(STATE, self._state(memory.session, joints, memory.silence))
-        for row in output.rows:
-            self._link.publish(TENDONS, outbox.tendon_state(row, output.motor))
-            self._score.add_row(row)
+    def _follow_up(self, tick: Tick, time_s: float, requests: Requests) -> None:
+        """Do what nobody waits for, once the answer is out."""
+        if not self.error and not self.ended:
+            self._advance_rig()
+        slave, rows, samples = self._slave, self._rows, self._samples
+        loop.monitor_calibration(
+            slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
+        )
+        for now, before in zip(self._changing(), self._before, strict=True):
+            before[:] = now
+        side = outline(self.memory.session)
+        if requests.text and side.state is not State.STOPPED:  # the first caller's
+            self._telemetry.stop_text = requests.text
+        for k in range(samples):
+            fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
+            self._link.publish_packet(TENDONS, self._tendon_state)
+        self._score.add_rows(slave.layout, rows, samples)
+        self._requests.relay(Role.SLAVE, side, requests.text)
+        self._publish_ledger(tick.stamp_ns)
+        self._telemetry(time_s)
+        self._report(tick.stamp_ns)
+
+    def _advance_rig(self) -> None:
+        try:
+            self._rig.advance()
+        except RigFault as error:
+            self._failed(error)
 
     def _publish_ledger(self, stamp_ns: int) -> None:
         if stamp_ns >= self._ledger_due_ns:
             self._ledger_due_ns = stamp_ns + LEDGER_PERIOD_NS
-            joints = len(self._known.joints)
-            self._link.publish(LEDGER, ledger_message(Role.SLAVE, self.memory.port, joints))
+            joints = len(self._model.joints)
+            self._link.publish(LEDGER, ledger_message(Role.SLAVE, self.memory.coupling, joints))
 
-    def _state(
-        self, side: Session, joints: Sequence[JointEstimate], sample_age: float
-    ) -> SlaveState:
-        signature = self._bilateral.signature
-        return outbox.slave_state(
-            side, self._echo_ns, joints, sample_age, self.memory.port, signature
-        )
-
-    def _report(self, stamp_ns: int, counts: Counts) -> None:
-        report = self._meter.report(stamp_ns, self.memory.session, counts)
+    def _report(self, stamp_ns: int) -> None:
+        side = outline(self.memory.session)
+        report = self._meter.report(stamp_ns, side, self._commands.counts)
         if report is None:
             return
         self._link.publish(REPORT, report)
