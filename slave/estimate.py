@@ -284,9 +284,7 @@ def judged(
     if table.distal_tension is None:
         return None
     score = Score(noise)
-    score.add_columns(
-        estimates.distal_tension, estimates.low, estimates.high, table.distal_tension
-    )
+    score.add_columns(estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
     return score.summary()
 
 

@@ -85,9 +85,7 @@ class SlaveMemory(Record):
     control: control.Control
     coupling: Side
     tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]  # newest
-    monitors: Annotated[
-        Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)
-    ]
+    monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
     joints: Annotated[Sequence[control.JointEstimate], Field(control.JointEstimate, MAX_JOINTS)]
     reach: Annotated[Sequence[gate.Reach], Field(gate.Reach, MAX_TENDONS)]
     offsets: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of each joint's tendons
@@ -319,9 +317,7 @@ def _take_samples(
             memory.initial_position, row.tendons, layout.tendons, row.has_displacement
         )
         if setting.rig_obeys and memory.has_motor:
-            fault_detection.take_motor_readings(
-                memory.motors, layout, row.tendons, memory.motor
-            )
+            fault_detection.take_motor_readings(memory.motors, layout, row.tendons, memory.motor)
     return found, tendon
 
 

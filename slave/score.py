@@ -50,7 +50,9 @@ def add_rows(all_sums: Records, layouts: Records, rows: Records, samples: int) -
 
 
 @compiled
-def add_columns(all_sums: Records, estimate: Array, low: Array, high: Array, measured: Array) -> None:
+def add_columns(
+    all_sums: Records, estimate: Array, low: Array, high: Array, measured: Array
+) -> None:
     """Take in a whole record, arrays of shape (n,)."""
     for k in range(len(estimate)):
         add(all_sums[0], estimate[k], low[k], high[k], measured[k])

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Generic, TypeVar
 
+from teleop.link.inbox import Arrived
 from teleop.messages import Head, Message, MessageError
 from teleop.packet import Packet
 from teleop.topics import Topic
@@ -104,7 +105,7 @@ class Reception:
 class Latest(Generic[M]):
     """The newest message of a topic and its age.
 
-    The age of a message is the time since it was first seen here, plus how much later it came than
+    The age of a message is the time since it came here, plus how much later it came than
     the quickest of its sender's messages. So a message that sat in a stalled network is old when
     it arrives, although the two clocks were never set to each other:
 
@@ -173,14 +174,14 @@ class Latest(Generic[M]):
         """Return whether there is a message not older than `limit_ns` [ns]."""
         return self.age_ns(now_ns) <= limit_ns
 
-    def take(self, arrived: list[bytes], now_ns: int, overflowed: bool) -> None:
+    def take(self, arrived: list[Arrived], overflowed: bool = False) -> None:
         """Take in what arrived since the last look, oldest first."""
-        newest, newest_head = None, None
-        for data in arrived:
+        newest, newest_head, now_ns = None, None, 0
+        for data, received_ns in arrived:
             head = self._reception.admit(data, overflowed)
             overflowed = False
             if head is not None:
-                newest, newest_head = data, head
+                newest, newest_head, now_ns = data, head, received_ns
         self.new = newest is not None
         if newest is None or newest_head is None:
             return

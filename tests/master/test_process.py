@@ -73,7 +73,7 @@ class Line:
                 force_high=padded((6.0,), 8),
             )
             data = state.pack(self.nonce, self.sequence, stamp)
-            self.latest_state.take([data], now_ns(), overflowed=False)
+            self.latest_state.take([Arrived(data, now_ns())])
         return stamp
 
     def subscribe_latest(self, topic, limit_ns):
