@@ -20,12 +20,11 @@ import numpy as np
 
 from estimator import extension, online
 from estimator.effects.friction import VISCOUS_FRICTION
-from slave import loop, models, outbox
+from slave import loop, models
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
-from slave.control import JointEstimate
-from slave.housekeeping import Housekeeping, calibrating
-from slave.loop import Known, Memory
+from slave.housekeeping import calibrating
+from slave.loop import Known
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import open_rig
 from slave.rigs.effect_words import late
@@ -38,7 +37,7 @@ from teleop.config import load
 from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.launch.summary import force_line, loop_lines, trouble
-from teleop.link import Counts, Link
+from teleop.link import Link
 from teleop.messages import MAX_JOINTS, PROFILE_POINTS, SlaveState
 from teleop.meter import LoopMeter, in_words
 from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary

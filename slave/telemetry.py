@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from teleop.events import publish_event
 
 from estimator import online
 from estimator.records import one
@@ -13,7 +14,6 @@ from slave.calibration.refusals import tendon_name
 from slave.calibration.run import Progress
 from slave.loop import NOT_CALIBRATED, NOT_READY_TEXT, RigModel, Slave, SlaveMemory
 from slave.rig import Rig
-from teleop.events import publish_event
 from teleop.link import Link
 from teleop.messages import PROFILE_POINTS
 from teleop.meter import format_reason

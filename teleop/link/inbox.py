@@ -6,6 +6,7 @@ one that costs least processor time at the latency of polling (docs/latency.md).
 """
 
 import time
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
@@ -38,10 +39,8 @@ class Inbox:
         """Keep a Zenoh sample; called from Zenoh's thread."""
         if self._queue.qsize() >= self._size:
             self._overflowed = True
-            try:
+            with suppress(Empty):  # the loop may just have taken it
                 self._queue.get_nowait()
-            except Empty:  # the loop has just taken it
-                pass
         # copied at once: a payload kept as it is keeps the whole receive buffer it lies in
         self._queue.put(Arrived(sample.payload.to_bytes(), now_ns()))
 

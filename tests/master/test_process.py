@@ -17,6 +17,7 @@ from teleop.clock import Grid, now_ns
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
+from teleop.link.inbox import Arrived
 from teleop.messages import (
     Command,
     EmergencyStop,
