@@ -1,11 +1,13 @@
 """What has arrived on one topic since the loop last looked, and waiting for it.
 
-Zenoh's receiving thread stores, the loop's thread waits and takes. A `SimpleQueue` wakes its reader
-without running Python code in between: of the ways to wait for a message with a deadline it is the
-one that costs least processor time at the latency of polling (docs/latency.md).
+Zenoh's receiving thread stores, the loop's thread waits and takes. What Zenoh calls is a method of
+C, `SimpleQueue.put`: it wakes the reader without running any Python code, which would still hold
+the interpreter when the reader wants it. Of the ways to wait with a deadline this is the one that
+has the latency of polling at the least processor time (docs/latency.md).
 """
 
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
@@ -17,32 +19,28 @@ class Arrived(NamedTuple):
     """One message as it came."""
 
     data: bytes
-    received_ns: int  # when Zenoh handed it over, on our clock
+    received_ns: int  # when the loop first had it, on our clock
 
 
 class Inbox:
-    """A bounded queue of the newest messages.
+    """The newest messages of a topic.
+
+    Attributes
+    ----------
+    store : callable
+        Takes a Zenoh sample; called from Zenoh's thread.
 
     Parameters
     ----------
     size : int
-        How many are kept; when more come before anybody looks, the oldest are dropped.
+        How many a look takes; of more the oldest are dropped.
     """
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self._queue: SimpleQueue[Arrived] = SimpleQueue()
+        self._queue: SimpleQueue[Any] = SimpleQueue()
         self._taken: list[Arrived] = []  # by `wait`, not yet by `take`
-        self._overflowed = False
-
-    def store(self, sample: Any) -> None:
-        """Keep a Zenoh sample; called from Zenoh's thread."""
-        if self._queue.qsize() >= self._size:
-            self._overflowed = True
-            with suppress(Empty):  # the loop may just have taken it
-                self._queue.get_nowait()
-        # copied at once: a payload kept as it is keeps the whole receive buffer it lies in
-        self._queue.put(Arrived(sample.payload.to_bytes(), now_ns()))
+        self.store: Callable[[Any], None] = self._queue.put
 
     def wait(self, deadline_ns: int) -> bool:
         """Wait until something is there, at most until a time of the monotonic clock [ns]."""
@@ -50,18 +48,25 @@ class Inbox:
             return True
         timeout = (deadline_ns - time.monotonic_ns()) * 1e-9
         try:
-            self._taken.append(self._queue.get(timeout > 0.0, max(timeout, 0.0)))
+            sample = self._queue.get(timeout > 0.0, max(timeout, 0.0))
         except Empty:
             return False
+        self._taken.append(Arrived(sample.payload.to_bytes(), now_ns()))
         return True
 
     def take(self) -> tuple[list[Arrived], bool]:
         """Return what has arrived, oldest first, and whether older ones were dropped."""
         arrived, self._taken = self._taken, []
-        while len(arrived) <= self._size:
-            try:
-                arrived.append(self._queue.get_nowait())
-            except Empty:
-                break
-        overflowed, self._overflowed = self._overflowed, False
+        waiting = self._queue.qsize()  # what comes during the look waits for the next
+        if not waiting:
+            return arrived, False
+        overflowed = len(arrived) + waiting > self._size
+        if overflowed:
+            arrived.clear()
+        with suppress(Empty):
+            for _ in range(waiting - self._size):
+                self._queue.get_nowait()
+            for _ in range(min(waiting, self._size)):
+                data = self._queue.get_nowait().payload.to_bytes()
+                arrived.append(Arrived(data, now_ns()))
         return arrived, overflowed

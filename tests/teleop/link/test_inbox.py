@@ -33,6 +33,16 @@ def test_the_newest_are_kept_in_order_and_what_was_dropped_is_said(size, bursts)
     assert inbox.take() == ([], False)
 
 
+def test_what_was_waited_for_counts_among_those_that_are_kept():
+    inbox = Inbox(3)
+    for number in range(4):
+        inbox.store(sample(number))
+    assert inbox.wait(time.monotonic_ns())  # has the oldest in hand, which is dropped then
+    arrived, overflowed = inbox.take()
+    assert numbers(arrived) == [1, 2, 3]
+    assert overflowed
+
+
 def test_waiting_ends_with_an_arrival_which_is_not_lost():
     inbox = Inbox(4)
     threading.Timer(0.05, inbox.store, [sample(7)]).start()
