@@ -11,12 +11,12 @@ from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import JointTendons
 from slave.calibration.monitor import MonitorConfig
 from slave.control import ControlConfig
+from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rigs import RigConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
-from slave.watch import WatchConfig
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS
@@ -42,7 +42,7 @@ class SlaveConfig:
     initialise: InitialiseConfig = field(default_factory=InitialiseConfig)
     monitor: MonitorConfig = field(default_factory=MonitorConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
-    watch: WatchConfig = field(default_factory=WatchConfig)
+    fault_detection: FaultDetectionConfig = field(default_factory=FaultDetectionConfig)
     gate: GateConfig = field(default_factory=GateConfig)
     freshness: float = 0.028  # [s] a command older than this makes the slave hold: < 30 ms in all
     silence_max: float = 0.100  # [s] without a sample that can be used; longer is a fault

@@ -23,14 +23,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from statistics import median
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.online import Status, TendonEstimate, TendonModel
+from estimator import tendon_estimate
+from estimator.compiled import compiled
+from estimator.online import TendonModel
+from estimator.records import F64, I64, Field, Flag, Record, Records, one
+from estimator.tendon_estimate import TendonEstimate
 from estimator.transmission import Phase
+from slave.tendons import EstimatedTendon, RigLayout
 
 MOBILISED = 0.999  # of the length: the front has reached the tip
 DEPTH = 0.7  # of K, up to which the front is surely inside even where friction has fallen
@@ -50,12 +54,19 @@ RESOLVED = 0.02  # of the travel, to which one transition is measured: the tip g
 APART_IN_TIME = 0.5  # of the lag, by which tension and travel may be apart: a motor speeds up
 SURE = 2.0  # times the doubt, from where an error counts
 BLIND = 8.0 / 3.0  # of T_out by one of the travel: the most that an error may be amplified
+MOST = 99  # transitions that can be asked to decide
 PIECES = 200  # of each section, for its integrals
 FACTORS = np.linspace(0.5, 2.0, 61)  # of all friction, that are told apart
 
 Array = NDArray[np.float64]
 
-_UNUSABLE = Status.TENSION_ONLY | Status.UNINITIALISED | Status.TIP_MOVED | Status.INVALID_INPUT
+_UNUSABLE = (
+    tendon_estimate.TENSION_ONLY
+    | tendon_estimate.UNINITIALISED
+    | tendon_estimate.TIP_MOVED
+    | tendon_estimate.INVALID_INPUT
+)
+_PULL = int(Phase.PULL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +81,8 @@ class MonitorConfig:
         """Refuse thresholds that mean nothing."""
         if not 0.0 < self.advise <= self.demand <= 10.0:
             raise ValueError("advise: must be above 0 and at most demand, which is at most 10")
-        if not LEAST <= self.transitions <= 99:
-            raise ValueError(f"transitions: must be {LEAST} to 99")
+        if not LEAST <= self.transitions <= MOST:
+            raise ValueError(f"transitions: must be {LEAST} to {MOST}")
 
 
 class Advice(IntEnum):
@@ -82,53 +93,62 @@ class Advice(IntEnum):
     DEMANDED = 2  # calibrate again before anything else
 
 
-class Watched(NamedTuple):
+class MonitorConstants(Record):
     """A tendon's model, and what a transition would look like if its friction had changed."""
 
-    K: float
-    mobilised: float  # [m] where the front is when the tip moves
-    depth: float  # [m] up to where a transition is followed
-    lag: float  # [s] by which the estimator averages the tension
-    shares: tuple[float, ...]  # of the travel predicted, rising
-    factors: tuple[float, ...]  # of all friction that belong to them
-    amplified: float  # relative error of T_out for one of the travel
-    blind: bool  # whether such changes hardly show, as where all bends are at the tip
+    K: F64 = 0.0
+    mobilised: F64 = math.inf  # [m] where the front is when the tip moves
+    depth: F64 = 0.0  # [m] up to where a transition is followed
+    lag: F64 = 0.0  # [s] by which the estimator averages the tension
+    shares: Annotated[Array, Field("f8", len(FACTORS))]  # of the travel predicted, rising
+    factors: Annotated[Array, Field("f8", len(FACTORS))]  # of all friction that belong to them
+    amplified: F64 = math.inf  # relative error of T_out for one of the travel
+    blind: Flag = True  # whether such changes hardly show, as where all bends are at the tip
 
 
-class Line(NamedTuple):
+class Transition(Record):
     """Sums of a straight line of motor travel over predicted elongation, about their means."""
 
-    points: int = 0
-    elongation: float = 0.0  # [m]
-    travel: float = 0.0  # [m]
-    ee: float = 0.0  # [m^2]
-    eq: float = 0.0  # [m^2]
-    qq: float = 0.0  # [m^2]
-    first: float = math.nan  # [m] elongation
-    last: float = math.nan  # [m]
-    lasted: float = 0.0  # [s] since the second point
-    ahead: float = 0.0  # [m] furthest that the motor has gone on from the first point
-    tip: float = 0.0  # [N] T_out at the first point
-    against: float = 0.0  # [N] T_out of the other tendon then
-    begun: float = math.nan  # [m] travel then
+    points: I64 = 0
+    elongation: F64 = 0.0  # [m]
+    travel: F64 = 0.0  # [m]
+    ee: F64 = 0.0  # [m^2]
+    eq: F64 = 0.0  # [m^2]
+    qq: F64 = 0.0  # [m^2]
+    first: F64 = math.nan  # [m] elongation
+    last: F64 = math.nan  # [m]
+    lasted: F64 = 0.0  # [s] since the second point
+    ahead: F64 = 0.0  # [m] furthest that the motor has gone on from the first point
+    tip: F64 = 0.0  # [N] T_out at the first point
+    against: F64 = 0.0  # [N] T_out of the other tendon then
+    begun: F64 = math.nan  # [m] travel then
 
 
-class Watch(NamedTuple):
+class TendonMonitor(Record):
     """What is remembered of one tendon."""
 
-    reached: float = math.nan  # [N] tension at which the front came to the tip, of this pull
-    pulled: bool = False  # so much further that the next transition begins from a known profile
-    travel: float = math.nan  # [m] averaged as the estimator averages the tension
-    line: Line = Line()
-    errors: tuple[float, ...] = ()  # of T_out, relative, by each of the latest transitions
-    doubts: tuple[float, ...] = ()  # how far off each of them may be
+    reached: F64 = math.nan  # [N] tension at which the front came to the tip, of this pull
+    pulled: Flag = False  # so much further that the next transition begins from a known profile
+    travel: F64 = math.nan  # [m] averaged as the estimator averages the tension
+    transition: Transition
+    force_error: F64 = 0.0  # of T_out, relative, by all of `errors`: see `force_error`
+    count: I64 = 0  # of the latest transitions that are kept, oldest first
+    errors: Annotated[Array, Field("f8", MOST)]  # of T_out, relative, by each of them
+    doubts: Annotated[Array, Field("f8", MOST)]  # how far off each of them may be
 
 
-def prepare(model: TendonModel) -> Watched:
-    """Return what is to be known of a tendon before it is watched."""
+def prepare(models: Sequence[TendonModel]) -> Records:
+    """Return the constants of tendons with these models, shape (n,)."""
+    constants = MonitorConstants.array(len(models))
+    for k, model in enumerate(models):
+        _prepare(one(constants, k), model)
+    return constants
+
+
+def _prepare(constants: MonitorConstants, model: TendonModel) -> None:
     sheath = model.sheath
     if sheath.K == 0.0:  # no friction: no transition, by which a change could be told
-        return Watched(0.0, math.inf, 0.0, 0.0, (), (), math.inf, blind=True)
+        return
     dx = np.concatenate([np.full(PIECES, section.length / PIECES) for section in sheath.sections])
     radius = np.concatenate([np.full(PIECES, section.radius) for section in sheath.sections])
     ds = sheath.friction * dx / radius
@@ -138,16 +158,14 @@ def prepare(model: TendonModel) -> Watched:
     order = np.argsort(shares)
     unchanged = int(np.argmin(np.abs(FACTORS - 1.0)))
     shown = abs(float(np.gradient(shares, FACTORS)[unchanged]))
-    return Watched(
-        K=sheath.K,
-        mobilised=MOBILISED * sheath.length,
-        depth=float(np.cumsum(dx)[np.searchsorted(s, front)]),
-        lag=model.treatment.time_constant if model.tension_noise > 0.0 else 0.0,
-        amplified=sheath.K / shown if shown > 0.0 else math.inf,
-        shares=tuple(shares[order].tolist()),
-        factors=tuple(FACTORS[order].tolist()),
-        blind=BLIND * shown < sheath.K,
-    )
+    constants.K = sheath.K
+    constants.mobilised = MOBILISED * sheath.length
+    constants.depth = float(np.cumsum(dx)[np.searchsorted(s, front)])
+    constants.lag = model.treatment.time_constant if model.tension_noise > 0.0 else 0.0
+    constants.amplified = sheath.K / shown if shown > 0.0 else math.inf
+    constants.shares[:] = shares[order]
+    constants.factors[:] = FACTORS[order]
+    constants.blind = BLIND * shown < sheath.K
 
 
 def _travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
@@ -161,24 +179,60 @@ def _travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
     return np.asarray(np.where(inside, pulled - released, 0.0) @ dx)
 
 
+@compiled
+def step_rig(
+    config: MonitorConfig,
+    layout: RigLayout,
+    constants: Sequence[MonitorConstants],
+    monitors: Sequence[TendonMonitor],
+    tendons: Sequence[EstimatedTendon],
+    dt: float,
+) -> Advice:
+    """Take in one sample of all tendons of a rig; return what is to be done about its calibration.
+
+    Parameters
+    ----------
+    constants : array of MonitorConstants
+        From `prepare`, of the models by which the estimates were made.
+    monitors : array of TendonMonitor
+        `TendonMonitor.array(n)` to begin with; changed in place.
+    tendons : array of EstimatedTendon
+        The sample; it is judged by the readings that are corrected.
+    dt : float
+        Time since the last one [s].
+    """
+    for k in range(layout.joints):
+        joint = layout.joint[k]
+        for m in range(joint.count):
+            i = joint.tendon[m]
+            against = 0.0
+            if joint.count > 1:
+                against = tendons[joint.tendon[1 - m]].estimate.distal_tension
+            tension, travel = tendons[i].corrected_tension, tendons[i].corrected_displacement
+            estimate = tendons[i].estimate
+            step(config, constants[i], monitors[i], estimate, tension, travel, against, dt)
+    return advice(config, monitors, layout.tendons)
+
+
+@compiled
 def step(
     config: MonitorConfig,
-    watched: Watched,
-    watch: Watch,
+    constants: MonitorConstants,
+    monitor: TendonMonitor,
     estimate: TendonEstimate,
     tension: float,
     travel: float,
     against: float,
     dt: float,
-) -> Watch:
+) -> None:
     """Take in one sample of one tendon.
 
     Parameters
     ----------
-    watched : Watched
+    constants : MonitorConstants
         From `prepare`, of the model by which `estimate` was made.
-    watch : Watch
-        `Watch()` to begin with.
+    monitor : TendonMonitor
+        Changed in place.
     estimate : TendonEstimate
         Of this sample.
     tension, travel : float
@@ -188,97 +242,134 @@ def step(
     dt : float
         Time since the last one [s].
     """
-    if watched.blind or estimate.status & _UNUSABLE or not math.isfinite(travel):
-        return Watch(errors=watch.errors, doubts=watch.doubts)
-    share = -math.expm1(-dt / watched.lag) if watched.lag > 0.0 else 1.0
-    before = travel if math.isnan(watch.travel) else watch.travel
+    if constants.blind or estimate.status & _UNUSABLE != 0 or not math.isfinite(travel):
+        _await_pull(monitor)
+        return
+    share = -math.expm1(-dt / constants.lag) if constants.lag > 0.0 else 1.0
+    before = travel if math.isnan(monitor.travel) else monitor.travel
     averaged = before + share * (travel - before)
-    if estimate.phase is Phase.PULL and estimate.front >= watched.mobilised:
-        reached = tension if math.isnan(watch.reached) else watch.reached
-        return _closed(config, watched, watch)._replace(
-            reached=reached, pulled=tension > FURTHER * reached, travel=averaged
-        )
-    if not watch.pulled:
-        return watch._replace(travel=averaged, reached=math.nan)
-    if estimate.phase is Phase.PULL or estimate.front > watched.depth:
-        return _closed(config, watched, watch)._replace(travel=averaged)
-    line = watch.line
-    if line.points and abs(against - line.against) > STEADY * line.tip:
-        return _closed(config, watched, watch)._replace(travel=averaged)
-    line = _with(line, estimate, averaged, against, dt)
-    return watch._replace(travel=averaged, line=line)
+    is_pull, line = estimate.phase == _PULL, monitor.transition
+    gave_way = line.points > 0 and abs(against - line.against) > STEADY * line.tip
+    if is_pull and estimate.front >= constants.mobilised:
+        reached = tension if math.isnan(monitor.reached) else monitor.reached
+        _finish_transition(config, constants, monitor)
+        monitor.reached, monitor.pulled = reached, tension > FURTHER * reached
+    elif not monitor.pulled:
+        monitor.reached = math.nan
+    elif is_pull or estimate.front > constants.depth or gave_way:
+        _finish_transition(config, constants, monitor)
+    else:
+        _add_point(line, estimate, averaged, against, dt)
+    monitor.travel = averaged
 
 
-def force_error(watch: Watch) -> float:
+@compiled
+def force_error(monitor: TendonMonitor) -> float:
     """Return by how much T_out is wrong while pulling, relative; 0 while too little is known.
 
     Positive where the estimate is too high. An error within its doubt says nothing, nor do
     transitions that contradict each other: an environment that moves the tip by itself has many
-    ways to do so, a sheath has one shape.
+    ways to do so, a sheath has one shape. `monitor.force_error` keeps it from one transition to
+    the next.
     """
-    if len(watch.errors) < LEAST:
+    if monitor.count < LEAST:
         return 0.0
-    middle = median(watch.errors)
-    if abs(middle) < SURE * median(watch.doubts):
+    errors = monitor.errors[: monitor.count]
+    middle = float(np.median(errors))
+    if abs(middle) < SURE * np.median(monitor.doubts[: monitor.count]):
         return 0.0
-    apart = median(abs(error - middle) for error in watch.errors)
+    apart = np.median(np.abs(errors - middle))
     return middle if apart < APART + APART_SHARE * abs(middle) else 0.0
 
 
-def advice(config: MonitorConfig, watches: Sequence[Watch]) -> Advice:
-    """Return what is to be done about the calibration of a rig."""
-    worst = max((abs(force_error(watch)) for watch in watches), default=0.0)
+@compiled
+def advice(config: MonitorConfig, monitors: Sequence[TendonMonitor], count: int) -> Advice:
+    """Return what is to be done about the calibration of a rig of `count` tendons."""
+    worst = 0.0
+    for i in range(count):
+        worst = max(worst, abs(monitors[i].force_error))
     if worst >= config.demand:
         return Advice.DEMANDED
     return Advice.ADVISED if worst >= config.advise else Advice.NONE
 
 
-def _with(line: Line, estimate: TendonEstimate, travel: float, against: float, dt: float) -> Line:
+@compiled
+def _add_point(
+    line: Transition, estimate: TendonEstimate, travel: float, against: float, dt: float
+) -> None:
     """Add a point, unless it is too near to the last one."""
     elongation = estimate.elongation
-    if not line.points:
-        line = Line(first=elongation, begun=travel, tip=estimate.distal_tension, against=against)
-    line = line._replace(
-        lasted=line.lasted + dt if line.points > 1 else 0.0,
-        ahead=max(line.ahead, travel - line.begun),
-    )
-    if line.points and abs(elongation - line.last) < SPACING:
-        return line
-    n = line.points + 1
+    if line.points == 0:
+        _clear(line)
+        line.first, line.begun = elongation, travel
+        line.tip, line.against = estimate.distal_tension, against
+    line.lasted = line.lasted + dt if line.points > 1 else 0.0
+    line.ahead = max(line.ahead, travel - line.begun)
+    if line.points > 0 and abs(elongation - line.last) < SPACING:
+        return
+    line.points += 1
+    n = line.points
     de, dq = elongation - line.elongation, travel - line.travel
-    return line._replace(
-        points=n,
-        elongation=line.elongation + de / n,
-        travel=line.travel + dq / n,
-        ee=line.ee + de * de * (n - 1) / n,
-        eq=line.eq + de * dq * (n - 1) / n,
-        qq=line.qq + dq * dq * (n - 1) / n,
-        last=elongation,
-    )
+    line.elongation += de / n
+    line.travel += dq / n
+    line.ee += de * de * (n - 1) / n
+    line.eq += de * dq * (n - 1) / n
+    line.qq += dq * dq * (n - 1) / n
+    line.last = elongation
 
 
-def _closed(config: MonitorConfig, watched: Watched, watch: Watch) -> Watch:
+@compiled
+def _clear(line: Transition) -> None:
+    line.points = 0
+    line.elongation = line.travel = line.ee = line.eq = line.qq = 0.0
+    line.first = line.last = line.begun = math.nan
+    line.lasted = line.ahead = line.tip = line.against = 0.0
+
+
+@compiled
+def _await_pull(monitor: TendonMonitor) -> None:
+    """Forget the pull and the transition; what earlier ones said stays."""
+    monitor.reached, monitor.pulled, monitor.travel = math.nan, False, math.nan
+    _clear(monitor.transition)
+
+
+@compiled
+def _finish_transition(
+    config: MonitorConfig, constants: MonitorConstants, monitor: TendonMonitor
+) -> None:
     """Take what the transition says, if it says anything, and wait for the next."""
-    error = _error(watched, watch.line)
-    if error is None:
-        return Watch(errors=watch.errors, doubts=watch.doubts)
-    doubt = RESOLVED + APART_IN_TIME * watched.lag / max(watch.line.lasted, watched.lag)
-    return Watch(
-        errors=(*watch.errors, error)[-config.transitions :],
-        doubts=(*watch.doubts, watched.amplified * doubt)[-config.transitions :],
-    )
+    lasted = monitor.transition.lasted
+    error = _transition_error(constants, monitor.transition)
+    if not math.isnan(error):
+        doubt = RESOLVED + APART_IN_TIME * constants.lag / max(lasted, constants.lag)
+        _append(monitor, error, constants.amplified * doubt, config.transitions)
+        monitor.force_error = force_error(monitor)
+    _await_pull(monitor)
 
 
-def _error(watched: Watched, line: Line) -> float | None:
-    """Return the relative error of T_out by one transition, None if it does not show one."""
+@compiled
+def _append(monitor: TendonMonitor, error: float, doubt: float, most: int) -> None:
+    """Add what a transition said; the oldest go where there are more than `most`."""
+    kept = min(monitor.count, most - 1)
+    dropped = monitor.count - kept
+    for k in range(kept):
+        monitor.errors[k] = monitor.errors[k + dropped]
+        monitor.doubts[k] = monitor.doubts[k + dropped]
+    monitor.errors[kept], monitor.doubts[kept] = error, doubt
+    monitor.count = kept + 1
+
+
+@compiled
+def _transition_error(constants: MonitorConstants, line: Transition) -> float:
+    """Return the relative error of T_out by one transition, NaN if it does not show one."""
     span = line.first - line.last
-    if line.points < POINTS or not span > SPAN or line.lasted < SLOWLY * watched.lag:
-        return None
+    if line.points < POINTS or not span > SPAN or line.lasted < SLOWLY * constants.lag:
+        return math.nan
     if line.ahead > AHEAD * span:
-        return None
+        return math.nan
     slope = line.eq / line.ee
     scatter = math.sqrt(max(line.qq - slope * line.eq, 0.0) / line.points)
     if scatter > (CROOKED + CURVED * abs(slope - 1.0)) * span:
-        return None
-    factor = float(np.interp(slope, watched.shares, watched.factors))
-    return math.expm1(watched.K * (factor - 1.0))
+        return math.nan
+    factor = np.interp(slope, constants.shares, constants.factors)
+    return math.expm1(constants.K * (factor - 1.0))

@@ -1,4 +1,4 @@
-"""The settings of the fault watch."""
+"""The settings of the fault detection."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -7,7 +7,7 @@ from teleop.config import MAY_BE_INFINITE
 
 
 @dataclass(frozen=True, slots=True)
-class WatchConfig:
+class FaultDetectionConfig:
     """What counts as a fault, the same for each tendon of one rig."""
 
     slack: float = 0.1  # [N] at the housing: no tension; above the load cells' zero offset

@@ -1,0 +1,19 @@
+"""Fault detection: broken and jammed tendons, stuck and saturated load cells, motors gone astray.
+
+`step` checks every sample, whether engaged or not, `check_motors` every tick. docs/control.md has
+thresholds and detection times.
+"""
+
+from slave.fault_detection.config import FaultDetectionConfig
+from slave.fault_detection.detector import FaultDetector, start, step
+from slave.fault_detection.motors import MotorChecks, check_motors, take_motor_readings
+
+__all__ = [
+    "FaultDetectionConfig",
+    "FaultDetector",
+    "MotorChecks",
+    "check_motors",
+    "start",
+    "step",
+    "take_motor_readings",
+]

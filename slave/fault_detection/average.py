@@ -1,0 +1,31 @@
+"""A tendon's tension and travel, averaged over a few samples: noise must not decide."""
+
+from math import isfinite, nan
+
+from estimator.compiled import compiled
+from estimator.records import F64, Record
+
+TIME_CONSTANT = 0.005  # [s] of the averages
+
+
+class AveragedTendon(Record):
+    """One tendon, averaged; NaN before its first sample."""
+
+    tension: F64 = nan  # [N]
+    displacement: F64 = nan  # [m]
+    speed: F64 = nan  # [m/s]
+
+
+@compiled
+def update_average(average: AveragedTendon, tension: float, displacement: float, dt: float) -> None:
+    """Take a sample `dt` [s] after the last; averages begin anew where there were none."""
+    if not isfinite(average.displacement):
+        average.tension, average.displacement, average.speed = tension, displacement, 0.0
+        return
+    if not dt > 0.0:
+        return
+    share = dt / (dt + TIME_CONSTANT)
+    moved = share * (displacement - average.displacement)
+    average.tension += share * (tension - average.tension)
+    average.displacement += moved
+    average.speed += share * (moved / dt - average.speed)

@@ -1,0 +1,46 @@
+"""How far a tension stretches a tendon, whatever moved it before.
+
+Friction lets the elongation of a tendon of housing tension T be anything from e(T) of a pull to
+e(T) of a release and nothing else (docs/theory.md (T2), (T4)),
+
+    M_pull (T + tau) - tau L/EA  <=  e  <=  M_rel (T + tau) - tau L/EA.
+"""
+
+from estimator import tables
+from estimator.compiled import compiled
+from estimator.records import F64, Record
+from estimator.sheath import Sheath
+
+
+class Compliance(Record):
+    """How far a tension stretches a tendon, least and most."""
+
+    pull: F64 = 0.0  # M_pull [m/N]
+    release: F64 = 0.0  # M_rel [m/N]
+    drag: F64 = 0.0  # tau [N]
+    rest: F64 = 0.0  # tau L/EA [m]
+
+
+def compliance(sheath: Sheath) -> Compliance:
+    """Return the compliance of a tendon in a sheath."""
+    table = tables.tables(sheath)
+    K, EA, rho = table[tables.K], table[tables.EA], table[tables.ASYMMETRY]
+    drag = table[tables.DRAG]
+    return Compliance.new(
+        pull=tables.integral(table, K, -1.0) / EA,
+        release=tables.integral(table, K, rho) / EA,
+        drag=drag,
+        rest=drag * table[tables.LENGTH] / EA,
+    )
+
+
+@compiled
+def least_elongation(compliance: Compliance, tension: float) -> float:
+    """Return the least elongation [m] of a taut tendon with `tension` [N] at the housing."""
+    return max(compliance.pull * (tension + compliance.drag) - compliance.rest, 0.0)
+
+
+@compiled
+def largest_elongation(compliance: Compliance, tension: float) -> float:
+    """Return the largest elongation [m] of a tendon with `tension` [N] at the housing."""
+    return compliance.release * (max(tension, 0.0) + compliance.drag) - compliance.rest

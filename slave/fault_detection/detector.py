@@ -1,0 +1,129 @@
+"""One sample of all tendons against all that counts as a fault."""
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Annotated
+
+from estimator.compiled import compiled
+from estimator.online import TendonModel
+from estimator.records import Field, Record, Records, one
+from slave.fault_detection.average import update_average
+from slave.fault_detection.cell import check_cell, is_suspect
+from slave.fault_detection.compliance import compliance
+from slave.fault_detection.config import FaultDetectionConfig
+from slave.fault_detection.slack import check_slack
+from slave.fault_detection.tendon import CheckedTendon
+from slave.fault_detection.winding import Winding, check_winding
+from slave.tendons import EstimatedTendon, JointTendons, RigLayout
+from teleop.messages import MAX_JOINTS, MAX_TENDONS
+from teleop.session import Reason
+
+
+class FaultDetector(Record):
+    """What is known and remembered of a rig's tendons."""
+
+    tendon: Annotated[Sequence[CheckedTendon], Field(CheckedTendon, MAX_TENDONS)]
+    # of each joint; of a single tendon, it stays as it is
+    winding: Annotated[Sequence[Winding], Field(Winding, MAX_JOINTS)]
+
+
+def start(models: Sequence[TendonModel]) -> Records:
+    """Return the detector before the first sample, from the tendons' models, shape (1,)."""
+    detector = FaultDetector.array()
+    record = one(detector)
+    for tendon, model in zip(record.tendon, models, strict=False):
+        tendon.compliance = compliance(model.sheath)
+        tendon.noise = model.tension_noise
+    return detector
+
+
+@compiled
+def step(
+    config: FaultDetectionConfig,
+    layout: RigLayout,
+    detector: FaultDetector,
+    tendons: Sequence[EstimatedTendon],
+    dt: float,
+) -> tuple[Reason, int]:
+    """Take one sample of the rig; return what is found wrong now, and with which tendon.
+
+    The tendon is counted over the whole rig from 0; `Reason.NONE` and -1 if nothing is wrong. Of
+    several findings it is the first: load cells by tendon, then joint by joint.
+
+    Parameters
+    ----------
+    detector : FaultDetector
+        From `start`, changed in place.
+    tendons : array of EstimatedTendon
+        The sample, as measured. One that the estimator refused tells nothing.
+    dt : float
+        Time since the sample before [s].
+    """
+    dt = dt if dt > 0.0 else 0.0
+    found, at = Reason.NONE, -1
+    for i in range(layout.tendons):
+        if tendons[i].valid:
+            reason = _check_tendon(config, detector.tendon[i], tendons[i], dt)
+            if found == Reason.NONE and reason != Reason.NONE:
+                found, at = reason, i
+    for k in range(layout.joints):
+        joint = layout.joint[k]
+        if _can_be_judged(joint, detector, tendons):
+            reason, i = _check_joint(config, joint, detector, detector.winding[k], tendons, dt)
+            if found == Reason.NONE and reason != Reason.NONE:
+                found, at = reason, i
+    return found, at
+
+
+@compiled
+def _check_tendon(
+    config: FaultDetectionConfig, checked: CheckedTendon, tendon: EstimatedTendon, dt: float
+) -> Reason:
+    """Take in what one tendon's sensors measure; return what is wrong with its load cell."""
+    T, q = tendon.tension, tendon.displacement
+    reason = check_cell(config, checked.noise, checked.cell, T, q, dt)
+    update_average(checked.average, T, q, dt)
+    return reason
+
+
+@compiled
+def _can_be_judged(
+    joint: JointTendons, detector: FaultDetector, tendons: Sequence[EstimatedTendon]
+) -> bool:
+    """Return whether all tendons of a joint tell where and how tight they are."""
+    for m in range(joint.count):
+        i = joint.tendon[m]
+        checked = detector.tendon[i]
+        known = tendons[i].valid and isfinite(tendons[i].displacement)
+        if not known or is_suspect(checked.cell, checked.noise):
+            return False
+    return True
+
+
+@compiled
+def _check_joint(
+    config: FaultDetectionConfig,
+    joint: JointTendons,
+    detector: FaultDetector,
+    winding: Winding,
+    tendons: Sequence[EstimatedTendon],
+    dt: float,
+) -> tuple[Reason, int]:
+    """Return what is wrong with the tendons of a joint, and with which of the rig's."""
+    wound = 0.0
+    for m in range(joint.count):
+        wound += detector.tendon[joint.tendon[m]].average.displacement
+    found, at = Reason.NONE, -1
+    for m in range(joint.count):
+        i = joint.tendon[m]
+        checked = detector.tendon[i]
+        before = checked.average.tension
+        broken = check_slack(config, checked.slack, tendons[i].tension, before, wound, dt)
+        if broken and found == Reason.NONE:
+            found, at = Reason.TENDON_BROKEN, i
+    if joint.count > 1:
+        a, b = detector.tendon[joint.tendon[0]], detector.tendon[joint.tendon[1]]
+        reason, m = check_winding(config, winding, a, b, dt)
+        if found == Reason.NONE and reason != Reason.NONE:
+            found, at = reason, joint.tendon[m]
+    return found, at

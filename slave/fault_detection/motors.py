@@ -1,0 +1,116 @@
+"""Whether motors go where they are sent, and whether what is measured goes with them.
+
+A driver that gives its last frame again and again looks like a rig at rest: no tension limit would
+ever be reached. So readings of a tendon that are alike to the bit, tension and travel, count as
+none once its motor has been sent on.
+"""
+
+from collections.abc import Sequence
+from math import isfinite, nan
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from estimator.records import F64, Field, Flag, Record
+from slave.fault_detection.config import FaultDetectionConfig
+from slave.tendons import EstimatedTendon, RigLayout
+from teleop.messages import MAX_TENDONS
+from teleop.session import Reason
+
+
+class MotorReading(Record):
+    """A tendon's newest reading."""
+
+    tension: F64 = nan  # [N]
+    displacement: F64 = nan  # [m]
+    sent: F64 = nan  # [m] where the motor had been sent when it came for the first time
+
+
+class MotorChecks(Record):
+    """What is remembered of the motors."""
+
+    has_readings: Flag = False  # not before a motor was sent anywhere
+    readings: Annotated[Sequence[MotorReading], Field(MotorReading, MAX_TENDONS)]
+    repeated: Flag = False  # whether the newest reading of a motor sent on is what it was before
+    late: F64 = 0.0  # [s] for which a motor has been far from where it was sent
+
+
+@compiled
+def take_motor_readings(
+    motors: MotorChecks,
+    layout: RigLayout,
+    tendons: Sequence[EstimatedTendon],
+    sent: NDArray[np.float64],
+) -> None:
+    """Take one sample: where each motor had been sent when its reading came for the first time.
+
+    A reading that is the one before, to the bit, keeps what was noted then; one without an encoder
+    never is. While nothing has been sent, `check_motors` forgets what this notes.
+
+    Parameters
+    ----------
+    motors : MotorChecks
+        Changed in place.
+    tendons : array of EstimatedTendon
+        The sample, as measured.
+    sent : array
+        Where the motors were sent last [m], shape (16,).
+    """
+    for i in range(layout.tendons):
+        tendon, reading = tendons[i], motors.readings[i]
+        same_tension = tendon.tension == reading.tension
+        same_displacement = tendon.displacement == reading.displacement
+        if not (motors.has_readings and same_tension and same_displacement):
+            reading.tension, reading.displacement = tendon.tension, tendon.displacement
+            reading.sent = sent[i]
+    motors.has_readings = True
+
+
+@compiled
+def check_motors(
+    config: FaultDetectionConfig,
+    motors: MotorChecks,
+    layout: RigLayout,
+    sent: NDArray[np.float64],
+    has_sent: bool,
+    had_samples: bool,
+    dt: float,
+) -> tuple[Reason, int]:
+    """Take one tick; return whether a motor does not go where it is sent, and which.
+
+    The motor is counted from 0; `Reason.NONE` and -1 if all do. `motors.repeated` then tells
+    whether the samples are frozen.
+
+    Parameters
+    ----------
+    motors : MotorChecks
+        After `take_motor_readings` for each sample since the last tick; changed in place.
+    sent : array
+        Where the motors were sent last [m], shape (16,).
+    has_sent : bool
+        Whether they ever were; if not, all is forgotten.
+    had_samples : bool
+        Whether there was a sample since the last tick.
+    dt : float
+        Time since the last tick [s].
+    """
+    if not has_sent:
+        motors.has_readings, motors.repeated, motors.late = False, False, 0.0
+        return Reason.NONE, -1
+    if not motors.has_readings:
+        return Reason.NONE, -1
+    largest, furthest, sent_on = 0.0, 0, False
+    for i in range(layout.tendons):
+        reading = motors.readings[i]
+        gap = abs(sent[i] - reading.displacement) if isfinite(reading.displacement) else 0.0
+        if gap > largest:
+            largest, furthest = gap, i
+        sent_on = sent_on or abs(sent[i] - reading.sent) > config.stuck_travel
+    if had_samples:
+        motors.repeated = sent_on
+    motors.late = motors.late + dt if largest > config.motor_lag else 0.0
+    if motors.late > config.motor_lag_time:
+        return Reason.MOTOR_ASTRAY, furthest
+    return Reason.NONE, -1

@@ -1,0 +1,17 @@
+"""What the fault detection knows and remembers of one tendon."""
+
+from estimator.records import F64, Record
+from slave.fault_detection.average import AveragedTendon
+from slave.fault_detection.cell import LoadCell
+from slave.fault_detection.compliance import Compliance
+from slave.fault_detection.slack import Slack
+
+
+class CheckedTendon(Record):
+    """One tendon: constants of its model first, then what its samples were."""
+
+    compliance: Compliance
+    noise: F64 = 0.0  # [N] of its load cell
+    cell: LoadCell
+    average: AveragedTendon
+    slack: Slack

@@ -1,0 +1,83 @@
+"""Whether what two motors have wound in agrees with the tensions of their tendons.
+
+The tips of a joint's two tendons travel by q and -q, so that what both motors have wound in is what
+both tendons are stretched by, and a constant:
+
+    q_p,a + q_p,b = e_a + e_b + c.
+
+Whatever moved a tendon, and whichever end drove, its tension allows an interval of elongations
+(`compliance`), and anything below where it is slack. So each sample tells an interval for c, and
+all samples must have one in common. If it lies above those before, a slack tendon was wound in by
+more than there is: it is broken. If it lies below, a tendon has more tension than its stretch
+allows: it is jammed, and stretched between motor and jam alone.
+"""
+
+from math import inf
+
+from estimator.compiled import compiled
+from estimator.records import F64, Record
+from slave.fault_detection.compliance import largest_elongation, least_elongation
+from slave.fault_detection.config import FaultDetectionConfig
+from slave.fault_detection.slack import is_slack_longer
+from slave.fault_detection.tendon import CheckedTendon
+from teleop.session import Reason
+
+SURE_TIME = 0.010  # [s] that a misfit lasts before it is one
+FORGET = 2e-5  # [m/s] by which the interval for c opens: creep, warmth
+
+
+class Winding(Record):
+    """What is remembered of a joint's two tendons."""
+
+    low: F64 = -inf  # [m] interval for c by all samples
+    high: F64 = inf
+    above: F64 = 0.0  # [s] for which a sample lies above it
+    below: F64 = 0.0  # [s] for which a sample lies below it
+
+
+@compiled
+def check_winding(
+    config: FaultDetectionConfig,
+    winding: Winding,
+    tendon_a: CheckedTendon,
+    tendon_b: CheckedTendon,
+    dt: float,
+) -> tuple[Reason, int]:
+    """Take one sample of a joint; return what is wrong and with which of its tendons.
+
+    That is 0 or 1, and -1 where nothing is wrong. Where both are slack, as the joint flew off, the
+    broken one was so first; as soon as the other, the tighter one.
+
+    Parameters
+    ----------
+    winding : Winding
+        Changed in place.
+    tendon_a, tendon_b : CheckedTendon
+        Averaged over the same samples; their `slack` takes this one in already.
+    dt : float
+        Time since the last sample [s].
+    """
+    a, b = tendon_a.average, tendon_b.average
+    wound = a.displacement + b.displacement
+    least_a = least_elongation(tendon_a.compliance, a.tension)
+    least_b = least_elongation(tendon_b.compliance, b.tension)
+    largest_a = largest_elongation(tendon_a.compliance, a.tension)
+    largest_b = largest_elongation(tendon_b.compliance, b.tension)
+    joint_travel = 0.5 * abs(a.displacement - b.displacement)
+    unsure = config.misfit_share * (least_a + least_b + joint_travel)
+    unsure += config.lag * (abs(a.speed) + abs(b.speed))
+    low = wound - largest_a - largest_b - unsure
+    taut = min(a.tension, b.tension) > config.slack
+    high = wound - least_a - least_b + unsure if taut else inf
+    is_above = low > winding.high + config.misfit and not taut
+    is_below = high < winding.low - config.misfit
+    winding.above = winding.above + dt if is_above else 0.0
+    winding.below = winding.below + dt if is_below else 0.0
+    if winding.above == 0.0 and winding.below == 0.0:
+        winding.low = max(winding.low - FORGET * dt, low)
+        winding.high = min(winding.high + FORGET * dt, high)
+    if winding.above >= SURE_TIME:
+        return Reason.TENDON_BROKEN, int(is_slack_longer(tendon_b.slack, tendon_a.slack))
+    if winding.below >= SURE_TIME:
+        return Reason.TENDON_JAMMED, int(least_b > least_a)
+    return Reason.NONE, -1
