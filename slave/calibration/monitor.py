@@ -193,14 +193,14 @@ def step(
     share = -math.expm1(-dt / watched.lag) if watched.lag > 0.0 else 1.0
     before = travel if math.isnan(watch.travel) else watch.travel
     averaged = before + share * (travel - before)
-    if estimate.phase is Phase.PULL and estimate.front >= watched.mobilised:
+    if estimate.phase == Phase.PULL and estimate.front >= watched.mobilised:
         reached = tension if math.isnan(watch.reached) else watch.reached
         return _closed(config, watched, watch)._replace(
             reached=reached, pulled=tension > FURTHER * reached, travel=averaged
         )
     if not watch.pulled:
         return watch._replace(travel=averaged, reached=math.nan)
-    if estimate.phase is Phase.PULL or estimate.front > watched.depth:
+    if estimate.phase == Phase.PULL or estimate.front > watched.depth:
         return _closed(config, watched, watch)._replace(travel=averaged)
     line = watch.line
     if line.points and abs(against - line.against) > STEADY * line.tip:
