@@ -17,7 +17,7 @@ A model with an extension (estimator.extension) has its readings put right befor
 """
 
 import math
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +114,7 @@ def step(
         Time since the previous sample [s]; 0 for the first.
     """
     after, estimates = _copied(state), _copied(_BLANK)
-    _step(_copied(prepared), after, proximal_tension, proximal_displacement, dt, estimates)
+    _step(_view(prepared), after, proximal_tension, proximal_displacement, dt, estimates)
     return cast(TendonEstimate, estimates[0]), cast(EstimatorState, after[0])
 
 
@@ -138,7 +138,7 @@ def run(
         )
     time, T, q = (np.ascontiguousarray(row, dtype=np.float64) for row in (time, tension, q))
     estimates = TendonEstimate.array(len(T))
-    _run(_copied(prepared), _copied(initial(prepared)), time, T, q, estimates)
+    _run(_view(prepared), _copied(initial(prepared)), time, T, q, estimates)
     return Estimates(*(estimates[name].copy() for name in Estimates._fields))
 
 
@@ -352,6 +352,11 @@ def _run(
         advance(prepared[0], states[0], tension[i], displacement[i], dt, estimates[i])
 
 
-def _copied(record: object) -> Records:
-    """Return a copy of a record as an array, shape (1,), whose elements have its fields."""
-    return np.array(record).reshape(1)
+def _view(record: Any) -> Records:
+    """Return a record as an array, shape (1,), that is not to be written to."""
+    return np.ndarray(1, record.dtype, record)
+
+
+def _copied(record: Any) -> Records:
+    """Return a copy of a record as an array, shape (1,); numpy's own goes field by field."""
+    return np.frombuffer(bytearray(record), record.dtype)
