@@ -16,8 +16,8 @@ from teleop.launch.status import StatusLine, status_text
 from teleop.launch.supervisor import Supervisor, wait_for
 from teleop.link import Heard
 from teleop.messages import Event, LoopReport, SlaveState, TendonState, padded, text_bytes
-from teleop.remote.door import CALL, RESET
-from teleop.session import State
+from teleop.remote.requests import CALL, RESET
+from teleop.session import Reason, State
 from teleop.topics import COMMAND, EVENT, REPORT, STATE, STOP, Role
 
 
@@ -66,12 +66,12 @@ def test_a_session_that_was_never_usable_or_ended_in_a_fault_is_told_from_a_good
     assert summaries.trouble({"slave": loop(), "master": loop()}) == ""
     assert summaries.trouble({"slave": loop(ticks=0), "master": None}) == ""
     assert summaries.trouble({"slave": never}) == "the slave was never usable: no calibration"
-    afar = ended_in("the other side is at fault")
+    afar = ended_in(Reason.PEER_FAULT.text)
     broken = ended_in("a tendon is broken: joint 1, tendon a")
     said = "ended the session: a tendon is broken: joint 1, tendon a"
     assert summaries.trouble({"slave": broken, "master": afar}) == f"a fault of the slave {said}"
     assert summaries.trouble({"slave": afar, "master": broken}) == f"a fault of the master {said}"
-    assert "other side" in summaries.trouble({"slave": loop(), "master": afar})
+    assert Reason.PEER_FAULT.text in summaries.trouble({"slave": loop(), "master": afar})
 
 
 def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():
