@@ -10,7 +10,7 @@ the calibration, is `monitor_calibration`, called when the answer is out.
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from slave import control, coupling_adapter, fault_detection, gate, initial_posi
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
+from slave.control.joint import JointEstimate
 from slave.rig import RigSample
 from slave.tendons import EstimatedTendon, RigLayout, rig_layout
 from teleop import coupling, session
@@ -81,12 +82,12 @@ class SlaveMemory(Record):
     session: Session
     initial_position: initial_position.InitialPosition
     detector: fault_detection.FaultDetector
-    motors: fault_detection.Motors
+    motors: fault_detection.MotorChecks
     control: control.Control
     coupling: Side
     tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]  # newest
     monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
-    joints: Annotated[Sequence[control.JointEstimate], Field(control.JointEstimate, MAX_JOINTS)]
+    joints: Annotated[Sequence[JointEstimate], Field(JointEstimate, MAX_JOINTS)]
     reach: Annotated[Sequence[gate.Reach], Field(gate.Reach, MAX_TENDONS)]
     offsets: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of each joint's tendons
     motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] what the gate last let through
@@ -110,6 +111,7 @@ class Scratch(Record):
     asked: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
     speed: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
     force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] as the hand feels it
+    displacement: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of the motors in a sample
     tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] that limits go by
     motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] where the motors are
     wanted: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] where they shall go
@@ -160,7 +162,7 @@ def rig_model(
         tuple(models),
         rig_layout(joints),
         online.prepare_all(models),
-        monitor.prepare_all(models),
+        monitor.prepare(models),
         not_ready_text,
     )
 
@@ -170,7 +172,7 @@ def settings(config: SlaveConfig, bilateral: Bilateral, calibrated: bool = True)
     records = SlaveSettings.array()
     for name in ("control", "fault_detection", "gate", "monitor"):
         records[name] = as_records(getattr(config, name))
-    records["bilateral"] = coupling.settings(bilateral)
+    records["bilateral"] = coupling.bilateral_settings(bilateral)
     records["sample_timeout"] = config.sample_timeout
     records["rig_obeys"], records["calibrated"] = config.rig_obeys, calibrated
     return records
@@ -190,8 +192,8 @@ def start(
     """
     memory = SlaveMemory.array()
     tendons = len(model.models)
-    memory["initial_position"] = initial_position.start(tendons, starts_at_zero)
-    memory["detector"] = fault_detection.start(model.joints, model.models)
+    initial_position.start(one(memory).initial_position, tendons, starts_at_zero)
+    memory["detector"] = fault_detection.start(model.models)
     slave = Slave(
         settings(config, bilateral, calibrated=not model.not_ready_text),
         model.layout,
@@ -204,12 +206,7 @@ def start(
     row = EstimatedSample.array()
     for sample in samples:
         fill_sample(row, 0, sample)
-        update_estimators(*slave[1:5], row)
-    if samples:
-        state = one(memory)
-        initial_position.take(
-            state.initial_position, state.tendons, tendons, bool(row["has_displacement"][0])
-        )
+        take_past_sample(*slave[1:6], row)
     return slave
 
 
@@ -265,12 +262,12 @@ def tick(
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
     work, command = scratches[0], commands[0]
     found, tendon = _take_samples(
-        setting, layout, prepared, estimators, memory, rows, samples, given.dt
+        setting, layout, prepared, estimators, memory, work, rows, samples, given.dt
     )
     _update_faults(setting, layout, memory, rows, samples, found, tendon, given.dt)
-    _locate_motors(setting, layout, memory, work)
+    _update_readiness(setting, memory, work)
     asks = _take_command(layout, work, command, given)
-    _advance_session(setting, memory, layout, work, command, given, asks)
+    _advance_session(setting, layout, memory, work, command, given)
     engaged = session.may_move(memory.session) and asks
     if memory.has_sample:
         control.joint_estimates(layout, memory.tendons, memory.offsets, memory.joints)
@@ -284,11 +281,18 @@ def tick(
 
 
 @compiled
-def update_estimators(
-    layouts: Records, prepared: Records, estimators: Records, memories: Records, rows: Records
+def take_past_sample(
+    layouts: Records,
+    prepared: Records,
+    estimators: Records,
+    memories: Records,
+    scratches: Records,
+    rows: Records,
 ) -> None:
-    """Step each tendon's estimator with the first of `rows`, with nothing else."""
-    _update_estimators(layouts[0], prepared, estimators, memories[0], rows[0])
+    """Take in the first of `rows`, measured before the first tick: no fault is looked for in it."""
+    layout, memory, row = layouts[0], memories[0], rows[0]
+    _update_estimators(layout, prepared, estimators, memory, row)
+    _locate(layout, memory, scratches[0], row)
 
 
 @compiled
@@ -298,6 +302,7 @@ def _take_samples(
     prepared: Records,
     estimators: Records,
     memory: SlaveMemory,
+    work: Scratch,
     rows: Records,
     samples: int,
     dt: float,
@@ -313,12 +318,20 @@ def _take_samples(
         )
         if reason != Reason.NONE:
             found, tendon = reason, where
-        initial_position.take(
-            memory.initial_position, row.tendons, layout.tendons, row.has_displacement
-        )
+        _locate(layout, memory, work, row)
         if setting.rig_obeys and memory.has_motor:
             fault_detection.take_motor_readings(memory.motors, layout, row.tendons, memory.motor)
     return found, tendon
+
+
+@compiled
+def _locate(layout: RigLayout, memory: SlaveMemory, work: Scratch, row: EstimatedSample) -> None:
+    """Take in where a sample has the motors."""
+    for i in range(layout.tendons):
+        work.displacement[i] = row.tendons[i].displacement
+    initial_position.take(
+        memory.initial_position, layout.tendons, work.displacement, row.has_displacement
+    )
 
 
 @compiled
@@ -334,6 +347,7 @@ def _update_estimators(
     memory.sample_time = row.time_s
     memory.has_sample = True
     usable = True
+    newest: Any = memory.tendons
     for i in range(layout.tendons):
         tendon = row.tendons[i]
         tendon.corrected_tension, tendon.corrected_displacement = online.advance(
@@ -346,15 +360,9 @@ def _update_estimators(
         )
         tendon.valid = tendon.estimate.status & INVALID_INPUT == 0
         usable = usable and tendon.valid
-        memory.tendons[i] = tendon
+        newest[i] = tendon
     if usable and not memory.has_offsets:
-        finite = True
-        for k in range(layout.joints):
-            memory.offsets[k] = control.offset(layout.joint[k], row.tendons)
-            finite = finite and math.isfinite(memory.offsets[k])
-        memory.has_offsets = finite
-        if not finite:
-            memory.offsets[:] = 0.0
+        memory.has_offsets = control.joint_offsets(layout, row.tendons, memory.offsets)
 
 
 @compiled
@@ -395,7 +403,7 @@ def _update_faults(
 @compiled
 def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
     """Return whether every tendon's sample could be used by its estimator."""
-    for i in range(layout.tendons):
+    for i in range(layout.tendons):  # noqa: SIM110 - compiled
         if not tendons[i].valid:
             return False
     return True
@@ -415,9 +423,7 @@ def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemor
 
 
 @compiled
-def _locate_motors(
-    setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory, work: Scratch
-) -> None:
+def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch) -> None:
     """Say where the motors are, and whether the rig is usable at all."""
     known = memory.has_motor or initial_position.known(
         memory.initial_position, setting.sample_timeout
@@ -450,12 +456,11 @@ def _take_command(layout: RigLayout, work: Scratch, command: Command, given: Tic
 @compiled
 def _advance_session(
     setting: SlaveSettings,
-    memory: SlaveMemory,
     layout: RigLayout,
+    memory: SlaveMemory,
     work: Scratch,
     command: Command,
     given: TickInput,
-    asks: bool,
 ) -> None:
     master = session.known_state(command.state) if given.has_command else State.OFF + 0
     fault = given.fault
@@ -472,7 +477,9 @@ def _advance_session(
     inputs.stop = given.stop
     inputs.reset = given.reset
     inputs.not_ready_reason = Reason.COUPLING_DIFFERS if differs else Reason.NONE
-    inputs.peer = command.sender if given.has_command else np.uint64(0)
+    inputs.peer = 0
+    if given.has_command:
+        inputs.peer = command.sender
     session.step(memory.session, inputs, given.dt)
 
 
@@ -509,10 +516,12 @@ def _couple(
     """Put the coupling between what is asked of the tips and where they shall go."""
     if not given.has_command:
         return
-    coupling.hear(memory.coupling, command.sender, command.energy, command.wave)
+    energy: Any = command.energy
+    wave: Any = command.wave
+    coupling.hear(memory.coupling, command.sender, energy, wave)
     if engaged:
         coupling_adapter.rendered_forces(
-            setting.bilateral.attenuation,
+            setting.bilateral.confidence,
             memory.joints,
             layout.joints,
             command.force_max,
@@ -582,15 +591,17 @@ def _fill_state(
     memory: SlaveMemory,
     command: Command,
     given: TickInput,
-    state: SlaveState,
+    out: SlaveState,
 ) -> None:
     """Say what the tick found: every field of the answer but its head."""
+    state: Any = out
+    state.answer_ns = 0  # of whoever sends it
     state.state, state.reason = memory.session.state, memory.session.reason
     state.stops = memory.session.stops
     state.echo_stamp_ns = command.stamp_ns if given.has_command else 0
     state.coupling = setting.bilateral.signature
     state.joints = layout.joints if memory.has_sample else 0
-    state.sample_age_ns = int(round(memory.silence * 1e9)) if memory.has_sample else 0
+    state.sample_age_ns = round(memory.silence * 1e9) if memory.has_sample else 0
     for k in range(MAX_JOINTS):
         port = memory.coupling.ports[k]
         state.energy[k], state.wave[k] = port.passed_on, port.told_wave
@@ -615,24 +626,11 @@ def monitor_calibration(
     """Take note of whether the sheaths still have the shape they were calibrated in."""
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
     for s in range(samples):
-        row = rows[s]
-        dt = row.elapsed
-        for k in range(layout.joints):
-            joint = layout.joint[k]
-            for n in range(joint.count):
-                i = joint.tendon[n]
-                against = 0.0
-                if joint.count > 1:
-                    against = row.tendons[joint.tendon[1 - n]].estimate.distal_tension
-                tendon = row.tendons[i]
-                monitor.step(
-                    setting.monitor,
-                    watched[i],
-                    memory.monitors[i],
-                    tendon.estimate,
-                    tendon.corrected_tension,
-                    tendon.corrected_displacement,
-                    against,
-                    dt,
-                )
-    memory.advice = monitor.advice(setting.monitor, memory.monitors, layout.tendons)
+        memory.advice = monitor.step_rig(
+            setting.monitor,
+            layout,
+            watched,
+            memory.monitors,
+            rows[s].tendons,
+            rows[s].elapsed,
+        )

@@ -6,7 +6,7 @@
 
 Without a master the motors hold, but for one thing: with `slave.initialise.at_start` the rig is
 calibrated first, and every motor moves, whoever is there. When commands stop coming for longer than
-`slave.freshness`, or anything else goes wrong, the motors hold too, until the operator lets go and
+`slave.command_timeout`, or anything else goes wrong, the motors hold too, until the operator lets go and
 engages again; after an emergency stop (`teleop stop`) that has to be reset first.
 """
 
@@ -14,45 +14,44 @@ import argparse
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator import extension, online
-from estimator.effects.friction import VISCOUS_FRICTION
+from estimator import online
+from estimator.records import Records, one
 from slave import loop, models
 from slave.calibration.initialise import initialise
-from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
-from slave.housekeeping import calibrating
-from slave.loop import Known
+from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
+from slave.gate import Verdict
+from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import open_rig
 from slave.rigs.effect_words import late
 from slave.rigs.simulated import SimulatedRigConfig
 from slave.score import Score
+from slave.state_messages import fill_tendon_state
+from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
-from teleop.clock import STALL_NS, Grid, Tick, now_ns, quiet_garbage
+from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
 from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.events import publish_event
 from teleop.launch.summary import force_line, loop_lines, trouble
 from teleop.link import Link
-from teleop.messages import MAX_JOINTS, PROFILE_POINTS, SlaveState
-from teleop.meter import LoopMeter, in_words
+from teleop.messages import MAX_JOINTS, PROFILE_POINTS, Command, SlaveState, TendonState
+from teleop.meter import LoopMeter, format_reason
+from teleop.packet import Packet
 from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
-from teleop.remote.door import Door, call_stop
+from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.run_config import RunConfig
-from teleop.session import Reason, Session, State
-from teleop.tell import tell
-from teleop.topics import (
-    COMMAND,
-    LEDGER,
-    REPORT,
-    STATE,
-    TENDONS,
-    Role,
-)
+from teleop.session import Reason, SessionOutline, State, outline
+from teleop.topics import COMMAND, LEDGER, REPORT, STATE, TENDONS, Role
+
+ROWS = 32  # samples that a tick takes at first; more are made room for
 
 
 class Past(NamedTuple):
@@ -79,7 +78,7 @@ class SlaveProcess:
         link: Link,
         rig: Rig,
         model: RigModel,
-        clock: LoopClock,
+        clock: EventClock,
         past: Past | None = None,
         bilateral: Bilateral = loop.DIRECT,
         requests: RequestListener | None = None,
@@ -95,7 +94,7 @@ class SlaveProcess:
         self._samples = 0
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
-        self._meter = LoopMeter(Role.SLAVE, clock.stats)
+        self._meter = LoopMeter(Role.SLAVE, clock)
         self._telemetry = Telemetry(link, model, self._slave)
         self._score = Score(max(model.tension_noise for model in model.models))
         self._verdicts = Counter[int]()
@@ -222,13 +221,13 @@ class SlaveProcess:
         for now, before in zip(self._changing(), self._before, strict=True):
             before[:] = now
         side = outline(self.memory.session)
-        if requests.text and side.state is not State.STOPPED:  # the first caller's
-            self._telemetry.stop_text = requests.text
+        if requests.words and side.state is not State.STOPPED:  # the first caller's
+            self._telemetry.stop_text = requests.words
         for k in range(samples):
             fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
             self._link.publish_packet(TENDONS, self._tendon_state)
         self._score.add_rows(slave.layout, rows, samples)
-        self._requests.relay(Role.SLAVE, side, requests.text)
+        self._requests.relay(Role.SLAVE, side, requests.words)
         self._publish_ledger(tick.stamp_ns)
         self._telemetry(time_s)
         self._report(tick.stamp_ns)
@@ -257,11 +256,11 @@ class SlaveProcess:
             self._end(error)
 
 
-def run(slave: Slave, grid: Grid, stop_for: Callable[[str], None]) -> None:
+def run(slave: SlaveProcess, clock: EventClock, stop_for: Callable[[str], None]) -> None:
     """Tick until told to stop; the others are told, however this ends."""
     try:
         with quiet_garbage():
-            for tick in grid:
+            for tick in clock:
                 slave.tick(tick)
                 if slave.ended:
                     stop_for(slave.ended)
@@ -286,7 +285,7 @@ def main(args: argparse.Namespace) -> int:
     files = models.given(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
-    warm_up(extended=bool(files) or has_model_file(config))
+    warm_up()
     granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
     with ExitStack() as stack:
         # a slave that is refused as the second one must not have touched the rig
@@ -297,12 +296,12 @@ def main(args: argparse.Namespace) -> int:
         for doubt in doubts(config, shared.coupling):
             print(doubt, flush=True)
         stop = Stop(args.duration)
-        door = Door(link)
-        link.subscribe_latest(COMMAND, round(config.freshness * 1e9))
-        known, past = known_before(config, rig, link, door, stop, shared.rate_hz, files)
-        grid = Grid(shared.rate_hz, stop, phase=0.5)
-        slave = Slave(config, link, rig, known, grid, past, shared.bilateral, door)
-        run(slave, grid, stop.request)
+        requests = RequestListener(link)
+        link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
+        model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
+        clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
+        slave = SlaveProcess(config, link, rig, model, clock, past, shared.bilateral, requests)
+        run(slave, clock, stop.request)
         summary = slave.summary()
     if isinstance(config.rig, SimulatedRigConfig):
         for line in late(config.rig.effects, summary["seconds"]):
@@ -326,20 +325,20 @@ def require_carried(rig: Rig) -> None:
         )
 
 
-def known_before(
+def model_of(
     config: SlaveConfig,
     rig: Rig,
     link: Link,
-    door: Door,
+    requests: RequestListener,
     stop: Stop,
     rate_hz: float,
     files: models.Given,
-) -> tuple[Known, Past]:
+) -> tuple[RigModel, Past]:
     """Return what is known of a rig when the loop begins, and what it has measured before.
 
     Model `files` stand in for what the config says of the sheaths. If the config asks for it, the
     rig is calibrated first, in its quick form; `TeleopError` if that has to be given up. An
-    emergency stop at the `door` ends it where the motors are.
+    emergency stop among the `requests` ends it where the motors are.
     """
     past = Past(now_ns(), ())
     if not config.initialise.at_start:
@@ -350,19 +349,21 @@ def known_before(
         for line in said:
             print(line, flush=True)
         barred = hindrance_of(config, rig, modelled=bool(files))
-        return loop.know(rig.joints, [tendon.model() for tendon in tendons], barred), past
+        return loop.rig_model(rig.joints, [tendon.model() for tendon in tendons], barred), past
 
     def stopped() -> str:
-        asked = door(now_ns())
+        asked = requests(now_ns())
         master = link.latest(COMMAND).message
         if asked.stop:
             call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
-            raise TeleopError(f"calibration given up: {in_words(asked.stop, asked.words)}")
+            raise TeleopError(f"calibration given up: {format_reason(asked.stop, asked.words)}")
         if master is not None and State(master.state) is State.STOPPED:
             raise TeleopError(f"calibration given up: {Reason.PEER_STOPPED.text}")
         return stop.reason if stop() else ""
 
-    tell(link, Role.SLAVE, Session(), f"off: calibrating {rig.name}; keep its joints free")
+    publish_event(
+        link, Role.SLAVE, SessionOutline(), f"off: calibrating {rig.name}; keep its joints free"
+    )
     done = initialise(
         rig,
         config,
@@ -371,9 +372,9 @@ def known_before(
         stopped=stopped,
         progress=calibrating(rig),
     )
-    tell(link, Role.SLAVE, Session(), f"off: {rig.name} is calibrated")
+    publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
     found = [tendon.model() for tendon in done.calibration.tendons]
-    return loop.know(rig.joints, found), past._replace(samples=done.samples)
+    return loop.rig_model(rig.joints, found), past._replace(samples=done.samples)
 
 
 def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
@@ -388,10 +389,17 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
     return list(said)
 
 
-def warm_up(extended: bool = False) -> None:
-    """Compile what the loop calls, before it has to be on time; `extended` models take longer."""
-    viscous = extension.extended((1.0, 1e-4, 0.0), [(VISCOUS_FRICTION, (1.0,))], 1.0, 1.0)
-    for extra in (None, viscous.extension) if extended else (None,):
-        prepared = online.prepare(online.TendonModel(viscous.sheath, extension=extra))
-        _, state = online.step(prepared, online.initial(prepared), 1.0, 0.0, 0.0)
-        online.profile_at(prepared, state, np.zeros(PROFILE_POINTS))
+def warm_up() -> None:
+    """Compile what the loop calls, before it has to be on time."""
+    model = loop.rig_model(((0,),), [TendonConfig(effective_friction=1.0).model()])
+    slave = loop.start(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
+    rows, state = loop.EstimatedSample.array(ROWS), Packet(SlaveState)
+    loop.fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
+    given, command = TickInput(1e-3, True, False), Packet(Command)
+    parts = (slave.settings, slave.layout, slave.prepared, slave.estimators, slave.memory)
+    loop.tick(*parts, slave.scratch, rows, 1, given, command.records, state.records)
+    loop.monitor_calibration(*parts[:2], slave.watched, slave.memory, rows, 1)
+    fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
+    Score().add_rows(slave.layout, rows, 1)
+    online.profile_at(one(slave.prepared), one(slave.estimators), np.zeros(PROFILE_POINTS))
+    state.seal(0, 0, 0)

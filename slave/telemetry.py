@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from teleop.events import publish_event
 
 from estimator import online
 from estimator.records import one
@@ -14,6 +13,7 @@ from slave.calibration.refusals import tendon_name
 from slave.calibration.run import Progress
 from slave.loop import NOT_CALIBRATED, NOT_READY_TEXT, RigModel, Slave, SlaveMemory
 from slave.rig import Rig
+from teleop.events import publish_event
 from teleop.link import Link
 from teleop.messages import PROFILE_POINTS
 from teleop.meter import format_reason

@@ -271,6 +271,7 @@ class SlaveState(Message):
     coupling: U32 = 0  # as in Command
     energy: Joints = NO_JOINTS  # [J] passed on to the master since the sender started
     wave: Joints = NO_JOINTS  # [sqrt(J s)] integral of the waves sent to it
+    answer_ns: I64 = 0  # from the Command's receipt to this state's sending; 0 = no new one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
