@@ -1,7 +1,7 @@
 """The couplings over an arbitrary network, between an arbitrary hand and an arbitrary tip."""
 
 from dataclasses import fields, replace
-from typing import get_args
+from typing import Annotated, get_args
 
 import numpy as np
 import pytest
@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimator.compiled import compiled
-from estimator.records import one
+from estimator.records import U64, Field, Record, one
 from teleop import coupling
 from teleop.coupling import (
     Bilateral,
+    BilateralSettings,
     CouplingConfig,
     DirectConfig,
     PassivityConfig,
@@ -363,18 +364,48 @@ def test_nonces_that_differ_in_their_lowest_bit_are_told_apart():
     assert side.sender == 2**64 - 2
 
 
+class Heard(Record):
+    sender: U64
+    energy: Annotated[np.ndarray, Field("f8", MAX_JOINTS)]
+    wave: Annotated[np.ndarray, Field("f8", MAX_JOINTS)]
+
+
+class Memory(Record):
+    heard: Heard
+    near: Side
+    far: Side
+    rules: BilateralSettings
+
+
 @compiled
-def hear_of_record(sides, messages):
-    coupling.hear(sides[0], messages[0].sender, messages[0].energy, messages[0].wave)
+def tick_of_memory(memories, place, speed, force):
+    """As a compiled tick has them: everything within one record, arrays of it too."""
+    memory = memories[0]
+    for side in (memory.near, memory.far):
+        coupling.hear(side, memory.heard.sender, memory.heard.energy, memory.heard.wave)
+    coupling.count_hand(memory.rules, memory.near, place, speed, force, 1, LEVER, True, DT)
+    coupling.render(memory.rules, memory.near, force, 1, force)
+    coupling.at_tip(memory.rules, memory.far, place, speed, force, 1, True, DT)
+    return coupling.differs(memory.rules, memory.near.sender)
 
 
-def test_arrays_within_a_record_are_heard_too():
-    """As a compiled tick has them: fields of the message's record."""
-    numbers = ("f8", (MAX_JOINTS,))
-    messages = np.zeros(1, [("sender", "u8"), ("energy", *numbers), ("wave", *numbers)])
-    sides = Side.array()
-    for energy in (1.0, 3.0):
-        messages["sender"], messages["energy"] = 2**64 - 1, energy
-        hear_of_record(sides, messages)
-    assert one(sides).sender == 2**64 - 1
-    assert [port.heard for port in one(sides).ports] == [2.0] * MAX_JOINTS
+@pytest.mark.parametrize("config", [*ROBUST, DirectConfig()], ids=lambda c: f"{c.type}")
+def test_within_a_larger_record_a_side_is_the_same(config):
+    rules, memories = record_of(config), Memory.array()
+    memories["rules"] = bilateral_settings(Bilateral(coupling=config))
+    near, far = Side.new(), Side.new()
+    for tick in range(20):
+        place, speed, force = 3e-5 * tick, 0.03, 9.0 * (-1.0) ** tick
+        energy, wave = np.full(MAX_JOINTS, 1e-4 * tick), np.full(MAX_JOINTS, -1e-5 * tick)
+        heard = memories["heard"]
+        heard["sender"], heard["energy"], heard["wave"] = 2**64 - 1, energy, wave
+        arrays = joints(place), joints(speed), joints(force)
+        tick_of_memory(memories, *arrays)
+        for side in (near, far):
+            coupling.hear(side, np.uint64(2**64 - 1), energy, wave)
+        felt = at_hand(rules, near, place, speed, force, force)
+        gone, went = at_tip(rules, far, place, speed, felt)
+        assert (arrays[0][0], arrays[1][0], arrays[2][0]) == (gone, went, felt)
+        assert repr(memories[0]["near"].tolist()) == repr(near.tolist())
+        assert repr(memories[0]["far"].tolist()) == repr(far.tolist())
+    assert near.ports[0].heard > 0.0
