@@ -30,7 +30,8 @@ from teleop.launch.summary import loop_lines, trouble
 from teleop.link import NEVER_NS, Counts, Link
 from teleop.messages import Answer, Command, text_bytes
 from teleop.meter import LoopMeter, in_words
-from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
+from teleop.process import Stop, destination, seconds, supervised, write_summary
+from teleop.realtime import enter_loop, go_realtime
 from teleop.remote.door import Asked, Door, Wish
 from teleop.run_config import RunConfig
 from teleop.session import Reason, Session, State
@@ -234,7 +235,8 @@ def main(args: argparse.Namespace) -> int:
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, MasterConfig, "master", args.overrides)
     stop = Stop(args.duration)
-    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+    # before the link: its threads inherit the priority
+    granted = go_realtime(shared.realtime)
     with ExitStack() as stack:
         # a master that is refused as the second one must not have touched the device
         link = stack.enter_context(Link(shared.link, shared.session, Role.MASTER))
@@ -242,6 +244,7 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(device.close)
         grid = Grid(shared.rate_hz, stop)
         master = Master(config, link, device, grid, shared.bilateral)
+        enter_loop(granted, shared.realtime)
         run(master, grid, stop.request)
         summary = master.summary()
     summary |= {"stopped": stop.reason, "realtime": granted}

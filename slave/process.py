@@ -14,6 +14,7 @@ import argparse
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,12 +28,13 @@ from slave.control import JointEstimate
 from slave.housekeeping import Housekeeping, calibrating
 from slave.loop import Known, Memory
 from slave.rig import Rig, RigFault, RigFinished, RigSample
-from slave.rigs import open_rig
+from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
 from slave.rigs.effect_words import late
 from slave.rigs.simulated import SimulatedRigConfig
 from slave.score import Score
 from slave.tendon_config import TendonConfig
 from teleop.clock import STALL_NS, Grid, Tick, now_ns, quiet_garbage
+from teleop.compile_cache import announced
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
@@ -41,7 +43,8 @@ from teleop.launch.summary import force_line, loop_lines, trouble
 from teleop.link import Counts, Link
 from teleop.messages import MAX_JOINTS, PROFILE_POINTS, SlaveState
 from teleop.meter import LoopMeter, in_words
-from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
+from teleop.process import Stop, destination, seconds, supervised, write_summary
+from teleop.realtime import enter_loop, go_realtime
 from teleop.remote.door import Door, call_stop
 from teleop.run_config import RunConfig
 from teleop.session import Reason, Session, State
@@ -54,6 +57,9 @@ from teleop.topics import (
     TENDONS,
     Role,
 )
+
+COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
+EXTENDED_COMPILE_S = 20.0  # [s] more
 
 
 class Past(NamedTuple):
@@ -237,8 +243,9 @@ def main(args: argparse.Namespace) -> int:
     files = models.given(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
-    warm_up(extended=bool(files) or has_model_file(config))
-    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+    prepare(config, extended=bool(files) or has_model_file(config))
+    # before the link: its threads inherit the priority
+    granted = go_realtime(shared.realtime)
     with ExitStack() as stack:
         # a slave that is refused as the second one must not have touched the rig
         link = stack.enter_context(Link(shared.link, shared.session, Role.SLAVE))
@@ -253,6 +260,7 @@ def main(args: argparse.Namespace) -> int:
         known, past = known_before(config, rig, link, door, stop, shared.rate_hz, files)
         grid = Grid(shared.rate_hz, stop, phase=0.5)
         slave = Slave(config, link, rig, known, grid, past, shared.bilateral, door)
+        enter_loop(granted, shared.realtime)
         run(slave, grid, stop.request)
         summary = slave.summary()
     if isinstance(config.rig, SimulatedRigConfig):
@@ -337,6 +345,16 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
             line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"
             said[f"{line} taken for tension, and a stuck load cell may not be noticed"] = None
     return list(said)
+
+
+def prepare(config: SlaveConfig, extended: bool) -> None:
+    """Compile and import what the session calls, before it runs at real-time priority."""
+    about = COMPILE_S + EXTENDED_COMPILE_S * extended + RIG_COMPILE_S[type(config.rig)]
+    with announced("the estimator", about):
+        warm_up(extended)
+        compile_rig(config.rig)
+    if config.initialise.at_start:
+        import_module("scipy.optimize")  # which the analysis of a calibration uses
 
 
 def warm_up(extended: bool = False) -> None:

@@ -381,7 +381,8 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
 def quiet_process(monkeypatch):
     """Let a command run inside the test process without leaving its traces there."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setattr(process, "go_realtime", lambda: ["a test"])
+    monkeypatch.setattr(process, "go_realtime", lambda _: ["a test"])
+    monkeypatch.setattr(process, "enter_loop", lambda *_: None)
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
