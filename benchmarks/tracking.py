@@ -11,13 +11,14 @@ import math
 import timeit
 from typing import NamedTuple
 
+from slave.watch import WatchConfig
+
 from estimator import online
 from estimator.sheath import Sheath
 from slave import control, watch
 from slave.control import Control, ControlConfig, TendonSeen
 from slave.plant.sheath import SectionConfig
 from slave.rigs.simulated import JointConfig
-from slave.watch import WatchConfig
 from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase
 
 STEPS = (0.004, 0.002, 0.006, 0.0, -0.006, 0.0)  # [m]

@@ -31,7 +31,8 @@ from teleop.impair.direction import Direction
 from teleop.launch.summary import impair_lines
 from teleop.link.bridge import Bank, ask
 from teleop.meter import percentiles
-from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
+from teleop.process import Stop, destination, seconds, supervised, write_summary
+from teleop.realtime import go_realtime, limit_computing
 from teleop.run_config import RunConfig
 
 DIRECTIONS = ("to_slave", "to_master")
@@ -166,9 +167,11 @@ def main(args: argparse.Namespace) -> int:
         print(json.dumps(answer, indent=2))
         return 0
     stop = Stop(args.duration)
-    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+    # before the link: its threads inherit the priority
+    granted = go_realtime(shared.realtime)
     sys.setswitchinterval(_SWITCH_S)
     proxy = Proxy(shared, read)
+    limit_computing(granted)
     try:
         if not supervised():
             print(f"the master finds the slave at {config.endpoint} now", flush=True)

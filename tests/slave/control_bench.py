@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from slave.watch import Finding, WatchConfig
 
 from estimator import online
 from estimator.records import Records, as_record, one
@@ -25,7 +26,6 @@ from slave.rigs.simulated import (
     TendonPlantConfig,
 )
 from slave.tendons import EstimatedTendon, rig_layout
-from slave.watch import Finding, WatchConfig
 from teleop.messages import MAX_JOINTS, MAX_TENDONS
 
 Array = NDArray[np.float64]
