@@ -30,7 +30,6 @@ from teleop.impair.delay_queue import WAIT_S, DelayQueue
 from teleop.impair.direction import Direction
 from teleop.launch.summary import impair_lines
 from teleop.link.bridge import Bank, ask
-from teleop.meter import percentiles
 from teleop.process import Stop, destination, seconds, supervised, write_summary
 from teleop.realtime import go_realtime, limit_computing
 from teleop.run_config import RunConfig
@@ -108,7 +107,7 @@ class Proxy:
         counts = {name: direction.counts() for name, direction in self._directions.items()}
         return counts | {
             "waiting": len(self._queue),
-            "lateness_us": percentiles(self._queue.lateness, 1e-3),
+            "lateness_us": self._queue.lateness.percentiles(1e-3),
         }
 
     def _look_soon(self) -> None:
