@@ -18,7 +18,7 @@ from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
 from teleop.messages import Command, Hand
 from teleop.session import Reason, State
 from tests.master.records import hand_record, message_record, message_records
-from tests.master.run import CONFIG, EPOCH, MS, Run, answer, hand
+from tests.master.run import CONFIG, MS, Run, answer, hand
 
 
 def later(run, state=State.ENGAGED, **more):
