@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
-from estimator.records import I64, Field, Flag, Record
+from estimator.records import I64, Field, Flag, Record, Records
 from master.device import HandState
 from teleop.messages import MAX_JOINTS
 
@@ -30,22 +30,34 @@ class HandInput(Record):
     stop: Flag = False  # ... the emergency stop
 
 
-def fill(record: HandInput, hand: HandState | None) -> None:
-    """Set `record` to what a device returned; None if it cannot be read."""
-    record.position[:] = 0.0
-    record.velocity[:] = 0.0
-    record.present = hand is not None
-    record.axes = 0
-    record.engage = record.clutch = record.stop = False
+_ZEROS = (0.0,) * MAX_JOINTS
+_ABSENT = (False, 0, _ZEROS, _ZEROS, False, False, False)
+
+
+def fill(records: Records, hand: HandState | None) -> None:
+    """Set the first of an array of `HandInput` to what a device returned, in 2 us.
+
+    Parameters
+    ----------
+    records : Records
+        For example `inputs["hand"]` of an array of records with such a field.
+    hand : HandState or None
+        None if the device cannot be read.
+    """
     if hand is None:
+        records[0] = _ABSENT
         return
     axes = len(hand.position)
-    record.axes = axes
-    record.position[:axes] = hand.position
-    record.velocity[:axes] = hand.velocity
-    record.engage = hand.engage
-    record.clutch = hand.clutch
-    record.stop = hand.stop
+    zeros = _ZEROS[axes:]
+    records[0] = (
+        True,
+        axes,
+        hand.position + zeros,
+        hand.velocity + zeros,
+        hand.engage,
+        hand.clutch,
+        hand.stop,
+    )
 
 
 def fill_axes(field: NDArray[np.float64], values: Sequence[float]) -> None:

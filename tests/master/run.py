@@ -58,7 +58,8 @@ class Run:
         self.config, self.now, self.axes = config, EPOCH, axes
         self._settings = SettingsRecord(config, bilateral)
         self.memory = one(loop.start(axes, self.now))
-        self.input = one(loop.TickInput.array())
+        self._inputs = loop.TickInput.array()
+        self.input = one(self._inputs)
         self._state = one(message_records(SlaveState))
         self.output: Any = None
 
@@ -79,7 +80,7 @@ class Run:
         self.now += MS
         settings = self.settings
         tick = self.input
-        fill(tick.hand, the_hand)
+        fill(self._inputs["hand"], the_hand)
         tick.dt, tick.fault, tick.stop, tick.reset = dt, fault, stop, reset
         self._receive(state, age, self.now)
         out, force = message_records(Command), np.zeros(MAX_JOINTS)
