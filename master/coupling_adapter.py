@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 from estimator.records import F64, Flag, Record
-from master.hand_input import Axes, HandInput
+from master.hand_input import Axes, HandInput, all_finite
 from teleop import coupling
 from teleop.coupling import BilateralSettings, Side
 from teleop.messages import MAX_JOINTS
@@ -57,18 +57,20 @@ def count_hand(
     coupled : bool
         Whether forces are rendered, and will be numbers as far as is known.
     """
+    # a position that is not finite would stay in the ledger's sums for ever
+    seen = hand.present and all_finite(hand.position, hand.axes)
     place, velocity = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     at_tip = np.zeros(MAX_JOINTS)
     for k in range(MAX_JOINTS):
         place[k] = side.asked[k]
-        if hand.present and k < hand.axes:
+        if seen and k < hand.axes:
             before = rendered.hand[k] if rendered.hand_known else hand.position[k]
             place[k] += position_scale * (hand.position[k] - before)
             velocity[k] = position_scale * hand.velocity[k]
             rendered.hand[k] = hand.position[k]
         if k < axes:
             at_tip[k] = _at_tip(rendered.scale, _part(written[k], rendered.force[k]))
-    rendered.hand_known = rendered.hand_known or hand.present
+    rendered.hand_known = rendered.hand_known or seen
     lever = force_scale * position_scale
     coupling.count_hand(settings, side, place, velocity, at_tip, axes, lever, coupled, dt)
 

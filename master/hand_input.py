@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
-from estimator.records import I64, Field, Flag, Record, Records, one
+from estimator.records import I64, Field, Flag, Record, Records
 from master.device import HandState
 from teleop.messages import MAX_JOINTS
 
@@ -30,51 +30,34 @@ class HandInput(Record):
     stop: Flag = False  # ... the emergency stop
 
 
-def fill(record: HandInput, hand: HandState | None) -> None:
-    """Set `record` to what a device returned; None if it cannot be read."""
-    record.position[:] = 0.0
-    record.velocity[:] = 0.0
-    record.present = hand is not None
-    record.axes = 0
-    record.engage = record.clutch = record.stop = False
-    if hand is None:
-        return
-    axes = len(hand.position)
-    record.axes = axes
-    record.position[:axes] = hand.position
-    record.velocity[:axes] = hand.velocity
-    record.engage = hand.engage
-    record.clutch = hand.clutch
-    record.stop = hand.stop
+_ZEROS = (0.0,) * MAX_JOINTS
+_ABSENT = (False, 0, _ZEROS, _ZEROS, False, False, False)
 
 
-class HandWriter:
-    """Writes what a device returns into records, with views that were made once.
+def fill(records: Records, hand: HandState | None) -> None:
+    """Set the first of an array of `HandInput` to what a device returned, in 2 us.
 
     Parameters
     ----------
     records : Records
-        `HandInput`, shape (1,).
+        For example `inputs["hand"]` of an array of records with such a field.
+    hand : HandState or None
+        None if the device cannot be read.
     """
-
-    def __init__(self, records: Records) -> None:
-        self._present, self._axes = records["present"], records["axes"]
-        self._position, self._velocity = records["position"][0], records["velocity"][0]
-        self._engage, self._clutch, self._stop = (
-            records[name] for name in ("engage", "clutch", "stop")
-        )
-        self._records = records
-
-    def __call__(self, hand: HandState | None) -> None:
-        """Take over what a device returned; None if it cannot be read. See `fill`."""
-        if hand is None:
-            fill(one(self._records), None)
-            return
-        axes = len(hand.position)
-        self._present[0], self._axes[0] = True, axes
-        self._position[:axes] = hand.position
-        self._velocity[:axes] = hand.velocity
-        self._engage[0], self._clutch[0], self._stop[0] = hand.engage, hand.clutch, hand.stop
+    if hand is None:
+        records[0] = _ABSENT
+        return
+    axes = len(hand.position)
+    zeros = _ZEROS[axes:]
+    records[0] = (
+        True,
+        axes,
+        hand.position + zeros,
+        hand.velocity + zeros,
+        hand.engage,
+        hand.clutch,
+        hand.stop,
+    )
 
 
 def fill_axes(field: NDArray[np.float64], values: Sequence[float]) -> None:

@@ -15,17 +15,17 @@ import argparse
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from estimator.records import Records, one
-from master import live, loop
+from master import hand_input, live, loop
 from master.config import MasterConfig
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import Verdict
-from master.hand_input import HandWriter
 from master.settings import SettingsRecord
 from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
@@ -81,7 +81,7 @@ class Master:
         self._outline = OutlineReader(self._memory["session"])
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
-        self._write_hand = HandWriter(self._ticks["hand"])
+        self._write_hand = partial(hand_input.fill, self._ticks["hand"])
         self._live, self._link, self._device = live.start(config), link, device
         self._settings = SettingsRecord(config, bilateral)
         self._command, self._hand = Packet(Command), Packet(Hand)

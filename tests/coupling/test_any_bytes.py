@@ -15,7 +15,6 @@ import pytest
 
 from estimator.online import TendonModel
 from estimator.sheath import Sheath
-from master import loop as master_loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.operator import OperatorConfig
@@ -25,14 +24,13 @@ from slave.gate import GateConfig
 from slave.rig import RigSample
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
-from teleop.link import Latest
+from teleop.link import NEVER_NS, Latest
 from teleop.messages import MAX_JOINTS, Command, SlaveState, Wire
 from teleop.session import Reason, State
 from teleop.topics import COMMAND, STATE
 from tests.anything import CASES, Anything
+from tests.master.run import EPOCH, MS, Run
 
-MS = 1_000_000  # [ns]
-EPOCH = 1_700_000_000 * 10**9
 DT = 0.001  # [s]
 COUPLINGS = [DirectConfig(), PassivityConfig(), WaveConfig()]
 HEAD_FIELDS = 5  # which the link fills in
@@ -121,7 +119,8 @@ def test_no_bytes_from_a_slave_put_a_force_on_the_hand_that_is_not_within_limits
     for case in range(TICKS):
         if case % ATTEMPT == 0:
             line = Noise(STATE, case)
-            memory = master_loop.start(2, now)
+            run = Run(config, bilateral, axes=2)
+            run.now, newest, age = now, None, NEVER_NS
             peer, echo = State.READY, 0
             reach = random.Random(case)  # noqa: S311
         now += MS
@@ -139,26 +138,23 @@ def test_no_bytes_from_a_slave_put_a_force_on_the_hand_that_is_not_within_limits
             coupling=bilateral.signature,
             energy=(1e-3 * case,) * MAX_JOINTS,
         )
-        latest = line.tick(answer, now)
         dt = DT * reach.choice([1, 1, 1, 1, 1, 4, 50])
-        before = memory.force
-        output, memory = master_loop.step(
-            config,
-            memory,
-            hand,
-            latest.message,
-            latest.age_ns(now),
-            now,
-            dt,
-            Reason.NONE,
-            bilateral,
-        )
+        before = tuple(run.memory.force[:2])
+        latest = line.tick(answer, now)
+        if reach.random() < 0.5:  # it comes between command and force
+            known, known_age = newest, min(age + MS, NEVER_NS)
+            later, later_age = latest.message, latest.age_ns(now)
+        else:
+            known, known_age = latest.message, latest.age_ns(now)
+            later, later_age = None, 0
+        output = run.tick(hand, known, known_age, later=later, later_age=later_age, dt=dt)
+        newest, age = latest.message, latest.age_ns(now)
         echo = now
-        peer = memory.session.state if memory.session.state in (1, 2) else State.READY
+        peer = run.state if run.state in (1, 2) else State.READY
         assert_force_within(config, before, output.force, dt)
         assert all(map(math.isfinite, (*output.command.position, *output.command.velocity)))
         assert all(map(math.isfinite, (*output.command.energy, *output.command.wave)))
-        if memory.session.state not in (State.ENGAGED, State.HOLDING):
+        if run.state not in (State.ENGAGED, State.HOLDING):
             assert output.force == (0.0, 0.0)
         rendered += any(output.force)
     assert rendered > TICKS / 20  # sessions do come about

@@ -26,9 +26,9 @@ def message_record(message: Message) -> Any:
 
 def hand_record(hand: Any) -> Any:
     """Return a `HandState`, or None, as a record."""
-    record = HandInput.new()
-    fill(record, hand)
-    return record
+    records = HandInput.array()
+    fill(records, hand)
+    return one(records)
 
 
 def eight(*values: float) -> Any:

@@ -58,7 +58,8 @@ class Run:
         self.config, self.now, self.axes = config, EPOCH, axes
         self._settings = SettingsRecord(config, bilateral)
         self.memory = one(loop.start(axes, self.now))
-        self._input = one(loop.TickInput.array())
+        self._inputs = loop.TickInput.array()
+        self.input = one(self._inputs)
         self._state = one(message_records(SlaveState))
         self.output: Any = None
 
@@ -77,9 +78,9 @@ class Run:
     ):
         """Run both phases; the second one `wait` ns later, with the state `later` if there is."""
         self.now += MS
-        settings = one(self._settings.update(self.config))
-        tick = self._input
-        fill(tick.hand, the_hand)
+        settings = self.settings
+        tick = self.input
+        fill(self._inputs["hand"], the_hand)
         tick.dt, tick.fault, tick.stop, tick.reset = dt, fault, stop, reset
         self._receive(state, age, self.now)
         out, force = message_records(Command), np.zeros(MAX_JOINTS)
@@ -110,6 +111,10 @@ class Run:
         return self
 
     @property
+    def settings(self):
+        return one(self._settings.update(self.config))
+
+    @property
     def session(self):
         return session.outline(self.memory.session)
 
@@ -118,8 +123,8 @@ class Run:
         return self.session.state
 
     def _receive(self, state, age, now):
-        self._input.has_state = state is not None
-        self._input.state_age_ns, self._input.now_ns = age, now
+        self.input.has_state = state is not None
+        self.input.state_age_ns, self.input.now_ns = age, now
         if state is not None:
             self._state = message_record(state)
 

@@ -1,5 +1,6 @@
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -9,6 +10,7 @@ from master.config import MasterConfig
 from master.device import HandState
 from master.gate import FADE_S, GateConfig, Verdict
 from teleop import session
+from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
 from teleop.link import NEVER_NS
 from teleop.session import Inputs, Reason, Session, State
 from tests.master.run import EPOCH, MS, Run, answer, hand
@@ -181,6 +183,29 @@ def test_a_hand_that_cannot_be_is_a_fault_and_does_not_reach_the_slave(broken):
     assert (output.command.state, output.command.reason) == (State.FAULT, Reason.NOT_FINITE)
     assert output.command.position == before
     assert not any(output.command.velocity)
+
+
+@pytest.mark.parametrize("coupling", [PassivityConfig(), WaveConfig()])
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_hand_that_was_no_number_once_leaves_no_trace_in_the_ledger(bad, coupling):
+    """Once engaged again the sums are numbers, and the coupling's limits hold as before."""
+    bilateral = Bilateral(coupling=coupling)
+    forces = []
+    for broken in (0.0, bad):
+        run = Run(bilateral=bilateral)
+
+        def told(state, run=run):
+            return replace(answer(run.now + MS, state), coupling=bilateral.signature)
+
+        for position in (0.0, broken, 0.0):
+            run.tick(hand(position, engage=False), told(State.READY))
+        for k in range(100):
+            run.tick(hand(-1e-4 * k), told(State.ENGAGED if k else State.READY))
+            assert all(map(math.isfinite, (*run.output.command.energy, *run.output.command.wave)))
+            assert math.isfinite(run.memory.coupling.ports[0].credit)
+        assert run.state == State.ENGAGED
+        forces.append(run.output.force[0])
+    assert forces[0] == forces[1]
 
 
 def test_a_hand_that_cannot_be_read_is_never_engaged():
