@@ -13,6 +13,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from slave.watch import WatchConfig
 
 from estimator import online
 from estimator.records import as_records
@@ -23,7 +24,6 @@ from slave.gate import GateConfig
 from slave.plant.sheath import SectionConfig
 from slave.rigs.simulated import JointConfig
 from slave.tendons import EstimatedTendon, rig_layout
-from slave.watch import WatchConfig
 from teleop.messages import MAX_JOINTS, MAX_TENDONS
 from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase
 

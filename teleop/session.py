@@ -47,7 +47,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from estimator.compiled import compiled
-from estimator.records import F64, I64, U64, Flag, Record, Records
+from estimator.records import F64, I64, U64, Flag, Record, Records, one
 
 FOLLOW_LIMIT_S = 0.1  # [s] within which the peer must be engaged too: 100 ticks of 1 kHz
 HOLD_LIMIT_S = 2.0  # [s] of silence after which nobody counts on the peer any more
