@@ -353,10 +353,10 @@ def _run(
 
 
 def _view(record: Any) -> Records:
-    """Return a record as an array, shape (1,), that is not to be written to."""
-    return np.ndarray(1, record.dtype, record)
+    """Return a record as an array, shape (1,), in the same memory."""
+    return np.asarray(record).reshape(1)
 
 
 def _copied(record: Any) -> Records:
-    """Return a copy of a record as an array, shape (1,); numpy's own goes field by field."""
-    return np.frombuffer(bytearray(record), record.dtype)
+    """Return a copy of a record as an array, shape (1,); numpy's own copies field by field."""
+    return np.frombuffer(bytearray(record.tobytes()), record.dtype)
