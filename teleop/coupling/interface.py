@@ -6,7 +6,7 @@
 
 The master's tick has two phases. What the hand did is counted, and can be told, before the tip's
 newest force is known; the force is worked out afterwards, from the same `MasterInput`. All of them
-are compiled, and change the port in place.
+are compiled, and change the port in place. Arguments that a coupling does not need it leaves out.
 
 Forces [N] are positive against pulling, travels [m] where they pull.
 """

@@ -28,7 +28,7 @@ def loop(ticks=1000, latencies=0):
     return {
         "ticks": ticks, "rate_hz": 1000.0, "seconds": 1.0, "overruns": 3, "lateness_max_ms": 0.5,
         "work_us": some if ticks else none, "latency_ms": some if latencies else none,
-        "role": "slave", "faults": ["the rig failed"] if ticks else [],
+        "role": "slave", "faults": [Reason.RIG_FAULT.text] if ticks else [],
         "ticks_in": {"off": ticks - ticks // 2, "ready": 0, "engaged": ticks // 2, "fault": 0},
         "not_usable": "no calibration", "reason": "", "ended_in": "",
         "gate": {"PASSED": 1, "SPEED": ticks // 4},
@@ -47,7 +47,7 @@ def test_the_summary_of_a_session_in_words():
     text = "\n".join(summaries.lines(whole))
     for words in (
         "received 999, lost 7, rejected 3",
-        "1 fault, last: the rig failed",
+        f"1 fault, last: {Reason.RIG_FAULT.text}",
         "speed 25.0 % of the ticks",
         "command to force p50 2.00 ms",
         "ping-pong, same sizes: p50 0.10 ms",
