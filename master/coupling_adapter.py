@@ -22,7 +22,7 @@ from teleop.coupling import BilateralSettings, Side
 from teleop.messages import MAX_JOINTS
 
 
-class Rendered(Record):
+class RenderMemory(Record):
     """What was rendered in the tick before."""
 
     hand_known: Flag = False  # a hand was seen
@@ -35,7 +35,7 @@ class Rendered(Record):
 def count_hand(
     settings: BilateralSettings,
     side: Side,
-    rendered: Rendered,
+    rendered: RenderMemory,
     hand: HandInput,
     force_scale: float,
     position_scale: float,
@@ -48,7 +48,7 @@ def count_hand(
 
     Parameters
     ----------
-    rendered : Rendered
+    rendered : RenderMemory
         As the last tick left it.
     force_scale, position_scale : float
         Force on the hand per force at the tip; tip travel per hand travel.
@@ -109,7 +109,9 @@ def render(
 
 
 @compiled
-def remember(rendered: Rendered, force_scale: float, force: NDArray[np.float64], axes: int) -> None:
+def remember(
+    rendered: RenderMemory, force_scale: float, force: NDArray[np.float64], axes: int
+) -> None:
     """Remember the forces that the coupling asked for, and their scale."""
     for k in range(axes):
         rendered.force[k] = force[k]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from estimator.compiled import compiled
 from estimator.records import F64, I64, Flag, Record, Records, one
 from master import coupling_adapter, feedback, gate, local, operator, presence
-from master.coupling_adapter import Rendered
+from master.coupling_adapter import RenderMemory
 from master.hand_input import Axes, HandInput, all_finite
 from master.local import WorkspaceLimits
 from master.operator import OperatorMemory
@@ -42,7 +42,7 @@ class MasterState(Record):
     answered_ns: I64  # stamp of the newest command that the slave has answered
     answer_ns: I64 = 0  # the same if it was answered in this tick, 0 = none
     coupling: Side
-    rendered: Rendered
+    rendered: RenderMemory
     limits: WorkspaceLimits
     presence: Presence
     inputs: Inputs  # of the session in this tick

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from estimator.records import one
 from master import coupling_adapter
-from master.coupling_adapter import Rendered
+from master.coupling_adapter import RenderMemory
 from master.device import HandState
 from teleop.coupling import Bilateral, PassivityConfig, Side, bilateral_settings
 from tests.master.records import eight, hand_record
@@ -26,7 +26,7 @@ class Axis:
 
     def __init__(self, bilateral):
         self.settings, self.side = one(bilateral_settings(bilateral)), Side.new()
-        self.rendered = Rendered.new()
+        self.rendered = RenderMemory.new()
 
     def step(self, place, scale, written, wanted, coupled=True, hand=None):
         counted = coupled and math.isfinite(wanted)
