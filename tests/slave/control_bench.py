@@ -1,4 +1,4 @@
-"""Joints under tendon control on the simulated rig: estimator, control, gate and watch, no link."""
+"""Joints under tendon control on the simulated rig: all but the link and the session."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -8,24 +8,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import online
+from estimator.records import Records, as_records, one
 from estimator.sheath import Sheath
-from slave import control, gate, watch
+from slave import control, fault_detection, gate
 from slave.control import Control, ControlConfig
+from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.plant.body import BodyConfig
 from slave.plant.environment import EnvironmentConfig, FreeConfig
 from slave.plant.sensors import LoadCellConfig
 from slave.plant.sheath import SectionConfig, SheathConfig
+from slave.rig import RigSample
 from slave.rigs.simulated import (
     JointConfig,
     SimulatedRig,
     SimulatedRigConfig,
     TendonPlantConfig,
 )
-from slave.watch import Finding, WatchConfig
+from slave.tendons import EstimatedTendon, rig_layout
+from teleop.messages import MAX_TENDONS
+from teleop.session import Reason
 
 Array = NDArray[np.float64]
 Command = Callable[[float], tuple[float, float]]  # [s] to travel [m] and its velocity [m/s]
+Fault = tuple[Reason, int]  # and which tendon it is
 
 DT = 0.001  # [s]
 BEGIN = 0.02  # [s] at which the session engages
@@ -42,7 +48,7 @@ class Record(NamedTuple):
     tension: Array  # [N] measured at the housing, shape (n, tendons)
     motor: Array  # [m] what the gate let through, shape (n, tendons)
     position: Array  # [m] of the joints, estimated, shape (n, joints)
-    found: tuple[tuple[float, Finding], ...]  # [s] since the rig's start, and each new finding
+    found: tuple[tuple[float, Fault], ...]  # [s] since the rig's start, and each new fault
 
     def error(self, joint: int = 0) -> tuple[float, float]:
         """Return the RMS and the largest tracking error of a joint [m]."""
@@ -87,6 +93,16 @@ def model(
     )
 
 
+def estimated(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> Records:
+    """Return the tendons of a sample as they are measured, shape (16,)."""
+    tendons = EstimatedTendon.array(MAX_TENDONS)
+    for i, seen in enumerate(control.seen(sample, estimates)):
+        tendon = one(tendons, i)
+        tendon.tension, tendon.displacement = seen.tension, seen.displacement
+        tendon.valid = seen.valid
+    return tendons
+
+
 def follow(
     joints: Sequence[JointConfig],
     commands: Sequence[Command],
@@ -100,13 +116,11 @@ def follow(
 ) -> Record:
     """Let joints follow commands, which begin as the session engages."""
     rig = SimulatedRig(SimulatedRigConfig(joints=tuple(joints), effects=tuple(effects), seed=seed))
-    prepared = [
-        online.prepare(model(tendon, j.body.pretension, *errors))
-        for j in joints
-        for tendon in j.tendons
-    ]
+    models = [model(tendon, j.body.pretension, *errors) for j in joints for tendon in j.tendons]
+    prepared = [online.prepare(m) for m in models]
     states = [online.initial(p) for p in prepared]
-    memory, watched = Control(), watch.start(rig.joints, prepared)
+    memory, layout = Control(), one(rig_layout(rig.joints))
+    detector, limits = one(fault_detection.start(models)), one(as_records(FaultDetectionConfig()))
     motor: tuple[float, ...] = (0.0,) * rig.tendons
     offsets: list[float] = []
     rows, found = [], []
@@ -127,9 +141,10 @@ def follow(
         seen = control.seen(sample, estimates)
         own = [[seen[i] for i in j] for j in rig.joints]
         offsets = offsets or [control.offset(tendons) for tendons in own]
-        finding, watched = watch.step(WatchConfig(), rig.joints, watched, seen, DT if k else 0.0)
-        if finding is not None and (not found or found[-1][1] != finding):
-            found.append((time, finding))
+        tendons = estimated(sample, estimates)
+        fault = fault_detection.step(limits, layout, detector, tendons, DT if k else 0.0)
+        if fault[0] is not Reason.NONE and (not found or found[-1][1] != fault):
+            found.append((time, fault))
             if until_found:
                 break
         if time < BEGIN:
