@@ -1,13 +1,13 @@
 """What the slave tells listeners: each state of the session once, with its place."""
 
 import pytest
-from slave.watch import Finding
 
 from slave import housekeeping, loop
 from slave.calibration.memory import Phase
 from slave.calibration.run import Progress
 from slave.housekeeping import Housekeeping, calibrating
 from slave.tendon_config import TendonConfig
+from slave.watch import Finding
 from teleop.session import Reason, Session, State
 
 JOINTS = ((0, 1), (2,))
