@@ -149,7 +149,7 @@ def main() -> None:
     for name, motion in MOTIONS.items():
         for K in (0.4, 0.8, 1.2, 1.8):
             compare(f"{name}, K = {K}", [loaded(K)], [motion])
-    compare("staircase, K = 1.8, loose at 0.15 N", [loaded(1.8)], [STAIRS], loose_tension=0.15)
+    compare("staircase, K = 1.8, loose at 0.15 N", [loaded(1.8)], [STAIRS], slack_side_tension=0.15)
     for name, sections in BENDS.items():
         bent = joint(1.0, 330.0, sections=sections, nodes=40)
         compare(f"staircase, {name}", [bent], [STAIRS])

@@ -2,38 +2,38 @@
 
 What a model of a bench has found is of four kinds. Friction and shape go into the sheath, whose
 closed law has drag, asymmetry and uneven bends. What else the tendon does is run beside it
-(estimator.beyond). Sensors at the housing have their readings put right. The rest is left out: what
+(estimator.dynamic_correction). Sensors at the housing have their readings put right
+(estimator.reading_correction). The rest is left out: what
 belongs to the record it was found in, to what the tip pulled at, or to sensors that only a bench
 has.
 """
 
-import math
 from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 
-from estimator import beyond
+from estimator import dynamic_correction
+from estimator.dynamic_correction import DynamicConstants
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
     PROXIMAL_TENSION,
     Array,
-    Correction,
     Effect,
     Scene,
     Values,
 )
 from estimator.extended import Physics
 from estimator.nodes import EDGES, even_weights
+from estimator.reading_correction import CorrectionKind
 from estimator.sheath import Section, Sheath
 
 FRICTION_COEFFICIENT = 0.1  # nominal; bend radii follow, force and elongation do not
 SECTIONS = 16  # of a sheath, at most
 ALIKE = 1e-6  # relative, of curvatures
 INSTANTS = 1001  # of a record, at which effects are looked at
-FARTHEST = 1e6  # [m] that an encoder can read
 
 _OF_LAW = ("friction", "weights", "drag", "asymmetry")
 _BESIDE = (
@@ -90,8 +90,8 @@ class Use(Enum):
 class Extension(NamedTuple):
     """What the estimator does besides the law of a sheath."""
 
-    constants: Array  # for `beyond.push`; empty where nothing is run beside the law
-    readings: tuple[tuple[Correction, Values], ...]  # what puts readings right, in this order
+    dynamics: DynamicConstants | None  # None where nothing is run beside the law
+    readings: tuple[tuple[CorrectionKind, Values], ...]  # what puts readings right, in this order
 
 
 class Extended(NamedTuple):
@@ -132,9 +132,9 @@ def extended(
     for effect, values in effects:
         then = effect.physics(now, values, scene)
         then = then._replace(friction=np.broadcast_to(then.friction, INSTANTS)[-1:].copy())
-        if effect.live is not None:
+        if effect.correction is not None:
             use = Use.READING
-            readings.append((effect.live, values))
+            readings.append((effect.correction, values))
         elif _differ(now, then, _OF_LAW):
             use = Use.LAW
         elif _differ(now, then, _BESIDE):
@@ -146,12 +146,13 @@ def extended(
         now = plain._replace(**{name: getattr(then, name) for name in (*_OF_LAW, *_BESIDE)})
         uses.append((effect, values, use))
     law = plain._replace(**{name: getattr(now, name) for name in _OF_LAW})
-    constants = np.empty(0)
+    dynamics = None
     if _differ(law, now, _BESIDE):
-        constants = beyond.constants_of(law, now)
-    extension = Extension(constants, tuple(readings[::-1]))
-    needed = len(constants) > 0 or readings
-    return Extended(sheath_of(law, length), extension if needed else None, tuple(uses))
+        dynamics = dynamic_correction.constants_of(law, now)
+    extension = None
+    if dynamics is not None or readings:
+        extension = Extension(dynamics, tuple(readings[::-1]))
+    return Extended(sheath_of(law, length), extension, tuple(uses))
 
 
 def why_left_out(effect: Effect) -> str:
@@ -166,21 +167,6 @@ def true_at_tip(model: Extended, time: Array, channel: str, signal: Array) -> Ar
         if use is Use.REFERENCE:
             signal = effect.true(signal, values, scene)
     return signal
-
-
-def corrected(
-    readings: tuple[tuple[Correction, Values], ...], memory: Array, T: float, q: float
-) -> tuple[float, float]:
-    """Return tension [N] and travel [m] at the housing as they are; `memory` goes on in place.
-
-    No tendon pushes: a tension is not corrected to less than nothing.
-    """
-    if not math.isfinite(T) or abs(q) > FARTHEST:
-        return T, q
-    least = min(T, 0.0)
-    for i, (correct, values) in enumerate(readings):
-        T, q, memory[i] = correct(T, q, values, float(memory[i]))
-    return max(T, least), q
 
 
 def sheath_of(physics: Physics, length: float) -> Sheath:

@@ -28,6 +28,12 @@ _NODES = 7
 _S, _X, _G_MINUS, _G_PLUS, _W, _EXP_MINUS, _EXP_PLUS = range(7)
 _STRIDE = 7
 
+MAX_SECTIONS = 64
+"""Sections of a sheath that fit into the tables of a `PreparedTendon`."""
+
+TABLES_SIZE = _NODES + _STRIDE * (MAX_SECTIONS + 1)
+"""Length of the tables of so many sections, all of them curved."""
+
 STRAIGHT = 1e-9
 """A section of less friction than this counts as straight: 1e-9 of relative tension."""
 

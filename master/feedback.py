@@ -1,10 +1,10 @@
 """From the estimated force at the tips to the force on the hand, as links of a chain.
 
-    felt      the estimate, as far as its certified interval allows (`teleop.confidence`)
-    reflect   F_hand = -scale * F_tip
-    (coupling: `master.port`)
-    slewed    grows no faster than `slew`
-    clamp     no larger than `limit`
+    tip_forces   the estimate, as far as its certified interval allows (`teleop.force_attenuation`)
+    reflect      F_hand = -scale * F_tip
+    (coupling: `master.coupling_adapter`)
+    limit_slew   grows no faster than `slew`
+    clamp        no larger than `limit`
 
 The estimate counts a force against pulling as positive, and a hand moving along its positive axis
 pulls, so the hand is pushed the other way.
@@ -16,8 +16,11 @@ A value that is not finite goes through as it is, for the gate to refuse.
 import math
 from dataclasses import dataclass
 
-from master.device import Axes
-from teleop.confidence import ConfidenceConfig, attenuated
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from teleop.force_attenuation import ConfidenceConfig, attenuated
 from teleop.messages import STATUS_NAMES, SlaveState
 
 INVALID = 1 << STATUS_NAMES.index("invalid input")
@@ -43,32 +46,39 @@ class FeedbackConfig:
             raise ValueError("slew: must be above 0 [N/s] and finite")
 
 
-def felt(confidence: ConfidenceConfig, state: SlaveState | None, axes: int) -> Axes:
-    """Return the force at each tip [N] that may be felt, for as many `axes`.
+@compiled
+def tip_forces(
+    confidence: ConfidenceConfig,
+    state: SlaveState,
+    has_state: bool,
+    axes: int,
+    out: NDArray[np.float64],
+) -> None:
+    """Write the force at each tip [N] that may be felt to the first `axes` of `out`, shape (8,).
 
-    Zero for axes without a joint, and for joints whose estimate is of a refused sample.
+    Zero before the first state, for axes without a joint, and for joints whose estimate is of a
+    refused sample.
     """
-    if state is None:
-        return (0.0,) * axes
-    return tuple(
-        attenuated(confidence, state.force[k], state.force_low[k], state.force_high[k])
-        if k < state.joints and not state.status[k] & INVALID
-        else 0.0
-        for k in range(axes)
-    )
+    for k in range(axes):
+        out[k] = 0.0
+        if has_state and k < state.joints and state.status[k] & INVALID == 0:
+            out[k] = attenuated(confidence, state.force[k], state.force_low[k], state.force_high[k])
 
 
+@compiled
 def reflect(scale: float, force: float) -> float:
     """Return the force on the hand [N] for a force at the tip [N], positive = against pulling."""
     return -scale * force
 
 
+@compiled
 def saturation(config: FeedbackConfig) -> float:
     """Return the force at the tip [N] above which the hand is given no more."""
     return config.limit / config.scale if config.scale > 0.0 else 0.0
 
 
-def slewed(most: float, last: float, force: float, dt: float) -> float:
+@compiled
+def limit_slew(most: float, last: float, force: float, dt: float) -> float:
     """Return `force` [N], grown since `last` [N] by no more than `most` [N/s] allows.
 
     Nothing holds it on its way to zero; not finite stays not finite.
@@ -79,6 +89,7 @@ def slewed(most: float, last: float, force: float, dt: float) -> float:
     return min(max(force, min(last, 0.0) - growth), max(last, 0.0) + growth)
 
 
+@compiled
 def clamp(limit: float, force: float) -> float:
     """Return `force` [N] saturated at `limit` [N]; not finite stays not finite."""
     return min(max(force, -limit), limit) if math.isfinite(force) else force

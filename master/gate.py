@@ -12,9 +12,13 @@ a small force of its own, `rest`, which takes the place of zero.
 import math
 from dataclasses import dataclass
 from enum import IntFlag
-from typing import NamedTuple
 
-from master.device import Axes
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from master.hand_input import all_finite
+from teleop.messages import MAX_JOINTS
 
 FADE_S = 0.015  # [s] within which the largest force on one axis is gone; 30 ms + this < 50 ms
 _DT_MAX = 0.005  # [s] however long a tick was skipped, a force may grow by no more than this allows
@@ -47,29 +51,34 @@ class Verdict(IntFlag):
     SLEW = 32  # growth slowed
 
 
-class Gated(NamedTuple):
-    """What leaves the gate; `force` [N] is also the memory of the next tick."""
+PASSED = int(Verdict.PASSED)
+NOT_ENGAGED = int(Verdict.NOT_ENGAGED)
+STALE = int(Verdict.STALE)
+NOT_FINITE = int(Verdict.NOT_FINITE)
+AXIS_LIMIT = int(Verdict.AXIS_LIMIT)
+TOTAL_LIMIT = int(Verdict.TOTAL_LIMIT)
+SLEW = int(Verdict.SLEW)
 
-    force: Axes
-    verdict: Verdict
 
-
+@compiled
 def step(
     config: GateConfig,
-    last: Axes,
-    wanted: Axes,
+    last: NDArray[np.float64],
+    wanted: NDArray[np.float64],
+    axes: int,
     fresh: bool,
     may_render: bool,
     dt: float,
-    fades: bool = False,
-    rest: Axes = (),
-) -> Gated:
+    fades: bool,
+    rest: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> int:
     """Let `wanted` through as far as it is safe.
 
     Parameters
     ----------
-    last, wanted : tuples of float
-        Forces [N] written last, and asked for now, one for each axis.
+    last, wanted : arrays of shape (8,)
+        Forces [N] written last, and requested now; the first `axes` are in use.
     fresh : bool
         Whether the slave's state behind `wanted` is young enough.
     may_render : bool
@@ -78,45 +87,67 @@ def step(
         Time since the last tick [s].
     fades : bool
         Whether what is refused goes to zero by a ramp, and not at once.
-    rest : tuple of float
-        Forces [N] in place of zero, one for each axis; empty = zero.
+    rest : array of shape (8,)
+        Forces [N] in place of zero; if any is not finite, zero it is.
+    out : array of shape (8,)
+        The forces that leave the gate [N]; may be `last` or `wanted` itself. They are the `last`
+        of the next tick.
+
+    Returns
+    -------
+    int
+        The bits of a `Verdict`.
     """
-    refusal = Verdict.PASSED
+    refusal = PASSED
     if not may_render:
-        refusal |= Verdict.NOT_ENGAGED
+        refusal |= NOT_ENGAGED
     if not fresh:
-        refusal |= Verdict.STALE
-    if not all(map(math.isfinite, wanted)):
-        refusal |= Verdict.NOT_FINITE
+        refusal |= STALE
+    if not all_finite(wanted, axes):
+        refusal |= NOT_FINITE
     verdict = refusal
-    if refusal:
-        wanted = rest if all(map(math.isfinite, rest)) and rest else (0.0,) * len(last)
-        if fades and Verdict.NOT_FINITE not in refusal:
-            wanted = _faded(config, last, wanted, dt)
+    resting = all_finite(rest, axes)
+    fading = fades and refusal & NOT_FINITE == 0 and 0.0 < dt < FADE_S
     limit = config.axis_max
-    bounded = [min(max(force, -limit), limit) for force in wanted]
-    if bounded != list(wanted):
-        verdict |= Verdict.AXIS_LIMIT
-    total = math.hypot(*bounded)
+    bounded = np.empty(MAX_JOINTS)
+    for k in range(axes):
+        force = wanted[k]
+        if refusal != PASSED:
+            force = rest[k] if resting else 0.0
+            if fading:
+                force = _faded(last[k], force, config.axis_max * dt / FADE_S)
+        bounded[k] = min(max(force, -limit), limit)
+        if bounded[k] != force:
+            verdict |= AXIS_LIMIT
+    total = _length(bounded, axes)
     if total > config.total_max:
-        verdict |= Verdict.TOTAL_LIMIT
-        bounded = [force * (config.total_max / total) for force in bounded]
+        verdict |= TOTAL_LIMIT
+        for k in range(axes):
+            bounded[k] *= config.total_max / total
     growth = config.slew_max * min(dt, _DT_MAX) if dt > 0.0 else 0.0
-    slewed = tuple(
-        min(max(force, min(was, 0.0) - growth), max(was, 0.0) + growth)
-        for was, force in zip(last, bounded, strict=True)
-    )
-    if slewed != tuple(bounded):
-        verdict |= Verdict.SLEW
-    return Gated(slewed, verdict)
+    for k in range(axes):
+        was, force = last[k], bounded[k]
+        out[k] = min(max(force, min(was, 0.0) - growth), max(was, 0.0) + growth)
+        if out[k] != force:
+            verdict |= SLEW
+    return verdict
 
 
-def _faded(config: GateConfig, last: Axes, target: Axes, dt: float) -> Axes:
-    """Return forces a tick nearer to `target` [N], or there."""
-    if not 0.0 < dt < FADE_S:
-        return target
-    by = config.axis_max * dt / FADE_S
-    return tuple(
-        max(to, was - by) if was > to else min(to, was + by)
-        for was, to in zip(last, target, strict=True)
-    )
+@compiled
+def _faded(last: float, target: float, by: float) -> float:
+    """Return a force `by` [N] nearer to `target` [N] than the `last`, or there."""
+    return max(target, last - by) if last > target else min(target, last + by)
+
+
+@compiled
+def _length(force: NDArray[np.float64], axes: int) -> float:
+    """Return the length of a vector, scaled so that no square overflows or vanishes."""
+    largest = 0.0
+    for k in range(axes):
+        largest = max(largest, abs(force[k]))
+    if largest == 0.0:
+        return 0.0
+    total = 0.0
+    for k in range(axes):
+        total += (force[k] / largest) ** 2
+    return largest * math.sqrt(total)

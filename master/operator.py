@@ -16,14 +16,20 @@ what the clutch changed on purpose: engaging waits until the hand is where the t
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated
 
-from master.device import Axes, HandState
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from estimator.records import F64, U64, Field, Flag, Record, Records, one
+from master.hand_input import Axes, HandInput, fill_axes
 from teleop.config import MAY_BE_INFINITE
 from teleop.messages import MAX_JOINTS, SlaveState
 from teleop.session import Reason
 
-_STILL: Axes = (0.0,) * MAX_JOINTS
+# bytes: numba has no arrays of flags in records
+LockFlags = Annotated[NDArray[np.uint8], Field("u1", MAX_JOINTS)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,106 +74,170 @@ class OperatorConfig:
             raise ValueError("weight: one number an axis, at most 10 [N] each")
 
 
-class Memory(NamedTuple):
-    """What one tick hands to the next; positions have MAX_JOINTS entries, [m]."""
+class OperatorSettings(Record):
+    """An `OperatorConfig` as a record: one entry for each axis in place of its tuples."""
 
-    tip: Axes = _STILL  # asked for last
-    tip_anchor: Axes | None = None  # tip less scaled hand when the two were coupled; None = apart
-    slave: int = 0  # sender nonce of the slave that `tip` was meant for
-    hand: Axes = ()  # [m] that `tip` was found from; empty = never coupled to this slave
-    scale: float = 0.0  # with it
-    lock: tuple[int, ...] = ()
-
-
-class TipCommand(NamedTuple):
-    """Where the tips shall be, MAX_JOINTS entries."""
-
-    position: Axes  # [m]
-    velocity: Axes  # [m/s]
+    position_scale: F64
+    lock: LockFlags
+    align: F64
+    presence: F64
+    presence_motion: F64
+    low: Axes  # [m] ends of the workspace: -inf and inf where an axis has none
+    high: Axes
+    wall: F64
+    wall_damping: F64
+    wall_max: F64
+    weight: Axes  # [N] zero where an axis has none
 
 
+def operator_settings(config: OperatorConfig) -> Records:
+    """Return the record of a config, as an array of one."""
+    records = OperatorSettings.array()
+    settings: OperatorSettings = one(records)
+    for name in _SCALARS:
+        setattr(settings, name, getattr(config, name))
+    settings.low[:] = -math.inf
+    settings.high[:] = math.inf
+    for k, (low, high) in enumerate(config.workspace[:MAX_JOINTS]):
+        settings.low[k] = low
+        settings.high[k] = high
+    settings.lock[list(config.lock)] = 1
+    fill_axes(settings.weight, config.weight)
+    return records
+
+
+_SCALARS = (
+    *("position_scale", "align", "presence", "presence_motion"),
+    *("wall", "wall_damping", "wall_max"),
+)
+
+
+class OperatorMemory(Record):
+    """What one tick hands to the next."""
+
+    tip: Axes  # [m] commanded last, all joints
+    coupled: Flag = False  # hand and tip are coupled
+    tip_anchor: Axes  # [m] tip less scaled hand when the two were coupled
+    slave: U64 = 0  # sender nonce of the slave that `tip` was meant for
+    hand_known: Flag = False  # they were coupled to this slave at least once
+    hand: Axes  # [m] that `tip` was found from
+    scale: F64 = 0.0  # with it
+    lock: LockFlags
+
+
+@compiled
 def step(
-    config: OperatorConfig,
-    memory: Memory,
-    hand: HandState | None,
-    state: SlaveState | None,
+    settings: OperatorSettings,
+    memory: OperatorMemory,
+    hand: HandInput,
+    state: SlaveState,
+    has_state: bool,
     engaged: bool,
-) -> tuple[TipCommand, Memory]:
-    """Return the tip command of one tick.
+    out_position: NDArray[np.float64],
+    out_velocity: NDArray[np.float64],
+) -> None:
+    """Find the tip command of one tick.
 
     Parameters
     ----------
-    hand : HandState or None
-        Newest read of the device, if it can be read.
-    state : SlaveState or None
-        Newest answer of the slave, if there ever was one.
+    hand : HandInput
+        Newest read of the device.
+    state : SlaveState
+        Newest answer of the slave; not read unless `has_state`.
     engaged : bool
         Whether the session couples hand and tip in this tick.
+    out_position, out_velocity : arrays of shape (8,)
+        Where the tips shall be [m], and go [m/s]; all joints.
     """
-    memory = _known(memory, state)
-    if not engaged or hand is None:
-        return TipCommand(memory.tip, _STILL), memory._replace(tip_anchor=None)
-    scale, lock = config.position_scale, config.lock
-    where = within(config, hand.position)
-    tip, anchor = memory.tip, memory.tip_anchor
-    if anchor is None:
-        tip = _reported(tip, state) if math.isfinite(config.align) else tip
-        anchor = tuple(t - scale * x for t, x in zip(tip, where, strict=False))
-    elif (scale, lock) != (memory.scale, memory.lock):
-        anchor = tuple(t - scale * x for t, x in zip(tip, memory.hand, strict=False))
-    if lock:
-        anchor = tuple(tip[k] - scale * x if k in lock else anchor[k] for k, x in enumerate(where))
-    moved = tuple(
-        tip[k] if k in lock else a + scale * x
-        for k, (a, x) in enumerate(zip(anchor, where, strict=True))
-    )
-    velocity = tuple(
-        0.0 if k in lock or where[k] != hand.position[k] else scale * v
-        for k, v in enumerate(hand.velocity)
-    )
-    axes = len(where)
-    command = TipCommand(moved + tip[axes:], velocity + _STILL[axes:])
-    return command, Memory(command.position, anchor, memory.slave, where, scale, lock)
+    _know_slave(memory, state, has_state)
+    coupled = engaged and hand.present
+    if coupled:
+        _anchor(settings, memory, hand, state, has_state)
+    memory.coupled = coupled
+    for k in range(MAX_JOINTS):
+        out_velocity[k] = 0.0
+        if coupled and k < hand.axes:
+            x = within(settings, k, hand.position[k])
+            memory.hand[k] = x
+            if not settings.lock[k]:
+                memory.tip[k] = memory.tip_anchor[k] + settings.position_scale * x
+                if x == hand.position[k]:
+                    out_velocity[k] = settings.position_scale * hand.velocity[k]
+        out_position[k] = memory.tip[k]
 
 
-def hindrance(
-    config: OperatorConfig, memory: Memory, hand: HandState | None, state: SlaveState | None
-) -> Reason:
+@compiled
+def _anchor(
+    settings: OperatorSettings,
+    memory: OperatorMemory,
+    hand: HandInput,
+    state: SlaveState,
+    has_state: bool,
+) -> None:
+    """Find the anchors of a tick: kept, unless coupling, scale or locks have changed."""
+    scale = settings.position_scale
+    coupling = not memory.coupled
+    changed = scale != memory.scale
+    for k in range(MAX_JOINTS):
+        changed = changed or settings.lock[k] != memory.lock[k]
+        memory.lock[k] = settings.lock[k]
+    if coupling and math.isfinite(settings.align):
+        for k in range(MAX_JOINTS):
+            memory.tip[k] = _reported(memory.tip[k], state, has_state, k)
+    for k in range(hand.axes):
+        if coupling or settings.lock[k]:
+            x = within(settings, k, hand.position[k])
+            memory.tip_anchor[k] = memory.tip[k] - scale * x
+        elif changed:
+            memory.tip_anchor[k] = memory.tip[k] - scale * memory.hand[k]
+    memory.scale = scale
+    memory.hand_known = True
+
+
+@compiled
+def not_ready_reason(
+    settings: OperatorSettings,
+    memory: OperatorMemory,
+    hand: HandInput,
+    state: SlaveState,
+    has_state: bool,
+) -> int:
     """Return why hand and tip must not be coupled where they are, `Reason.NONE` if they may."""
-    memory = _known(memory, state)
-    if hand is None or not memory.hand or math.isinf(config.align):
+    if not hand.present or not memory.hand_known or math.isinf(settings.align):
         return Reason.NONE
-    tip, where = _reported(memory.tip, state), within(config, hand.position)
-    apart = (
-        abs(asked + config.position_scale * (x - x0) - t)
-        for k, (asked, x, x0, t) in enumerate(
-            zip(memory.tip, where, memory.hand, tip, strict=False)
-        )
-        if k not in config.lock
-    )
-    return Reason.NONE if all(gap <= config.align for gap in apart) else Reason.ALIGN_FIRST
+    if has_state and state.sender != memory.slave:  # another slave: never coupled to this one
+        return Reason.NONE
+    for k in range(hand.axes):
+        x = within(settings, k, hand.position[k])
+        tip = _reported(memory.tip[k], state, has_state, k)
+        apart = abs(memory.tip[k] + settings.position_scale * (x - memory.hand[k]) - tip)
+        if not settings.lock[k] and not apart <= settings.align:
+            return Reason.ALIGN_FIRST
+    return Reason.NONE
 
 
-def within(config: OperatorConfig, position: Axes) -> Axes:
-    """Return the hand's position [m], taken to the nearest point of its workspace."""
-    if not config.workspace:
-        return position
-    limits = config.workspace
-    return tuple(
-        min(max(x, limits[k][0]), limits[k][1]) if k < len(limits) else x
-        for k, x in enumerate(position)
-    )
+@compiled
+def within(settings: OperatorSettings, axis: int, x: float) -> float:
+    """Return a hand's position on one axis [m], taken to the nearest point of its workspace."""
+    low: float = settings.low[axis]
+    high: float = settings.high[axis]
+    return min(max(x, low), high)
 
 
-def _known(memory: Memory, state: SlaveState | None) -> Memory:
-    """Return the memory, begun anew if another slave answers."""
-    if state is None or state.sender == memory.slave:
-        return memory
-    return Memory(_reported(_STILL, state), None, state.sender)
+@compiled
+def _know_slave(memory: OperatorMemory, state: SlaveState, has_state: bool) -> None:
+    """Begin anew if another slave answers."""
+    if not has_state or state.sender == memory.slave:
+        return
+    memory.slave = state.sender
+    memory.coupled = False
+    memory.hand_known = False
+    for k in range(MAX_JOINTS):
+        memory.tip[k] = _reported(0.0, state, has_state, k)
 
 
-def _reported(tip: Axes, state: SlaveState | None) -> Axes:
-    """Return where the slave says its tips are [m]; `tip` where it cannot tell."""
-    if state is None:
-        return tip
-    return tuple(p if math.isfinite(p) else t for p, t in zip(state.position, tip, strict=True))
+@compiled
+def _reported(tip: float, state: SlaveState, has_state: bool, joint: int) -> float:
+    """Return where the slave says that a tip is [m]; `tip` where it cannot tell."""
+    position: float = state.position[joint] if has_state else math.nan
+    return position if math.isfinite(position) else tip

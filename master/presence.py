@@ -8,29 +8,39 @@ The physiological tremor of a hand that holds an instrument is some 0.05 to 0.1 
 of 20 um is below it, and above the noise of an encoder.
 """
 
-from typing import NamedTuple
+from estimator.compiled import compiled
+from estimator.records import F64, I64, Flag, Record
+from master.hand_input import Axes, HandInput
+from master.operator import OperatorSettings
 
-from master.device import Axes, HandState
-from master.operator import OperatorConfig
 
-
-class Presence(NamedTuple):
+class Presence(Record):
     """What one tick hands to the next."""
 
-    around: Axes = ()  # [m] where the hand has been still since
-    still_s: float = 0.0  # [s]
-    away: bool = False  # nobody was there, and the switch has not been open since
+    axes: I64 = 0  # how many entries of `around` are in use; 0 = the switch was open
+    around: Axes  # [m] where the hand has been still since
+    still_s: F64 = 0.0  # [s]
+    away: Flag = False  # nobody was there, and the switch has not been open since
 
 
-def step(config: OperatorConfig, memory: Presence, hand: HandState | None, dt: float) -> Presence:
-    """Return who is there after a tick, `dt` [s] after the last."""
-    if hand is None or not hand.engage:
-        return Presence()
-    moved = len(memory.around) != len(hand.position) or any(
-        abs(x - was) > config.presence_motion
-        for x, was in zip(hand.position, memory.around, strict=True)
-    )
+@compiled
+def step(settings: OperatorSettings, memory: Presence, hand: HandInput, dt: float) -> None:
+    """Update who is there in a tick, `dt` [s] after the last."""
+    if not hand.present or not hand.engage:
+        memory.axes = 0
+        memory.still_s = 0.0
+        memory.away = False
+        return
+    moved = memory.axes != hand.axes
+    for k in range(min(memory.axes, hand.axes)):
+        if abs(hand.position[k] - memory.around[k]) > settings.presence_motion:
+            moved = True
     if moved:
-        return Presence(hand.position, 0.0, memory.away)
-    still_s = memory.still_s + dt
-    return Presence(memory.around, still_s, memory.away or still_s > config.presence)
+        memory.axes = hand.axes
+        for k in range(hand.axes):
+            memory.around[k] = hand.position[k]
+        memory.still_s = 0.0
+        return
+    memory.still_s += dt
+    if memory.still_s > settings.presence:
+        memory.away = True

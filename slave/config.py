@@ -44,8 +44,10 @@ class SlaveConfig:
     control: ControlConfig = field(default_factory=ControlConfig)
     fault_detection: FaultDetectionConfig = field(default_factory=FaultDetectionConfig)
     gate: GateConfig = field(default_factory=GateConfig)
-    freshness: float = 0.028  # [s] a command older than this makes the slave hold: < 30 ms in all
-    silence_max: float = 0.100  # [s] without a sample that can be used; longer is a fault
+    command_timeout: float = (
+        0.028  # [s] a command older than this makes the slave hold: < 30 ms in all
+    )
+    sample_timeout: float = 0.100  # [s] without a sample that can be used; longer is a fault
 
     def __post_init__(self) -> None:
         """Refuse two models, or a command that never grows old."""
@@ -59,10 +61,10 @@ class SlaveConfig:
             )
         if len(self.tendons) > MAX_TENDONS:
             raise ValueError(f"tendons: at most {MAX_TENDONS}")
-        if not 0.0 < self.freshness <= 0.5 or not math.isfinite(self.freshness):
-            raise ValueError("freshness: must be above 0 and at most 0.5 s")
-        if not 0.0 < self.silence_max <= 1.0:
-            raise ValueError("silence_max: must be above 0 and at most 1 s")
+        if not 0.0 < self.command_timeout <= 0.5 or not math.isfinite(self.command_timeout):
+            raise ValueError("command_timeout: must be above 0 and at most 0.5 s")
+        if not 0.0 < self.sample_timeout <= 1.0:
+            raise ValueError("sample_timeout: must be above 0 and at most 1 s")
 
     @property
     def rig_obeys(self) -> bool:

@@ -284,9 +284,7 @@ def judged(
     if table.distal_tension is None:
         return None
     score = Score(noise)
-    rows = (estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
-    for row in zip(*(column.tolist() for column in rows), strict=True):
-        score.add(*row)
+    score.add_columns(estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
     return score.summary()
 
 

@@ -12,8 +12,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntFlag
-from typing import NamedTuple
+from typing import TypeAlias
 
+from estimator.compiled import compiled
+from estimator.records import F64, Record, Records
+from slave.control.joint import JointEstimates
+from slave.rig import Array
+from slave.tendons import RigLayout
 from teleop.config import MAY_BE_INFINITE
 
 _DT_MAX = 0.005  # [s] however long a tick was skipped, a motor may go no further than this allows
@@ -73,144 +78,187 @@ class Verdict(IntFlag):
     YIELDED = 256  # held, but paid out for its tension
 
 
-class Gated(NamedTuple):
-    """What leaves the gate; `displacement` [m] is also the memory of the next tick."""
-
-    displacement: tuple[float, ...]
-    verdict: Verdict
-
-
-class Reach(NamedTuple):
-    """How much further a tendon may take its joint, as far as that can be told."""
-
-    ahead: float  # [m] until the joint is at the end towards which it pulls
-    behind: float  # [m] until it is at the other one, if nothing but this tendon keeps it off that
-    force: float  # [N] at the tip, against pulling
+# for compiled code, which knows no flags
+PASSED = int(Verdict.PASSED)
+HELD = int(Verdict.HELD)
+NOT_FINITE = int(Verdict.NOT_FINITE)
+TRAVEL = int(Verdict.TRAVEL)
+SPEED = int(Verdict.SPEED)
+TENSION = int(Verdict.TENSION)
+STALE = int(Verdict.STALE)
+JOINT = int(Verdict.JOINT)
+FORCE = int(Verdict.FORCE)
+YIELDED = int(Verdict.YIELDED)
 
 
+class Reach(Record):
+    """How much further a tendon may take its joint; NaN where that cannot be told."""
+
+    ahead: F64 = math.nan  # [m] until the joint is at the end towards which it pulls
+    behind: F64 = math.nan  # [m] until the other one, if only this tendon keeps it off that
+    force: F64 = math.nan  # [N] at the tip, against pulling
+
+
+Reaches: TypeAlias = Sequence[Reach] | Records
+"""One for each tendon of a rig, as a field of a record or as an array of records."""
+
+
+@compiled
 def reaches(
-    config: GateConfig,
-    joints: Sequence[Sequence[int]],
-    position: Sequence[float],
-    force: Sequence[float],
-) -> tuple[Reach, ...]:
-    """Return the reach of each tendon of a rig.
+    config: GateConfig, layout: RigLayout, joint_estimates: JointEstimates, out_reach: Reaches
+) -> None:
+    """Write the reach of each tendon of a rig.
 
     The second tendon of a pair pulls its joint the other way. A joint of one tendon goes back by
     itself when that is paid out; of a pair, the other tendon has to pull it.
 
     Parameters
     ----------
-    joints : sequence of sequences of int
-        Which tendons each joint has, `Rig.joints`.
-    position, force : sequences of float
-        Estimated travel [m] of each joint and force on it [N], positive against pulling by its
-        first tendon; NaN where they cannot be told.
+    config : GateConfig
+        Limits of travel and force of the joints.
+    layout : RigLayout
+        Which tendons each joint has.
+    joint_estimates : JointEstimates
+        Position [m] of each joint and force on it [N]; NaN where they cannot be told.
+    out_reach : Reaches
+        One for each tendon, overwritten.
     """
-    seen = {}
-    for joint, q, f in zip(joints, position, force, strict=True):
+    for k in range(layout.joints):
+        q, f = joint_estimates[k].position, joint_estimates[k].force
         up = config.joint_max - q if math.isfinite(config.joint_max) else math.inf
         down = q - config.joint_min if math.isfinite(config.joint_min) else math.inf
-        if len(joint) == 1:
-            seen[joint[0]] = Reach(up, down, f)
-        else:
-            seen[joint[0]] = Reach(up, math.inf, f)
-            seen[joint[1]] = Reach(down, math.inf, -f)
-    return tuple(seen[tendon] for tendon in sorted(seen))
+        joint = layout.joint[k]
+        a = out_reach[joint.tendon[0]]
+        a.ahead, a.behind, a.force = up, down, f
+        if joint.count > 1:
+            a.behind = math.inf
+            b = out_reach[joint.tendon[1]]
+            b.ahead, b.behind, b.force = down, math.inf, -f
 
 
+@compiled
 def step(
     config: GateConfig,
-    last: Sequence[float],
-    wanted: Sequence[float],
-    tension: Sequence[float],
+    tendons: int,
+    last: Array,
+    wanted: Array,
+    tension: Array,
     tension_age: float,
     may_move: bool,
     dt: float,
-    reach: Sequence[Reach] = (),
-    may_yield: bool = False,
-) -> Gated:
-    """Let `wanted` through as far as it is safe.
+    reach: Reaches,
+    has_reach: bool,
+    may_yield: bool,
+    out_passed: Array,
+) -> int:
+    """Let `wanted` through as far as it is safe; return the bits of `Verdict`.
 
     Parameters
     ----------
-    last, wanted : sequences of float
-        Motor positions [m] written last, and asked for now, one for each tendon.
-    tension : sequence of float
-        Newest tension at the housing [N], one for each tendon.
+    config : GateConfig
+        The limits.
+    tendons : int
+        How many tendons there are; the arrays may be longer.
+    last, wanted : arrays, shape (tendons,)
+        Motor positions [m] written last, and asked for now.
+    tension : array, shape (tendons,)
+        Newest tension at the housing [N].
     tension_age : float
         Time since it came [s].
     may_move : bool
         Whether the session is engaged and the command fresh.
     dt : float
         Time since the last tick [s].
-    reach : sequence of Reach
-        Of each tendon; empty if the rig has no such limits.
+    reach : Reaches, shape (tendons,)
+        Of each tendon.
+    has_reach : bool
+        Whether `reach` counts; otherwise it may be of any length.
     may_yield : bool
         Whether motors that hold may give way to too large a tension.
+    out_passed : array, shape (tendons,)
+        Motor positions [m] to be written, and `last` of the next tick; it may be the array `last`.
+
+    Raises
+    ------
+    ValueError
+        If an array is shorter than `tendons`.
     """
+    shortest = min(len(last), len(wanted), len(tension), len(out_passed))
+    if tendons > shortest or (has_reach and tendons > len(reach)):
+        raise ValueError("gate: an array is shorter than the number of tendons")
     dt = min(dt, _DT_MAX) if dt > 0.0 else 0.0
     if not may_move:
         may_yield = may_yield and tension_age <= config.tension_age_max
-        return _hold(config, last, tension, may_yield, dt)
+        return _hold(config, tendons, last, tension, may_yield, dt, out_passed)
     stride = config.speed_max * dt
     stale = not tension_age <= config.tension_age_max
-    verdict = Verdict.PASSED
-    passed = []
-    for k, (was, want, force) in enumerate(zip(last, wanted, tension, strict=True)):
-        target = want
-        if not (math.isfinite(want) and math.isfinite(force)):
-            verdict |= Verdict.NOT_FINITE
+    verdict = PASSED
+    for k in range(tendons):
+        was, target, force = last[k], wanted[k], tension[k]
+        if not (math.isfinite(target) and math.isfinite(force)):
+            verdict |= NOT_FINITE
             target = was
         lowest, highest = min(config.displacement_min, was), max(config.displacement_max, was)
         bounded = min(max(target, lowest), highest)
         if bounded != target:
-            verdict |= Verdict.TRAVEL
+            verdict |= TRAVEL
         pulled = bounded > was
         if pulled and force > config.tension_max:
-            verdict |= Verdict.TENSION
+            verdict |= TENSION
             bounded = was
         if pulled and stale:
-            verdict |= Verdict.STALE
+            verdict |= STALE
             bounded = was
-        refusal = _refusal(config, reach[k], bounded - was, force) if reach else Verdict.PASSED
-        if refusal:
+        refusal = _refusal(config, reach[k], bounded - was, force) if has_reach else PASSED
+        if refusal != PASSED:
             verdict |= refusal
             bounded = was
         slewed = min(max(bounded, was - stride), was + stride)
         if slewed != bounded:
-            verdict |= Verdict.SPEED
-        passed.append(slewed)
-    return Gated(tuple(passed), verdict)
+            verdict |= SPEED
+        out_passed[k] = slewed
+    return verdict
 
 
-def _refusal(config: GateConfig, reach: Reach, change: float, tension: float) -> Verdict:
+@compiled
+def _refusal(config: GateConfig, reach: Reach, change: float, tension: float) -> int:
     """Return why a motor must not go on by `change` [m]; a tendon over its limit may be let go."""
-    refusal = Verdict.PASSED
+    refusal = PASSED
     if change > 0.0:
         if not reach.ahead > 0.0:
-            refusal |= Verdict.JOINT
+            refusal |= JOINT
         if math.isfinite(config.force_max) and not reach.force < config.force_max:
-            refusal |= Verdict.FORCE
+            refusal |= FORCE
     elif change < 0.0 and not reach.behind > 0.0 and not tension > config.tension_max:
-        refusal |= Verdict.JOINT
+        refusal |= JOINT
     return refusal
 
 
+@compiled
 def _hold(
-    config: GateConfig, last: Sequence[float], tension: Sequence[float], may_yield: bool, dt: float
-) -> Gated:
+    config: GateConfig,
+    tendons: int,
+    last: Array,
+    tension: Array,
+    may_yield: bool,
+    dt: float,
+    out_passed: Array,
+) -> int:
     """Stay; if that is allowed, pay out what is too tight, as fast as it is too tight."""
-    held = tuple(last)
-    if may_yield:
-        held = tuple(
-            max(was - _give(config, force) * dt, min(config.displacement_min, was))
-            for was, force in zip(last, tension, strict=True)
-        )
-    return Gated(held, Verdict.HELD | Verdict.YIELDED if held != tuple(last) else Verdict.HELD)
+    verdict = HELD
+    for k in range(tendons):
+        was = held = last[k]
+        if may_yield:
+            yielded = was - _yield_speed(config, tension[k]) * dt
+            held = max(yielded, min(config.displacement_min, was))
+        if held != was:
+            verdict |= YIELDED
+        out_passed[k] = held
+    return verdict
 
 
-def _give(config: GateConfig, tension: float) -> float:
+@compiled
+def _yield_speed(config: GateConfig, tension: float) -> float:
     """Return the speed [m/s] at which a tendon that holds is paid out."""
     if not tension > config.tension_max:
         return 0.0

@@ -1,31 +1,37 @@
-"""One tick of the slave, as a pure function.
+"""One tick of the slave, as one compiled function: from a command to a state and motor positions.
 
-Samples and a command go in; motor positions, estimates and a session state come out. No clock, no
-link, no rig: the process around it has those, and tests have none.
+No clock, no link, no rig: the process around it has those, and tests have none. `tick` changes the
+memory that it is given, in place; whoever wants to take a tick back keeps a copy.
+
+The order is that of the reader: take the samples, update what is known, advance the session, work
+out where the motors shall go, let the gate decide, say so. What nobody waits for, the monitor of
+the calibration, is `monitor_calibration`, called when the answer is out.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator import online
-from slave import control, gate, port, standing, watch
+from estimator.compiled import compiled
+from estimator.records import F64, I64, Field, Flag, Record, Records, as_records, one, record_dtype
+from estimator.tendon_estimate import INVALID_INPUT
+from slave import control, coupling_adapter, fault_detection, gate, initial_position
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
-from slave.control import Control, JointEstimate, TendonSeen
+from slave.control.joint import JointEstimate
 from slave.rig import RigSample
-from slave.standing import Standing
-from slave.watch import Finding, Motors, Watch
-from teleop import session
+from slave.tendons import EstimatedTendon, RigLayout, rig_layout
+from teleop import coupling, session
 from teleop.coupling import Bilateral, Side
-from teleop.messages import Command
-from teleop.session import Reason, Session
+from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command, SlaveState
+from teleop.session import Reason, Session, State
 
-EstimatorState = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 DIRECT = Bilateral()
 
@@ -33,323 +39,598 @@ OVERLOAD = 1.2  # times the gate's tension limit; noise and stretch reach over t
 OVERLOAD_S = 0.020  # [s] a collision's peak passes sooner
 _ABSURD = 1e3  # [m], [m/s] no tip goes there or as fast; NaN is not below it either
 
-NO_SAMPLE = "the rig has given no sample yet"
-NO_POSITION = "no encoder reading tells where the motors stand, and the rig does not start at zero"
+# SlaveMemory.not_ready: why the rig is not usable
+USABLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION = range(4)
+NOT_READY_TEXT = (
+    "",
+    "the rig has given no sample yet",
+    "the rig has no calibration that fits it",
+    "no encoder reading tells where the motors stand, and the rig does not start at zero",
+)
 
 
-class Known(NamedTuple):
+class SlaveSettings(Record):
+    """What the config says, as far as a tick needs it."""
+
+    control: Annotated[control.ControlConfig, Field(record_dtype(control.ControlConfig))]
+    fault_detection: Annotated[
+        fault_detection.FaultDetectionConfig,
+        Field(record_dtype(fault_detection.FaultDetectionConfig)),
+    ]
+    gate: Annotated[gate.GateConfig, Field(record_dtype(gate.GateConfig))]
+    monitor: Annotated[monitor.MonitorConfig, Field(record_dtype(monitor.MonitorConfig))]
+    bilateral: coupling.BilateralSettings
+    sample_timeout: F64 = 0.1  # [s]
+    rig_obeys: Flag = True  # the motors go where they are sent
+    calibrated: Flag = True  # there is a calibration that fits the rig
+
+
+class EstimatedSample(Record):
+    """One sample of the rig and what is estimated from it."""
+
+    time_s: F64 = 0.0  # [s] on the rig's clock
+    elapsed: F64 = 0.0  # [s] since the sample before
+    has_displacement: Flag = False  # whether the rig has encoders
+    tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]
+    bench_tension: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [N] at the tip
+    bench_displacement: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
+
+
+class SlaveMemory(Record):
+    """All that the slave remembers from one tick to the next, but for the tendons' estimators."""
+
+    session: Session
+    initial_position: initial_position.InitialPosition
+    detector: fault_detection.FaultDetector
+    motors: fault_detection.MotorChecks
+    control: control.Control
+    coupling: Side
+    tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]  # newest
+    monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
+    joints: Annotated[Sequence[JointEstimate], Field(JointEstimate, MAX_JOINTS)]
+    reach: Annotated[Sequence[gate.Reach], Field(gate.Reach, MAX_TENDONS)]
+    offsets: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of each joint's tendons
+    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] what the gate last let through
+    has_sample: Flag = False
+    has_offsets: Flag = False
+    has_motor: Flag = False  # engaged at least once
+    sample_time: F64 = 0.0  # [s] of the newest sample
+    elapsed: F64 = 0.0  # [s] between it and the one before
+    silence: F64 = 0.0  # [s] since the last sample that was new and could be used
+    overload: F64 = 0.0  # [s] for which a tension has been far over its limit, engaged
+    found: I64 = Reason.NONE  # Reason that the fault detection gave last
+    found_tendon: I64 = -1
+    advice: I64 = Advice.NONE
+    not_ready: I64 = NO_SAMPLE
+
+
+class Scratch(Record):
+    """Arrays that a tick works with; nothing in them outlasts it."""
+
+    inputs: session.Inputs
+    asked: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
+    speed: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
+    force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] as the hand feels it
+    displacement: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of the motors in a sample
+    tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] that limits go by
+    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] where the motors are
+    wanted: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] where they shall go
+
+
+class TickInput(NamedTuple):
+    """What a tick is told besides samples and command."""
+
+    dt: float  # [s] since the last tick
+    has_command: bool  # whether a command ever came
+    fresh: bool  # whether the newest is young enough to be obeyed
+    fault: int = int(Reason.NONE)  # Reason: what is wrong on this side, as far as the caller knows
+    stop: int = int(Reason.NONE)  # Reason for which another process wants everything to stop
+    reset: bool = False  # whether a stop is taken back
+
+
+class RigModel(NamedTuple):
     """What is known of the rig before the first tick."""
 
     joints: tuple[tuple[int, ...], ...]  # `Rig.joints`
     models: tuple[online.TendonModel, ...]  # of each tendon
-    prepared: tuple[online.Prepared, ...]  # the same, for the estimator
-    watched: tuple[monitor.Watched, ...]  # the same, for the monitor of their calibration
-    barred: str = ""  # why it must not be engaged, in words: no calibration that fits it
+    layout: Records  # RigLayout, shape (1,)
+    prepared: Records  # for the estimators, shape (tendons,)
+    watched: Records  # for the monitor of their calibration, shape (tendons,)
+    not_ready_text: str = ""  # why it must not be engaged: no calibration that fits it
 
 
-class Row(NamedTuple):
-    """One sample of the rig and what is estimated from it, for each tendon."""
+class Slave(NamedTuple):
+    """The records that a tick works on, each of shape (1,) but for the tendons' estimators."""
 
-    sample: RigSample
-    estimates: tuple[online.TendonEstimate, ...]
-    tendons: tuple[TendonSeen, ...]  # as they were read
-    corrected: tuple[TendonSeen, ...]  # without the effects that a model knows of their sensors
-
-
-class Memory(NamedTuple):
-    """All that the slave remembers from one tick to the next."""
-
-    session: Session
-    estimators: tuple[EstimatorState, ...]
-    standing: Standing
-    watch: Watch
-    motor: tuple[float, ...] = ()  # [m] what the gate last let through; empty = never engaged yet
-    newest: Row | None = None
-    elapsed: float = 0.0  # [s] between the newest sample and the one before
-    offsets: tuple[float, ...] = ()  # [m] of each joint's tendons, see `control.joint_estimate`
-    motors: Motors = Motors()  # whether they go where they are sent
-    found: Finding | None = None  # what the watch found wrong last, and where
-    monitors: tuple[monitor.Watch, ...] = ()  # of each tendon's calibration
-    advice: Advice = Advice.NONE
-    port: Side = Side()  # of the coupling
-    following: Control = Control()
-    silence: float = 0.0  # [s] since the last sample that was new and could be used
-    overload: float = 0.0  # [s] for which a tension has been far over its limit, engaged
-    hindrance: str = NO_SAMPLE  # why the rig is not usable, in words; empty if it is
+    settings: Records
+    layout: Records
+    prepared: Records
+    estimators: Records
+    memory: Records
+    scratch: Records
+    watched: Records
 
 
-class Output(NamedTuple):
-    """What a tick asks of the world."""
-
-    motor: tuple[float, ...]  # [m] to be written to the rig; empty = nothing yet
-    verdict: gate.Verdict
-    rows: tuple[Row, ...]  # the samples that were new, oldest first
-
-
-def know(
-    joints: Sequence[Sequence[int]], models: Sequence[online.TendonModel], barred: str = ""
-) -> Known:
+def rig_model(
+    joints: Sequence[Sequence[int]],
+    models: Sequence[online.TendonModel],
+    not_ready_text: str = "",
+) -> RigModel:
     """Return what is known of a rig whose tendons have these models."""
-    return Known(
+    return RigModel(
         tuple(tuple(joint) for joint in joints),
         tuple(models),
-        tuple(online.prepare(model) for model in models),
-        tuple(monitor.prepare(model) for model in models),
-        barred,
+        rig_layout(joints),
+        online.prepare_all(models),
+        monitor.prepare(models),
+        not_ready_text,
     )
 
 
-def start(known: Known, starts_at_zero: bool, samples: Sequence[RigSample] = ()) -> Memory:
-    """Return the memory of a slave that has just started; see `Rig.starts_at_zero`.
+def settings(config: SlaveConfig, bilateral: Bilateral, calibrated: bool = True) -> Records:
+    """Return what a tick needs of the config and of what both sides agreed on, shape (1,)."""
+    records = SlaveSettings.array()
+    for name in ("control", "fault_detection", "gate", "monitor"):
+        records[name] = as_records(getattr(config, name))
+    records["bilateral"] = coupling.bilateral_settings(bilateral)
+    records["sample_timeout"] = config.sample_timeout
+    records["rig_obeys"], records["calibrated"] = config.rig_obeys, calibrated
+    return records
+
+
+def start(
+    model: RigModel,
+    config: SlaveConfig,
+    bilateral: Bilateral,
+    starts_at_zero: bool,
+    samples: Sequence[RigSample] = (),
+) -> Slave:
+    """Return a slave that has just started; see `Rig.starts_at_zero`.
 
     `samples` of the rig, oldest first, are all that it measured before: the tensions along the
     tendons are then known from the start.
     """
-    states = tuple(online.initial(p) for p in known.prepared)
-    memory = Memory(
-        Session(),
-        states,
-        standing.start(len(known.prepared), starts_at_zero),
-        watch.start(known.joints, known.prepared),
-        monitors=(monitor.Watch(),) * len(known.models),
+    memory = SlaveMemory.array()
+    tendons = len(model.models)
+    initial_position.start(one(memory).initial_position, tendons, starts_at_zero)
+    memory["detector"] = fault_detection.start(model.models)
+    slave = Slave(
+        settings(config, bilateral, calibrated=not model.not_ready_text),
+        model.layout,
+        model.prepared,
+        online.initial_all(model.prepared),
+        memory,
+        Scratch.array(),
+        model.watched,
     )
+    row = EstimatedSample.array()
     for sample in samples:
-        memory, _ = take(known, memory, sample)
-    return memory._replace(standing=standing.step(memory.standing, samples, 0.0))
+        fill_sample(row, 0, sample)
+        take_past_sample(*slave[1:6], row)
+    return slave
 
 
-def step(
-    known: Known,
-    config: SlaveConfig,
-    memory: Memory,
-    samples: Sequence[RigSample],
-    command: Command | None,
-    fresh: bool,
-    fault: Reason,
-    dt: float,
-    bilateral: Bilateral = DIRECT,
-    stop: Reason = Reason.NONE,
-    reset: bool = False,
-) -> tuple[Output, Memory]:
-    """Advance the slave by one tick.
+def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
+    """Put a sample of the rig into one of the rows that `tick` takes."""
+    row = rows[index]
+    row["time_s"] = sample.time_s
+    tendons = row["tendons"]
+    n = len(sample.proximal_tension)
+    tendons["tension"][:n] = sample.proximal_tension
+    travel = sample.proximal_displacement
+    row["has_displacement"] = travel is not None
+    tendons["displacement"][:n] = math.nan if travel is None else travel
+    bench = sample.bench_distal_tension
+    row["bench_tension"][:n] = math.nan if bench is None else bench
+    bench = sample.bench_distal_displacement
+    row["bench_displacement"][:n] = math.nan if bench is None else bench
+
+
+@compiled
+def tick(
+    settings_records: Records,
+    layouts: Records,
+    prepared: Records,
+    estimators: Records,
+    memories: Records,
+    scratches: Records,
+    rows: Records,
+    samples: int,
+    given: TickInput,
+    commands: Records,
+    states: Records,
+) -> int:
+    """Advance the slave by one tick; return the gate's verdict bits.
 
     Until it engages for the first time nothing is asked of the motors. From then on they are asked
     to be somewhere at every tick: where the gate let them go last, unless they are commanded on.
 
     Parameters
     ----------
-    known : Known
-        The rig's joints and tendons.
-    config : SlaveConfig
-        Limits of the gate, of the watch and of silence; the controller's gains.
-    samples : sequence of RigSample
-        All samples since the last tick, oldest first; the estimator takes each once.
-    command : Command or None
-        The newest command, if one ever came.
-    fresh : bool
-        Whether it is young enough to be obeyed.
-    fault : Reason
-        What is wrong on this side now, as far as the caller knows; `Reason.NONE` if nothing.
-    dt : float
-        Time since the last tick [s].
-    bilateral : Bilateral
-        What the session's config says of confidence and coupling.
-    stop, reset : Reason, bool
-        Why another process wants everything to stop, if one does; whether one takes that back.
+    settings_records, layouts, prepared, estimators, memories, scratches : Records
+        Of a `Slave`; estimators and memories are changed.
+    rows : Records
+        `EstimatedSample`, the first `samples` of which are new, oldest first; their estimates are
+        filled in.
+    given : TickInput
+        What else is told.
+    commands : Records
+        `Command`, the newest, shape (1,); not looked at unless `given.has_command`.
+    states : Records
+        `SlaveState`, shape (1,), filled in but for the head.
     """
-    after, rows, found = memory, [], None
-    for sample in samples:
-        after, row = take(known, after, sample)
-        rows.append(row)
-        seen = row.tendons
-        finding, watched = watch.step(config.watch, known.joints, after.watch, seen, after.elapsed)
-        after, found = after._replace(watch=watched), finding or found
-        after = monitored(known, config, after, row)
-    if config.rig_obeys:
-        astray, motors = watch.watch_motors(
-            config.watch, memory.motors, [row.tendons for row in rows], memory.motor, dt
+    setting, layout, memory = settings_records[0], layouts[0], memories[0]
+    work, command = scratches[0], commands[0]
+    found, tendon = _take_samples(
+        setting, layout, prepared, estimators, memory, work, rows, samples, given.dt
+    )
+    _update_faults(setting, layout, memory, rows, samples, found, tendon, given.dt)
+    _update_readiness(setting, memory, work)
+    asks = _take_command(layout, work, command, given)
+    _advance_session(setting, layout, memory, work, command, given)
+    engaged = session.may_move(memory.session) and asks
+    if memory.has_sample:
+        control.joint_estimates(layout, memory.tendons, memory.offsets, memory.joints)
+    _couple(setting, layout, memory, work, command, given, asks, engaged)
+    verdict = gate.HELD
+    if memory.has_sample and (memory.has_motor or engaged):
+        verdict = _drive(setting, layout, memory, work, engaged, given.dt)
+        memory.has_motor = True
+    _fill_state(setting, layout, memory, command, given, states[0])
+    return verdict
+
+
+@compiled
+def take_past_sample(
+    layouts: Records,
+    prepared: Records,
+    estimators: Records,
+    memories: Records,
+    scratches: Records,
+    rows: Records,
+) -> None:
+    """Take in the first of `rows`, measured before the first tick: no fault is looked for in it."""
+    layout, memory, row = layouts[0], memories[0], rows[0]
+    _update_estimators(layout, prepared, estimators, memory, row)
+    _locate(layout, memory, scratches[0], row)
+
+
+@compiled
+def _take_samples(
+    setting: SlaveSettings,
+    layout: RigLayout,
+    prepared: Records,
+    estimators: Records,
+    memory: SlaveMemory,
+    work: Scratch,
+    rows: Records,
+    samples: int,
+    dt: float,
+) -> tuple[int, int]:
+    """Take the samples in; return the newest Reason that speaks of a fault, and its tendon."""
+    found, tendon = Reason.NONE + 0, -1
+    initial_position.age(memory.initial_position, dt)
+    for i in range(samples):
+        row = rows[i]
+        _update_estimators(layout, prepared, estimators, memory, row)
+        reason, where = fault_detection.step(
+            setting.fault_detection, layout, memory.detector, row.tendons, memory.elapsed
         )
-        after, found = after._replace(motors=motors), found or astray
-    newest = after.newest
-    overloaded = memory.session.may_move and overload(config.gate, newest)
-    after = after._replace(
-        standing=standing.step(memory.standing, samples, dt),
-        silence=0.0
-        if any(map(usable, rows)) and not after.motors.repeated
-        else memory.silence + dt,
-        overload=memory.overload + dt if overloaded else 0.0,
-        found=found if rows else memory.found,
+        if reason != Reason.NONE:
+            found, tendon = reason, where
+        _locate(layout, memory, work, row)
+        if setting.rig_obeys and memory.has_motor:
+            fault_detection.take_motor_readings(memory.motors, layout, row.tendons, memory.motor)
+    return found, tendon
+
+
+@compiled
+def _locate(layout: RigLayout, memory: SlaveMemory, work: Scratch, row: EstimatedSample) -> None:
+    """Take in where a sample has the motors."""
+    for i in range(layout.tendons):
+        work.displacement[i] = row.tendons[i].displacement
+    initial_position.take(
+        memory.initial_position, layout.tendons, work.displacement, row.has_displacement
     )
-    motor = memory.motor or standing.known(after.standing, config.silence_max)
-    hindrance = NO_SAMPLE if newest is None else known.barred or ("" if motor else NO_POSITION)
-    master = session.State(command.state) if command is not None else session.State.OFF
-    asks = fresh and master is session.State.ENGAGED
-    joints = len(known.joints) if command is not None and asks else 0
-    asked = command.position[:joints] if command is not None else ()
-    speed = command.velocity[:joints] if command is not None else ()
-
-    side = session.step(
-        memory.session,
-        session.Inputs(
-            usable=not hindrance,
-            peer_fresh=fresh,
-            peer_state=master,
-            engage=session.switch_of(master),
-            fault=fault if fault is not Reason.NONE else own_fault(config, after, asked + speed),
-            hindrance=Reason.COUPLING_DIFFERS
-            if command is not None and bilateral.differs(command.coupling)
-            else Reason.NONE,
-            clutch=master is session.State.CLUTCHED,
-            stop=stop,
-            reset=reset,
-            peer=command.sender if command is not None else 0,
-        ),
-        dt,
-    )
-    engaged = side.may_move and asks
-    told = joint_estimates(known, after) if engaged else ()
-    asked, speed, ports = port.step(
-        bilateral, memory.port, command, asked, speed, told, engaged, dt
-    )
-    after = after._replace(session=side, hindrance=hindrance, port=ports)
-    if newest is None or not (memory.motor or engaged):
-        return Output((), gate.Verdict.HELD, tuple(rows)), after
-    wanted, following = control.step(
-        config.control,
-        known.joints,
-        memory.following,
-        asked,
-        motor,
-        newest.tendons,
-        engaged,
-        dt,
-        speed,
-    )
-    reach = (
-        gate.reaches(
-            config.gate, known.joints, [joint.position for joint in told], [j.force for j in told]
-        )
-        if told
-        else ()
-    )
-    motor, verdict = gate.step(
-        config.gate,
-        motor,
-        wanted,
-        tension(newest),
-        after.silence,
-        engaged,
-        dt,
-        reach,
-        side.may_yield,
-    )
-    return Output(motor, verdict, tuple(rows)), after._replace(motor=motor, following=following)
 
 
-def own_fault(config: SlaveConfig, memory: Memory, asked: Sequence[float]) -> Reason:
-    """Return what the slave itself finds wrong; `asked` of it is empty unless it shall move."""
-    if memory.newest is not None and memory.silence > config.silence_max:
-        return Reason.SAMPLES_FROZEN if memory.motors.repeated else Reason.SAMPLES_STALE
-    if memory.overload > OVERLOAD_S:
-        return Reason.OVER_LIMIT
-    if memory.found is not None:
-        return memory.found.reason
-    if memory.advice is Advice.DEMANDED:
-        return Reason.CALIBRATION_DUE
-    sound = all(abs(value) < _ABSURD for value in asked)
-    return Reason.NONE if sound else Reason.NOT_FINITE
-
-
-def overload(limits: gate.GateConfig, newest: Row | None) -> bool:
-    """Return whether a tendon pulls so hard that refusing to pull further has not helped."""
-    if newest is None:
-        return False
-    both = (*newest.tendons, *newest.corrected)
-    return any(tendon.tension > OVERLOAD * limits.tension_max for tendon in both)
-
-
-def refused(estimates: online.TendonEstimate) -> bool:
-    """Return whether the estimator refused the sample behind its estimate."""
-    return bool(estimates.status & online.Status.INVALID_INPUT)
-
-
-def usable(row: Row) -> bool:
-    """Return whether every tendon's sample could be used by its estimator."""
-    return not any(map(refused, row.estimates))
-
-
-def tension(row: Row) -> list[float]:
-    """Return the tensions [N] at the housing that limits go by; NaN where a sample was refused.
-
-    The larger one of what was read and what a model makes of it.
-    """
-    return [
-        math.nan if refused(e) else max(tendon.tension, right.tension)
-        for e, tendon, right in zip(row.estimates, row.tendons, row.corrected, strict=True)
-    ]
-
-
-def take(known: Known, memory: Memory, sample: RigSample) -> tuple[Memory, Row]:
-    """Step each tendon's estimator with one sample."""
-    before = memory.newest
-    elapsed = sample.time_s - before.sample.time_s if before else 0.0
-    tension = sample.proximal_tension.tolist()
-    displacement = sample.proximal_displacement
-    travel = [math.nan] * len(tension) if displacement is None else displacement.tolist()
-    estimates, states, right = [], [], []
-    for model, state, force, position in zip(
-        known.prepared, memory.estimators, tension, travel, strict=True
-    ):
-        right.append(online.right(model, state, force, position))
-        result, advanced = online.step(model, state, force, position, elapsed)
-        estimates.append(result)
-        states.append(advanced)
-    seen = control.seen(sample, estimates)
-    corrected = tuple(
-        tendon._replace(tension=T, displacement=q)
-        for tendon, (T, q) in zip(seen, right, strict=True)
-    )
-    row = Row(sample, tuple(estimates), seen, corrected)
-    after = memory._replace(estimators=tuple(states), newest=row, elapsed=elapsed)
-    if not after.offsets and usable(row):
-        offsets = tuple(control.offset([row.tendons[i] for i in j]) for j in known.joints)
-        after = after._replace(offsets=offsets if all(map(math.isfinite, offsets)) else ())
-    return after, row
-
-
-def monitored(known: Known, config: SlaveConfig, memory: Memory, row: Row) -> Memory:
-    """Take note of whether the sheaths still have the shape they were calibrated in."""
-    against = [0.0] * len(row.tendons)
-    for joint in known.joints:
-        for one, other in zip(joint, joint[::-1], strict=True):
-            if one != other:
-                against[one] = row.estimates[other].distal_tension
-    monitors = tuple(
-        monitor.step(
-            config.monitor,
-            watched,
-            before,
-            tendon.estimate,
+@compiled
+def _update_estimators(
+    layout: RigLayout,
+    prepared: Records,
+    estimators: Records,
+    memory: SlaveMemory,
+    row: EstimatedSample,
+) -> None:
+    memory.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
+    row.elapsed = memory.elapsed
+    memory.sample_time = row.time_s
+    memory.has_sample = True
+    usable = True
+    newest: Any = memory.tendons
+    for i in range(layout.tendons):
+        tendon = row.tendons[i]
+        tendon.corrected_tension, tendon.corrected_displacement = online.advance(
+            prepared[i],
+            estimators[i],
             tendon.tension,
             tendon.displacement,
-            other,
             memory.elapsed,
+            tendon.estimate,
         )
-        for watched, before, tendon, other in zip(
-            known.watched, memory.monitors, row.corrected, against, strict=True
-        )
-    )
-    advice = monitor.advice(config.monitor, monitors)
-    return memory._replace(monitors=monitors, advice=advice)
+        tendon.valid = tendon.estimate.status & INVALID_INPUT == 0
+        usable = usable and tendon.valid
+        newest[i] = tendon
+    if usable and not memory.has_offsets:
+        memory.has_offsets = control.joint_offsets(layout, row.tendons, memory.offsets)
 
 
-def joint_estimates(known: Known, memory: Memory) -> tuple[JointEstimate, ...]:
-    """Return what is known of the joints by the newest sample; nothing before the first."""
-    if memory.newest is None:
-        return ()
-    told = memory.newest.tendons
-    offsets = memory.offsets or (0.0,) * len(known.joints)
-    return tuple(
-        control.joint_estimate([told[i] for i in joint], offset)
-        for joint, offset in zip(known.joints, offsets, strict=True)
+@compiled
+def _update_faults(
+    setting: SlaveSettings,
+    layout: RigLayout,
+    memory: SlaveMemory,
+    rows: Records,
+    samples: int,
+    found: int,
+    tendon: int,
+    dt: float,
+) -> None:
+    """Note what speaks of a fault: of the motors, of silence, of a tension over its limit."""
+    if setting.rig_obeys:
+        astray, motor = fault_detection.check_motors(
+            setting.fault_detection,
+            memory.motors,
+            layout,
+            memory.motor,
+            memory.has_motor,
+            samples > 0,
+            dt,
+        )
+        if found == Reason.NONE:
+            found, tendon = astray, motor
+    if samples > 0:
+        memory.found, memory.found_tendon = found, tendon
+    usable = False
+    for i in range(samples):
+        usable = usable or _is_usable(layout, rows[i].tendons)
+    heard = usable and not memory.motors.repeated
+    memory.silence = 0.0 if heard else memory.silence + dt
+    overloaded = session.may_move(memory.session) and _is_overloaded(setting, layout, memory)
+    memory.overload = memory.overload + dt if overloaded else 0.0
+
+
+@compiled
+def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
+    """Return whether every tendon's sample could be used by its estimator."""
+    for i in range(layout.tendons):  # noqa: SIM110 - compiled
+        if not tendons[i].valid:
+            return False
+    return True
+
+
+@compiled
+def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory) -> bool:
+    """Return whether a tendon pulls so hard that refusing to pull further has not helped."""
+    if not memory.has_sample:
+        return False
+    limit = OVERLOAD * setting.gate.tension_max
+    for i in range(layout.tendons):
+        tendon = memory.tendons[i]
+        if tendon.tension > limit or tendon.corrected_tension > limit:
+            return True
+    return False
+
+
+@compiled
+def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch) -> None:
+    """Say where the motors are, and whether the rig is usable at all."""
+    known = memory.has_motor or initial_position.known(
+        memory.initial_position, setting.sample_timeout
     )
+    if memory.has_motor:
+        work.motor[:] = memory.motor
+    elif known:
+        work.motor[:] = memory.initial_position.position
+    if not memory.has_sample:
+        memory.not_ready = NO_SAMPLE
+    elif not setting.calibrated:
+        memory.not_ready = NOT_CALIBRATED
+    else:
+        memory.not_ready = USABLE if known else NO_POSITION
+
+
+@compiled
+def _take_command(layout: RigLayout, work: Scratch, command: Command, given: TickInput) -> bool:
+    """Take over what is asked of the joints; return whether the tips are asked to follow."""
+    work.asked[:] = 0.0
+    work.speed[:] = 0.0
+    asks = given.has_command and given.fresh and command.state == State.ENGAGED
+    if asks:
+        for k in range(layout.joints):
+            work.asked[k] = command.position[k]
+            work.speed[k] = command.velocity[k]
+    return asks
+
+
+@compiled
+def _advance_session(
+    setting: SlaveSettings,
+    layout: RigLayout,
+    memory: SlaveMemory,
+    work: Scratch,
+    command: Command,
+    given: TickInput,
+) -> None:
+    master = session.known_state(command.state) if given.has_command else State.OFF + 0
+    fault = given.fault
+    if fault == Reason.NONE:
+        fault = _own_fault(setting, layout, memory, work)
+    differs = given.has_command and coupling.differs(setting.bilateral, command.coupling)
+    inputs = work.inputs
+    inputs.usable = memory.not_ready == USABLE
+    inputs.peer_fresh = given.fresh
+    inputs.peer_state = master
+    inputs.engage = session.switch_of(master)
+    inputs.fault = fault
+    inputs.clutch = master == State.CLUTCHED
+    inputs.stop = given.stop
+    inputs.reset = given.reset
+    inputs.not_ready_reason = Reason.COUPLING_DIFFERS if differs else Reason.NONE
+    inputs.peer = 0
+    if given.has_command:
+        inputs.peer = command.sender
+    session.step(memory.session, inputs, given.dt)
+
+
+@compiled
+def _own_fault(
+    setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory, work: Scratch
+) -> int:
+    """Return what the slave itself finds wrong; nothing is asked of it unless it shall move."""
+    if memory.has_sample and memory.silence > setting.sample_timeout:
+        return Reason.SAMPLES_FROZEN + 0 if memory.motors.repeated else Reason.SAMPLES_STALE + 0
+    if memory.overload > OVERLOAD_S:
+        return Reason.OVER_LIMIT + 0
+    if memory.found != Reason.NONE:
+        return memory.found
+    if memory.advice == Advice.DEMANDED:
+        return Reason.CALIBRATION_DUE + 0
+    for k in range(layout.joints):
+        if not (abs(work.asked[k]) < _ABSURD and abs(work.speed[k]) < _ABSURD):
+            return Reason.NOT_FINITE + 0
+    return Reason.NONE + 0
+
+
+@compiled
+def _couple(
+    setting: SlaveSettings,
+    layout: RigLayout,
+    memory: SlaveMemory,
+    work: Scratch,
+    command: Command,
+    given: TickInput,
+    asks: bool,
+    engaged: bool,
+) -> None:
+    """Put the coupling between what is asked of the tips and where they shall go."""
+    if not given.has_command:
+        return
+    energy: Any = command.energy
+    wave: Any = command.wave
+    coupling.hear(memory.coupling, command.sender, energy, wave)
+    if engaged:
+        coupling_adapter.rendered_forces(
+            setting.bilateral.confidence,
+            memory.joints,
+            layout.joints,
+            command.force_max,
+            work.force,
+        )
+    coupling.at_tip(
+        setting.bilateral,
+        memory.coupling,
+        work.asked,
+        work.speed,
+        work.force,
+        layout.joints if asks else 0,
+        engaged,
+        given.dt,
+    )
+
+
+@compiled
+def _drive(
+    setting: SlaveSettings,
+    layout: RigLayout,
+    memory: SlaveMemory,
+    work: Scratch,
+    engaged: bool,
+    dt: float,
+) -> int:
+    """Work out where the motors shall go, and let the gate decide how far."""
+    control.step(
+        setting.control,
+        layout,
+        memory.control,
+        work.asked,
+        work.speed,
+        work.motor,
+        memory.tendons,
+        engaged,
+        dt,
+        work.wanted,
+    )
+    for i in range(layout.tendons):
+        tendon = memory.tendons[i]
+        work.tension[i] = math.nan
+        if tendon.valid:
+            work.tension[i] = max(tendon.tension, tendon.corrected_tension)
+    if engaged:
+        gate.reaches(setting.gate, layout, memory.joints, memory.reach)
+    return gate.step(
+        setting.gate,
+        layout.tendons,
+        work.motor,
+        work.wanted,
+        work.tension,
+        memory.silence,
+        engaged,
+        dt,
+        memory.reach,
+        engaged,
+        session.may_yield(memory.session),
+        memory.motor,
+    )
+
+
+@compiled
+def _fill_state(
+    setting: SlaveSettings,
+    layout: RigLayout,
+    memory: SlaveMemory,
+    command: Command,
+    given: TickInput,
+    out: SlaveState,
+) -> None:
+    """Say what the tick found: every field of the answer but its head."""
+    state: Any = out
+    state.answer_ns = 0  # of whoever sends it
+    state.state, state.reason = memory.session.state, memory.session.reason
+    state.stops = memory.session.stops
+    state.echo_stamp_ns = command.stamp_ns if given.has_command else 0
+    state.coupling = setting.bilateral.signature
+    state.joints = layout.joints if memory.has_sample else 0
+    state.sample_age_ns = round(memory.silence * 1e9) if memory.has_sample else 0
+    for k in range(MAX_JOINTS):
+        port = memory.coupling.ports[k]
+        state.energy[k], state.wave[k] = port.passed_on, port.told_wave
+        used = k < state.joints
+        joint = memory.joints[k]
+        state.position[k] = joint.position if used else 0.0
+        state.force[k] = joint.force if used else 0.0
+        state.force_low[k] = joint.low if used else 0.0
+        state.force_high[k] = joint.high if used else 0.0
+        state.status[k] = joint.status if used else 0
+
+
+@compiled
+def monitor_calibration(
+    settings_records: Records,
+    layouts: Records,
+    watched: Records,
+    memories: Records,
+    rows: Records,
+    samples: int,
+) -> None:
+    """Take note of whether the sheaths still have the shape they were calibrated in."""
+    setting, layout, memory = settings_records[0], layouts[0], memories[0]
+    for s in range(samples):
+        memory.advice = monitor.step_rig(
+            setting.monitor,
+            layout,
+            watched,
+            memory.monitors,
+            rows[s].tendons,
+            rows[s].elapsed,
+        )

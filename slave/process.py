@@ -6,7 +6,7 @@
 
 Without a master the motors hold, but for one thing: with `slave.initialise.at_start` the rig is
 calibrated first, and every motor moves, whoever is there. When commands stop coming for longer than
-`slave.freshness`, or anything else goes wrong, the motors hold too, until the operator lets go and
+`slave.command_timeout`, or anything else goes wrong, the motors hold too, until the operator lets go and
 engages again; after an emergency stop (`teleop stop`) that has to be reset first.
 """
 
@@ -14,46 +14,44 @@ import argparse
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator import extension, online
-from estimator.effects.friction import VISCOUS_FRICTION
-from slave import loop, models, outbox
+from estimator import online
+from estimator.records import Records, one
+from slave import loop, models
 from slave.calibration.initialise import initialise
-from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
-from slave.control import JointEstimate
-from slave.housekeeping import Housekeeping, calibrating
-from slave.loop import Known, Memory
+from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
+from slave.gate import Verdict
+from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import open_rig
 from slave.rigs.effect_words import late
 from slave.rigs.simulated import SimulatedRigConfig
 from slave.score import Score
+from slave.state_messages import fill_tendon_state
+from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
-from teleop.clock import STALL_NS, Grid, Tick, now_ns, quiet_garbage
+from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
 from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.events import publish_event
 from teleop.launch.summary import force_line, loop_lines, trouble
-from teleop.link import Counts, Link
-from teleop.messages import MAX_JOINTS, PROFILE_POINTS, SlaveState
-from teleop.meter import LoopMeter, in_words
+from teleop.link import Link
+from teleop.messages import MAX_JOINTS, PROFILE_POINTS, Command, SlaveState, TendonState
+from teleop.meter import LoopMeter, format_reason
+from teleop.packet import Packet
 from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
-from teleop.remote.door import Door, call_stop
+from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.run_config import RunConfig
-from teleop.session import Reason, Session, State
-from teleop.tell import tell
-from teleop.topics import (
-    COMMAND,
-    LEDGER,
-    REPORT,
-    STATE,
-    TENDONS,
-    Role,
-)
+from teleop.session import Reason, SessionOutline, State, outline
+from teleop.topics import COMMAND, LEDGER, REPORT, STATE, TENDONS, Role
+
+ROWS = 32  # samples that a tick takes at first; more are made room for
 
 
 class Past(NamedTuple):
@@ -63,8 +61,8 @@ class Past(NamedTuple):
     samples: tuple[RigSample, ...]  # all that it has given since, oldest first
 
 
-class Slave:
-    """The world around `loop.step`: one rig, one link, and the counts.
+class SlaveProcess:
+    """The world around `loop.tick`: one rig, one link, and the counts.
 
     Attributes
     ----------
@@ -79,93 +77,130 @@ class Slave:
         config: SlaveConfig,
         link: Link,
         rig: Rig,
-        known: Known,
-        grid: Grid,
+        model: RigModel,
+        clock: EventClock,
         past: Past | None = None,
         bilateral: Bilateral = loop.DIRECT,
-        door: Door | None = None,
+        requests: RequestListener | None = None,
     ) -> None:
         self.error: TeleopError | None = None
         self.ended = ""
-        self._config, self._link, self._rig = config, link, rig
-        self._known, self._bilateral = known, bilateral
+        self._link, self._rig, self._model = link, rig, model
         past = past or Past(now_ns(), ())
-        self.memory = loop.start(known, rig.starts_at_zero, past.samples)
-        self._meter = LoopMeter(Role.SLAVE, grid)
-        self._housekeeping = Housekeeping(link, known)
-        noise = max(model.tension_noise for model in known.models)
-        self._score, self._verdicts = Score(noise), Counter[str]()
-        self._freshness_ns = round(config.freshness * 1e9)
+        self._slave = loop.start(model, config, bilateral, rig.starts_at_zero, past.samples)
+        self.memory: SlaveMemory = one(self._slave.memory)
+        self._before = [part.copy() for part in self._changing()]
+        self._rows = loop.EstimatedSample.array(ROWS)
+        self._samples = 0
+        self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
+        self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
+        self._meter = LoopMeter(Role.SLAVE, clock)
+        self._telemetry = Telemetry(link, model, self._slave)
+        self._score = Score(max(model.tension_noise for model in model.models))
+        self._verdicts = Counter[int]()
+        self._timeout_ns = round(config.command_timeout * 1e9)
         self._start_ns = past.start_ns
-        self._echo_ns = 0  # stamp of the newest command heard
         self._ledger_due_ns = 0
-        self._door = door or Door(link)
+        self._requests = requests or RequestListener(link)
 
     def tick(self, tick: Tick) -> None:
-        """Read, step, write, publish."""
+        """Answer the newest command; then do what nobody waits for."""
         time_s = (tick.stamp_ns - self._start_ns) * 1e-9
-        samples, fault = self._read(time_s)
-        latest = self._link.latest(COMMAND)
-        command = latest.message
+        fault = self._read(time_s)
+        commands = self._link.latest(COMMAND)
         now = now_ns()
-        asked = self._door(now, self.memory.session.stops)
-        if asked.words and self.memory.session.state is not State.STOPPED:  # the first caller's
-            self._housekeeping.stop_words = asked.words
-
-        def step(fault: Reason, late_s: float = 0.0) -> tuple[loop.Output, Memory]:
-            return loop.step(
-                self._known,
-                self._config,
-                self.memory,
-                samples,
-                command,
-                latest.is_fresh(now_ns(), self._freshness_ns),
-                fault,
-                tick.dt + late_s,
-                self._bilateral,
-                asked.stop,
-                asked.reset,
-            )
-
-        output, memory = step(fault)
+        requests = self._requests(now, self.memory.session.stops)
+        verdict = self._step(tick.dt, fault, requests)
         late_ns = now_ns() - now
         if late_ns > STALL_NS:
-            output, memory = step(fault, late_ns * 1e-9)
-        if output.motor and fault is Reason.NONE:
+            self._take_back()
+            verdict = self._step(tick.dt + late_ns * 1e-9, fault, requests)
+        if self.memory.has_motor and fault is Reason.NONE:
             try:
-                self._rig.write(np.array(output.motor))
+                self._rig.write(self.memory.motor[: self._rig.tendons].copy())
             except RigFault as error:
-                output, memory = step(self._failed(error))
-        self.memory = memory
-        self._echo_ns = command.stamp_ns if command else 0
-        self._publish(output)
-        self._door.relay(Role.SLAVE, memory.session, asked.words)
-        self._publish_ledger(tick.stamp_ns)
-        self._verdicts[str(output.verdict.name)] += 1
-        self._housekeeping(time_s, memory)
-        self._report(tick.stamp_ns, latest.counts)
-        self._meter.tick(memory.session, now_ns() - tick.stamp_ns, self._housekeeping.detail)
+                self._take_back()
+                verdict = self._step(tick.dt, self._failed(error), requests)
+        if tick.answers:
+            self._state.record.answer_ns = now_ns() - commands.received_ns
+        self._link.publish_packet(STATE, self._state)
+        answered_ns = now_ns()
+        self._verdicts[verdict] += 1
+        self._meter.answer.add(answered_ns - tick.stamp_ns)
+        self._follow_up(tick, time_s, requests)
+        self._meter.tick(
+            outline(self.memory.session), now_ns() - tick.stamp_ns, self._telemetry.detail
+        )
 
     def close(self) -> None:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
-        side = self.memory.session
-        last = side if side.state in (State.OFF, State.FAULT, State.STOPPED) else Session()
-        self._link.publish(STATE, self._state(last, (), 0.0))
-        tell(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
+        last = outline(self.memory.session)
+        if last.state not in (State.OFF, State.FAULT, State.STOPPED):
+            last = SessionOutline(State.OFF, Reason.NOT_USABLE)
+        state = self._state.record
+        state.state, state.reason, state.joints = last.state, last.reason, 0
+        for name in ("position", "force", "force_low", "force_high", "status"):
+            self._state.records[name] = 0
+        state.sample_age_ns = 0
+        self._link.publish_packet(STATE, self._state)
+        publish_event(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
-        numbers = self._meter.summary(self.memory.session, self._link.counts(), self._verdicts)
+        verdicts = {str(Verdict(bits).name): n for bits, n in self._verdicts.items()}
+        side = outline(self.memory.session)
+        numbers = self._meter.summary(side, self._link.counts(), verdicts)
         return numbers | {"force_error": self._score.summary(), "rig": self._rig.summary()}
 
-    def _read(self, time_s: float) -> tuple[Sequence[RigSample], Reason]:
+    def _changing(self) -> tuple[Records, Records]:
+        return self._slave.memory, self._slave.estimators
+
+    def _take_back(self) -> None:
+        """Forget the tick that was just stepped."""
+        for now, before in zip(self._changing(), self._before, strict=True):
+            now[:] = before
+
+    def _step(self, dt: float, fault: Reason, requests: Requests) -> int:
+        commands = self._commands
+        given = TickInput(
+            dt,
+            commands.is_there,
+            commands.is_fresh(now_ns(), self._timeout_ns),
+            int(fault),
+            int(requests.stop),
+            requests.reset,
+        )
+        slave = self._slave
+        return loop.tick(
+            slave.settings,
+            slave.layout,
+            slave.prepared,
+            slave.estimators,
+            slave.memory,
+            slave.scratch,
+            self._rows,
+            self._samples,
+            given,
+            commands.packet.records,
+            self._state.records,
+        )
+
+    def _read(self, time_s: float) -> Reason:
+        """Take over the rig's new samples; return what is wrong with it."""
+        self._samples = 0
         try:
-            return self._rig.read(time_s), Reason.NONE
+            samples = self._rig.read(time_s)
         except RigFinished:
             self.ended = Reason.RIG_FINISHED.text
-            return (), Reason.RIG_FINISHED
+            return Reason.RIG_FINISHED
         except RigFault as error:
-            return (), self._failed(error)
+            return self._failed(error)
+        if len(samples) > len(self._rows):  # behind a stall; it stays that long
+            self._rows = loop.EstimatedSample.array(2 * len(samples))
+        for sample in samples:
+            loop.fill_sample(self._rows, self._samples, sample)
+            self._samples += 1
+        return Reason.NONE
 
     def _failed(self, error: RigFault) -> Reason:
         self._end(TeleopError(f"rig: {error}"))
@@ -175,30 +210,43 @@ class Slave:
         self.error = self.error or error
         self.ended = str(self.error)
 
-    def _publish(self, output: loop.Output) -> None:
-        memory = self.memory
-        joints = loop.joint_estimates(self._known, memory)
-        self._link.publish(STATE, self._state(memory.session, joints, memory.silence))
-        for row in output.rows:
-            self._link.publish(TENDONS, outbox.tendon_state(row, output.motor))
-            self._score.add_row(row)
+    def _follow_up(self, tick: Tick, time_s: float, requests: Requests) -> None:
+        """Do what nobody waits for, once the answer is out."""
+        if not self.error and not self.ended:
+            self._advance_rig()
+        slave, rows, samples = self._slave, self._rows, self._samples
+        loop.monitor_calibration(
+            slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
+        )
+        for now, before in zip(self._changing(), self._before, strict=True):
+            before[:] = now
+        side = outline(self.memory.session)
+        if requests.words and side.state is not State.STOPPED:  # the first caller's
+            self._telemetry.stop_text = requests.words
+        for k in range(samples):
+            fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
+            self._link.publish_packet(TENDONS, self._tendon_state)
+        self._score.add_rows(slave.layout, rows, samples)
+        self._requests.relay(Role.SLAVE, side, requests.words)
+        self._publish_ledger(tick.stamp_ns)
+        self._telemetry(time_s)
+        self._report(tick.stamp_ns)
+
+    def _advance_rig(self) -> None:
+        try:
+            self._rig.advance()
+        except RigFault as error:
+            self._failed(error)
 
     def _publish_ledger(self, stamp_ns: int) -> None:
         if stamp_ns >= self._ledger_due_ns:
             self._ledger_due_ns = stamp_ns + LEDGER_PERIOD_NS
-            joints = len(self._known.joints)
-            self._link.publish(LEDGER, ledger_message(Role.SLAVE, self.memory.port, joints))
+            joints = len(self._model.joints)
+            self._link.publish(LEDGER, ledger_message(Role.SLAVE, self.memory.coupling, joints))
 
-    def _state(
-        self, side: Session, joints: Sequence[JointEstimate], sample_age: float
-    ) -> SlaveState:
-        signature = self._bilateral.signature
-        return outbox.slave_state(
-            side, self._echo_ns, joints, sample_age, self.memory.port, signature
-        )
-
-    def _report(self, stamp_ns: int, counts: Counts) -> None:
-        report = self._meter.report(stamp_ns, self.memory.session, counts)
+    def _report(self, stamp_ns: int) -> None:
+        side = outline(self.memory.session)
+        report = self._meter.report(stamp_ns, side, self._commands.counts)
         if report is None:
             return
         self._link.publish(REPORT, report)
@@ -208,11 +256,11 @@ class Slave:
             self._end(error)
 
 
-def run(slave: Slave, grid: Grid, stop_for: Callable[[str], None]) -> None:
+def run(slave: SlaveProcess, clock: EventClock, stop_for: Callable[[str], None]) -> None:
     """Tick until told to stop; the others are told, however this ends."""
     try:
         with quiet_garbage():
-            for tick in grid:
+            for tick in clock:
                 slave.tick(tick)
                 if slave.ended:
                     stop_for(slave.ended)
@@ -237,7 +285,7 @@ def main(args: argparse.Namespace) -> int:
     files = models.given(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
-    warm_up(extended=bool(files) or has_model_file(config))
+    warm_up()
     granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
     with ExitStack() as stack:
         # a slave that is refused as the second one must not have touched the rig
@@ -248,12 +296,12 @@ def main(args: argparse.Namespace) -> int:
         for doubt in doubts(config, shared.coupling):
             print(doubt, flush=True)
         stop = Stop(args.duration)
-        door = Door(link)
-        link.subscribe_latest(COMMAND, round(config.freshness * 1e9))
-        known, past = known_before(config, rig, link, door, stop, shared.rate_hz, files)
-        grid = Grid(shared.rate_hz, stop, phase=0.5)
-        slave = Slave(config, link, rig, known, grid, past, shared.bilateral, door)
-        run(slave, grid, stop.request)
+        requests = RequestListener(link)
+        link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
+        model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
+        clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
+        slave = SlaveProcess(config, link, rig, model, clock, past, shared.bilateral, requests)
+        run(slave, clock, stop.request)
         summary = slave.summary()
     if isinstance(config.rig, SimulatedRigConfig):
         for line in late(config.rig.effects, summary["seconds"]):
@@ -277,20 +325,20 @@ def require_carried(rig: Rig) -> None:
         )
 
 
-def known_before(
+def model_of(
     config: SlaveConfig,
     rig: Rig,
     link: Link,
-    door: Door,
+    requests: RequestListener,
     stop: Stop,
     rate_hz: float,
     files: models.Given,
-) -> tuple[Known, Past]:
+) -> tuple[RigModel, Past]:
     """Return what is known of a rig when the loop begins, and what it has measured before.
 
     Model `files` stand in for what the config says of the sheaths. If the config asks for it, the
     rig is calibrated first, in its quick form; `TeleopError` if that has to be given up. An
-    emergency stop at the `door` ends it where the motors are.
+    emergency stop among the `requests` ends it where the motors are.
     """
     past = Past(now_ns(), ())
     if not config.initialise.at_start:
@@ -301,19 +349,21 @@ def known_before(
         for line in said:
             print(line, flush=True)
         barred = hindrance_of(config, rig, modelled=bool(files))
-        return loop.know(rig.joints, [tendon.model() for tendon in tendons], barred), past
+        return loop.rig_model(rig.joints, [tendon.model() for tendon in tendons], barred), past
 
     def stopped() -> str:
-        asked = door(now_ns())
+        asked = requests(now_ns())
         master = link.latest(COMMAND).message
         if asked.stop:
             call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
-            raise TeleopError(f"calibration given up: {in_words(asked.stop, asked.words)}")
+            raise TeleopError(f"calibration given up: {format_reason(asked.stop, asked.words)}")
         if master is not None and State(master.state) is State.STOPPED:
             raise TeleopError(f"calibration given up: {Reason.PEER_STOPPED.text}")
         return stop.reason if stop() else ""
 
-    tell(link, Role.SLAVE, Session(), f"off: calibrating {rig.name}; keep its joints free")
+    publish_event(
+        link, Role.SLAVE, SessionOutline(), f"off: calibrating {rig.name}; keep its joints free"
+    )
     done = initialise(
         rig,
         config,
@@ -322,9 +372,9 @@ def known_before(
         stopped=stopped,
         progress=calibrating(rig),
     )
-    tell(link, Role.SLAVE, Session(), f"off: {rig.name} is calibrated")
+    publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
     found = [tendon.model() for tendon in done.calibration.tendons]
-    return loop.know(rig.joints, found), past._replace(samples=done.samples)
+    return loop.rig_model(rig.joints, found), past._replace(samples=done.samples)
 
 
 def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
@@ -339,10 +389,17 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
     return list(said)
 
 
-def warm_up(extended: bool = False) -> None:
-    """Compile what the loop calls, before it has to be on time; `extended` models take longer."""
-    viscous = extension.extended((1.0, 1e-4, 0.0), [(VISCOUS_FRICTION, (1.0,))], 1.0, 1.0)
-    for extra in (None, viscous.extension) if extended else (None,):
-        prepared = online.prepare(online.TendonModel(viscous.sheath, extension=extra))
-        _, state = online.step(prepared, online.initial(prepared), 1.0, 0.0, 0.0)
-        online.profile_at(prepared, state, np.zeros(PROFILE_POINTS))
+def warm_up() -> None:
+    """Compile what the loop calls, before it has to be on time."""
+    model = loop.rig_model(((0,),), [TendonConfig(effective_friction=1.0).model()])
+    slave = loop.start(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
+    rows, state = loop.EstimatedSample.array(ROWS), Packet(SlaveState)
+    loop.fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
+    given, command = TickInput(1e-3, True, False), Packet(Command)
+    parts = (slave.settings, slave.layout, slave.prepared, slave.estimators, slave.memory)
+    loop.tick(*parts, slave.scratch, rows, 1, given, command.records, state.records)
+    loop.monitor_calibration(*parts[:2], slave.watched, slave.memory, rows, 1)
+    fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
+    Score().add_rows(slave.layout, rows, 1)
+    online.profile_at(one(slave.prepared), one(slave.estimators), np.zeros(PROFILE_POINTS))
+    state.seal(0, 0, 0)

@@ -74,6 +74,12 @@ class Rig(Protocol):
         on, and in a calibration, by command or at the slave's start, with nobody engaged.
         """
 
+    def advance(self) -> None:
+        """Do what nobody waits for: called once a tick, when the answer to the master is out.
+
+        A simulated rig computes the next step of its plant here. Most others have nothing to do.
+        """
+
     def summary(self) -> dict[str, int | float | str]:
         """Return what the summary of a run shall tell of the rig, often nothing; never raises."""
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,10 @@ class EstimatedTendon(Record):
     corrected_displacement: F64 = math.nan  # [m]
     valid: Flag = False  # whether the estimator took the sample
     estimate: TendonEstimate
+
+
+EstimatedTendons: TypeAlias = Sequence[EstimatedTendon] | Records
+"""The tendons of a rig in one sample, as a field of a record or as an array of records."""
 
 
 def rig_layout(joints: Sequence[Sequence[int]]) -> Records:

@@ -25,7 +25,8 @@ class Tick:
 
     index: int
     stamp_ns: int  # when the tick really began, as `now_ns` gives it
-    dt: float  # [s] since the previous tick; a whole number of periods
+    dt: float  # [s] since the previous tick; on a grid a whole number of periods
+    answers: bool = False  # whether something arrived that waits for an answer
 
 
 @dataclass(slots=True)
@@ -105,6 +106,71 @@ class Grid:
     def _first(self, now: int) -> int:
         """Return the next point of the grid [ns]."""
         return now + (self._offset_ns - now) % self.period_ns
+
+
+class EventClock:
+    """Ticks when something arrives, and when nothing does, at a deadline.
+
+    While arrivals come at about `rate_hz`, each is a tick at once, however they jitter: the
+    deadline is `LATE` periods after the last tick, so that an arrival that is a little late is not
+    overtaken by it. When a deadline has passed, the next ones are a period apart: so a loop that
+    nobody asks anything runs at its own rate. No two ticks are nearer than `NEAREST` periods: a
+    burst, or a flood, is one tick with the newest value.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Rate without arrivals, and about that of the arrivals [Hz].
+    stop : callable
+        Asked before each tick; the iteration ends when it returns true.
+    wait : callable
+        Waits for an arrival until a time of the machine's monotonic clock [ns]; returns whether
+        there was one.
+    now, sleep : callable
+        Injected by tests; the machine's monotonic clock [ns] otherwise.
+    """
+
+    LATE = 1.5
+    NEAREST = 0.5
+
+    def __init__(
+        self,
+        rate_hz: float,
+        stop: Callable[[], bool],
+        wait: Callable[[int], bool],
+        now: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.period_ns = round(1e9 / rate_hz)
+        self.stats = TickStats()
+        self._stop, self._wait, self._now, self._sleep = stop, wait, now, sleep
+
+    def __iter__(self) -> Iterator[Tick]:
+        """Yield ticks until told to stop."""
+        stats, period = self.stats, self.period_ns
+        late_ns, nearest_ns = round(self.LATE * period), round(self.NEAREST * period)
+        last, deadline = self._now() - period, self._now()
+        index = 0
+        while not self._stop():
+            arrived = self._wait(deadline)
+            early = last + nearest_ns - self._now()
+            if early > 0:
+                self._sleep(early * 1e-9)
+            begin = self._now()
+            stats.ticks += 1
+            stats.first_ns = stats.first_ns or begin
+            stats.last_ns = begin
+            stats.lateness_max_ns = max(stats.lateness_max_ns, begin - deadline)
+            stats.overruns += max(0, (begin - last) // period - 1) if index else 0
+            yield Tick(index, _ANCHOR_NS + begin, (begin - last) * 1e-9, arrived)
+            last = begin
+            deadline = begin + late_ns if arrived else self._next(deadline)
+            index += 1
+
+    def _next(self, deadline: int) -> int:
+        """Return the next deadline [ns] of a loop that nobody asks anything: on a grid."""
+        skipped = max(0, (self._now() - deadline) // self.period_ns)
+        return deadline + (1 + skipped) * self.period_ns
 
 
 class quiet_garbage:  # noqa: N801 - used as a statement: `with quiet_garbage():`

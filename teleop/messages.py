@@ -132,7 +132,7 @@ class Schema:
         hints = get_type_hints(cls, include_extras=True)
         self.cls = cls
         self.name = cls.__name__
-        self._seed = zlib.crc32(self.name.encode())
+        self.seed = zlib.crc32(self.name.encode())
         self.wires: dict[str, Wire] = {}
         for item in fields(cls):
             self.wires[item.name] = next(
@@ -146,16 +146,13 @@ class Schema:
             offset += padding + wire.size * wire.count
         self.size = offset + len(ENCAPSULATION)
         self._struct = struct.Struct(code)
-        self.dtype = np.dtype(
-            {
-                "names": list(self.wires),
-                "formats": [
-                    (w.numpy, (w.count,)) if w.count > 1 else w.numpy for w in self.wires.values()
-                ],
-                "offsets": [len(ENCAPSULATION) + o for o in offsets],
-                "itemsize": self.size,
-            }
+        names = list(self.wires)
+        formats = [(w.numpy, (w.count,)) if w.count > 1 else w.numpy for w in self.wires.values()]
+        # of the bytes as they travel; and of what follows the encapsulation, in aligned memory
+        self.dtype = _structure(
+            names, formats, [len(ENCAPSULATION) + o for o in offsets], self.size
         )
+        self.record_dtype = _structure(names, formats, offsets, -(-offset // 8) * 8, aligned=True)
         self.ros_definition = "".join(
             f"{w.ros}{f'[{w.count}]' if w.count > 1 else ''} {name}\n"
             for name, w in self.wires.items()
@@ -181,7 +178,7 @@ class Schema:
 
     def checksum(self, body: bytes | memoryview) -> int:
         """Return the checksum of a message of this class from what follows the checksum in it."""
-        return zlib.crc32(body, self._seed)
+        return zlib.crc32(body, self.seed)
 
     def sender(self, data: bytes) -> int:
         """Return whom `data` claims to be from, unchecked; 0 if it is too short to say."""
@@ -208,6 +205,14 @@ class Schema:
             name: flat[slot] if end is None else flat[slot:end] for name, slot, end in self._slots
         }
         return self.cls(**values)
+
+
+def _structure(
+    names: list[str], formats: list[Any], offsets: list[int], size: int, aligned: bool = False
+) -> np.dtype[Any]:
+    layout: Any = {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}
+    structure: np.dtype[Any] = np.dtype(layout, align=aligned)
+    return structure
 
 
 def padded(values: Sequence[float], size: int) -> tuple[float, ...]:
@@ -266,6 +271,7 @@ class SlaveState(Message):
     coupling: U32 = 0  # as in Command
     energy: Joints = NO_JOINTS  # [J] passed on to the master since the sender started
     wave: Joints = NO_JOINTS  # [sqrt(J s)] integral of the waves sent to it
+    answer_ns: I64 = 0  # from the Command's receipt to this state's sending; 0 = no new one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

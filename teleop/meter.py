@@ -7,7 +7,7 @@ from typing import Any
 from teleop.clock import Grid, now_ns
 from teleop.link import Counts
 from teleop.messages import LoopReport
-from teleop.session import Reason, Session, State
+from teleop.session import Reason, SessionOutline, State
 from teleop.timing import Durations
 from teleop.topics import Role
 
@@ -30,12 +30,12 @@ class LoopMeter:
         self._state = State.OFF
         self._words = self._not_usable = Reason.NOT_USABLE.text
 
-    def tick(self, side: Session, work_ns: int, detail: str = "") -> None:
+    def tick(self, side: SessionOutline, work_ns: int, detail: str = "") -> None:
         """Count one tick, which left the session at `side` and took `work_ns` [ns].
 
         `detail` says what the session's reason is about: which tendon, or why it is not usable.
         """
-        self._words = in_words(side.reason, detail)
+        self._words = format_reason(side.reason, detail)
         if side.reason is Reason.NOT_USABLE:
             self._not_usable = self._words
         self.work.add(work_ns)
@@ -48,7 +48,7 @@ class LoopMeter:
             self._pending = ""
         self._state = side.state
 
-    def report(self, stamp_ns: int, side: Session, counts: Counts) -> LoopReport | None:
+    def report(self, stamp_ns: int, side: SessionOutline, counts: Counts) -> LoopReport | None:
         """Return the report that is due at `stamp_ns`, or None."""
         if stamp_ns < self._due_ns:
             return None
@@ -82,7 +82,9 @@ class LoopMeter:
             latency_p99_ns=p99,
         )
 
-    def summary(self, side: Session, counts: Counts, verdicts: Mapping[str, int]) -> dict[str, Any]:
+    def summary(
+        self, side: SessionOutline, counts: Counts, verdicts: Mapping[str, int]
+    ) -> dict[str, Any]:
         """Return what the whole run was like."""
         stats = self._grid.stats
         return {
@@ -117,7 +119,7 @@ class LoopMeter:
         }
 
 
-def in_words(reason: Reason, detail: str) -> str:
+def format_reason(reason: Reason, detail: str) -> str:
     """Return a reason, and what it is about, in one line."""
     return f"{reason.text}: {detail}" if detail else reason.text
 

@@ -3,9 +3,9 @@
 import re
 from dataclasses import dataclass, field
 
-from teleop.confidence import ConfidenceConfig
 from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.passivity import PassivityConfig
+from teleop.force_attenuation import ConfidenceConfig
 from teleop.link.config import LinkConfig
 
 

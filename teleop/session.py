@@ -36,12 +36,18 @@ STOPPED  motors hold, no force; latched: letting go does not end it     an expli
 None of them ends in motion: each goes to READY, where the switch has to be found open and be
 pressed again; only the clutch goes straight back, because the operator's hand held it.
 
-What each side may do hangs on `may_move` and `may_yield` (slave), `may_render` and `fades`
+What each side may do depends on `may_move` and `may_yield` (slave), `may_render` and `fades`
 (master), and on nothing else.
+
+`Session` and `Inputs` are records (`estimator.records`), and all functions of them are compiled.
+Python code around the loops, which reports and prints, takes a `SessionOutline`.
 """
 
-from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from typing import NamedTuple
+
+from estimator.compiled import compiled
+from estimator.records import F64, I64, U64, Flag, Record
 
 FOLLOW_LIMIT_S = 0.1  # [s] within which the peer must be engaged too: 100 ticks of 1 kHz
 HOLD_LIMIT_S = 2.0  # [s] of silence after which nobody counts on the peer any more
@@ -60,17 +66,17 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> "State | None":
-        """Take a number of a later version for a peer that cannot be relied upon."""
+        """Read a number of a later version as FAULT: such a peer cannot be relied upon."""
         return cls.FAULT if isinstance(value, int) else None
 
 
 class Reason(IntEnum):
-    """Why a side is where it is. The numbers travel and are recorded: none is ever given anew."""
+    """Why a side is in its state. Numbers are sent and recorded: none is ever reassigned."""
 
     text: str
 
     def __new__(cls, number: int, text: str) -> "Reason":
-        """Give each number its sentence, `reason.text`."""
+        """Attach the text to each number, `reason.text`."""
         reason = int.__new__(cls, number)
         reason._value_ = number
         reason.text = text
@@ -78,103 +84,110 @@ class Reason(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> "Reason | None":
-        """Take a number of a later version for what it is."""
+        """Read a number of a later version as UNKNOWN."""
         return cls.UNKNOWN if isinstance(value, int) else None
 
-    NONE = 0, "all is well"
-    NOT_USABLE = 1, "its device or rig is not usable"
-    PEER_ABSENT = 2, "the other side is not there"
-    PEER_NOT_READY = 3, "the other side is not ready"
-    RELEASE_FIRST = 4, "the engage switch must be let go of first"
-    RELEASED = 5, "the engage switch was let go of"
-    PEER_ENDED = 6, "the other side has ended"
-    CLUTCH_HELD = 7, "the clutch is held"
-    ALIGN_FIRST = 8, "the hand must first go to where the tip is"
-    RESET = 9, "the emergency stop was reset; engage again"
-    HAND_AWAY = 10, "no hand is felt at the device; let go of the engage switch first"
-    COUPLING_DIFFERS = 11, "the other side's config has another coupling or confidence"
+    NONE = 0, "ok"
+    NOT_USABLE = 1, "device or rig not usable"
+    PEER_ABSENT = 2, "peer not connected"
+    PEER_NOT_READY = 3, "peer not ready"
+    RELEASE_FIRST = 4, "release the engage switch first"
+    RELEASED = 5, "engage switch released"
+    PEER_ENDED = 6, "peer has ended"
+    CLUTCH_HELD = 7, "clutch held"
+    ALIGN_FIRST = 8, "move the hand to where the tip is first"
+    RESET = 9, "emergency stop was reset; engage again"
+    HAND_AWAY = 10, "no hand detected at the device; release the engage switch first"
+    COUPLING_DIFFERS = 11, "the peer's config has another coupling or confidence"
 
-    PEER_SILENT = 20, "the other side fell silent"
-    PEER_FAULT = 21, "the other side is at fault"
-    PEER_LEFT = 22, "the other side disengaged by itself"
-    PEER_DECLINED = 23, "the other side did not engage in time"
-    PEER_STOPPED = 24, "the other side is at emergency stop"
-    PEER_HOLDS = 25, "the other side holds, as it hears nothing"
-    PEER_RESTARTED = 26, "the other side was restarted"
+    PEER_SILENT = 20, "no messages from the peer"
+    PEER_FAULT = 21, "peer in fault"
+    PEER_LEFT = 22, "peer disengaged by itself"
+    PEER_DECLINED = 23, "peer did not engage in time"
+    PEER_STOPPED = 24, "peer in emergency stop"
+    PEER_HOLDS = 25, "peer is holding, as it receives no messages"
+    PEER_RESTARTED = 26, "peer was restarted"
 
-    DEVICE_FAULT = 40, "the haptic device failed"
-    RIG_FAULT = 41, "the rig failed"
-    RIG_FINISHED = 42, "the rig has played its last sample"
-    SAMPLES_STALE = 43, "the rig's samples stopped coming"
-    NOT_FINITE = 44, "a value was not finite"
-    OVER_LIMIT = 45, "a measured value was over its limit"
-    TENDON_BROKEN = 46, "a tendon has no tension although it is wound in"
-    TENDON_JAMMED = 47, "a tendon is stiffer than its sheath allows, as if it were jammed"
-    CELL_SATURATED = 48, "a load cell is at the end of its range"
-    CELL_STUCK = 49, "a load cell repeats the same reading"
-    CALIBRATION_DUE = 50, "a sheath has changed its shape; it must be calibrated again"
-    MOTOR_ASTRAY = 51, "a motor is not where it was sent"
-    SAMPLES_FROZEN = 52, "the rig's samples stay the same although a motor was sent on"
-    EMERGENCY_STOP = 53, "the operator pressed the emergency stop"
-    STOP_CALLED = 54, "an emergency stop was called for"
-    WATCH_LOST = 55, "the process that watched over the session is gone"
+    DEVICE_FAULT = 40, "haptic device failed"
+    RIG_FAULT = 41, "rig failed"
+    RIG_FINISHED = 42, "rig has played its last sample"
+    SAMPLES_STALE = 43, "no new samples from the rig"
+    NOT_FINITE = 44, "value not finite"
+    OVER_LIMIT = 45, "measured value over its limit"
+    TENDON_BROKEN = 46, "tendon has no tension although it is wound in"
+    TENDON_JAMMED = 47, "tendon stiffer than its sheath allows, as if jammed"
+    CELL_SATURATED = 48, "load cell at the end of its range"
+    CELL_STUCK = 49, "load cell repeats the same reading"
+    CALIBRATION_DUE = 50, "sheath has changed its shape; calibrate again"
+    MOTOR_ASTRAY = 51, "motor not where it was commanded"
+    SAMPLES_FROZEN = 52, "the rig's samples stay the same although a motor was moved"
+    EMERGENCY_STOP = 53, "operator pressed the emergency stop"
+    STOP_CALLED = 54, "emergency stop requested"
+    WATCH_LOST = 55, "watching process was lost"
 
-    UNKNOWN = 255, "a reason that this version does not know"
+    UNKNOWN = 255, "reason unknown to this version"
 
 
-@dataclass(frozen=True, slots=True)
-class Inputs:
+class Inputs(Record):
     """What a side knows at a tick."""
 
-    usable: bool  # its own device or rig can be read and written
-    peer_fresh: bool  # the peer's newest message is young enough to act on
-    peer_state: State  # in that message; OFF if there was none
-    engage: bool  # the switch: the operator's, or `switch_of` the master's state
-    fault: Reason = Reason.NONE  # what is wrong on this side now
-    clutch: bool = False  # the clutch: the operator's, or the master's CLUTCHED
-    stop: Reason = Reason.NONE  # why everything must stop, if it must
-    reset: bool = False  # somebody takes back the emergency stop
-    hindrance: Reason = Reason.NONE  # why this side must not engage yet
-    peer: int = 0  # nonce of the peer's process
-    follow_s: float = FOLLOW_LIMIT_S  # [s] within which the peer must be engaged too
+    usable: Flag  # its own device or rig can be read and written
+    peer_fresh: Flag  # the peer's newest message is young enough to act on
+    peer_state: I64 = State.OFF  # in that message, `known_state` of it; OFF if there was none
+    engage: Flag = False  # the switch: the operator's, or `switch_of` the master's state
+    fault: I64 = Reason.NONE  # what is wrong on this side now
+    clutch: Flag = False  # the clutch: the operator's, or the master's CLUTCHED
+    stop: I64 = Reason.NONE  # why everything must stop, if it must
+    reset: Flag = False  # the emergency stop is taken back
+    not_ready_reason: I64 = Reason.NONE  # why this side must not engage yet
+    peer: U64 = 0  # nonce of the peer's process
+    follow_s: F64 = FOLLOW_LIMIT_S  # [s] within which the peer must be engaged too
 
 
-@dataclass(frozen=True, slots=True)
-class Session:
-    """Where a side is and why; two are equal if these are."""
+class Session(Record):
+    """State and reason of a side, and what it must remember to leave them."""
+
+    state: I64 = State.OFF
+    reason: I64 = Reason.NOT_USABLE
+    open_seen: Flag = False  # the switch, since last engaged
+    peer_seen: Flag = False  # READY, since last engaged
+    followed: Flag = False  # the peer is, or was, engaged with us
+    waited_s: F64 = 0.0  # [s] for it to follow, or to be heard
+    peer: U64 = 0  # nonce of the process we are coupled to
+    calling: Flag = False  # a stop was asked for in this tick
+    stops: I64 = 0  # calls that began or ended: a reset names it
+
+
+_REASONS = {int(reason): reason for reason in Reason}
+
+
+class SessionOutline(NamedTuple):
+    """What people and listeners are told of a session; an event is a change of it."""
 
     state: State = State.OFF
     reason: Reason = Reason.NOT_USABLE
-    open_seen: bool = field(default=False, compare=False)  # the switch, since last engaged
-    peer_seen: bool = field(default=False, compare=False)  # READY, since last engaged
-    followed: bool = field(default=False, compare=False)  # the peer is, or was, engaged with us
-    waited_s: float = field(default=0.0, compare=False)  # [s] for it to follow, or to be heard
-    peer: int = field(default=0, compare=False)  # nonce of the process we are coupled to
-    calling: bool = field(default=False, compare=False)  # a stop was asked for in this tick
-    stops: int = field(default=0, compare=False)  # calls that began or ended: a reset names it
-
-    @property
-    def may_move(self) -> bool:
-        """Whether commands may move the motors."""
-        return self.state == State.ENGAGED
-
-    @property
-    def may_yield(self) -> bool:
-        """Whether motors that hold may give way to a tension over its limit."""
-        return self.state in (State.CLUTCHED, State.HOLDING)
-
-    @property
-    def may_render(self) -> bool:
-        """Whether forces may reach the hand: only once the slave has engaged too."""
-        return self.state == State.ENGAGED and self.followed
-
-    @property
-    def fades(self) -> bool:
-        """Whether the force on the hand goes to zero by a ramp, and not at once."""
-        return self.state == State.HOLDING
 
 
-def switch_of(master: State) -> bool:
+def outline(session: Session) -> SessionOutline:
+    """Return the state and the reason of a session as Python enums."""
+    reason = _REASONS.get(int(session.reason), Reason.UNKNOWN)
+    return SessionOutline(State(int(session.state)), reason)
+
+
+_LAST_STATE = int(max(State))
+_FAULT = int(State.FAULT)
+
+
+@compiled
+def known_state(number: int) -> int:
+    """Return the state that a message tells; a number of a later version counts as FAULT."""
+    if 0 <= number <= _LAST_STATE:
+        return number
+    return _FAULT
+
+
+@compiled
+def switch_of(master: int) -> bool:
     """Return whether the switch counts as closed for a slave whose master is in this state.
 
     A master at FAULT, HOLDING or STOPPED has not seen the operator let go.
@@ -182,42 +195,53 @@ def switch_of(master: State) -> bool:
     return master not in (State.OFF, State.READY)
 
 
-def step(session: Session, inputs: Inputs, dt: float) -> Session:
-    """Return the session after one tick, `dt` [s] after the last."""
-    after = _next(session, inputs, dt)
-    calling = inputs.stop != Reason.NONE
-    stops = session.stops + (calling != session.calling)
-    if (after.calling, after.stops) == (calling, stops):
-        return after
-    return replace(after, calling=calling, stops=stops)
+@compiled
+def may_move(session: Session) -> bool:
+    """Return whether commands may move the motors."""
+    return session.state == State.ENGAGED
 
 
-def _next(session: Session, inputs: Inputs, dt: float) -> Session:
-    if inputs.stop != Reason.NONE:
-        first = session.reason if session.state == State.STOPPED else inputs.stop
-        return Session(State.STOPPED, first)
-    if inputs.fault == Reason.RIG_FINISHED:
-        return Session(State.OFF, inputs.fault)
-    if session.state == State.STOPPED and not inputs.reset:
-        return session
-    if inputs.fault != Reason.NONE:
-        first = session.reason if session.state == State.FAULT else inputs.fault
-        return Session(State.FAULT, first)
-    if session.state in (State.ENGAGED, State.CLUTCHED):
-        return _coupled(session, inputs, dt)
-    if session.state == State.HOLDING:
-        return _holding(session, inputs, dt)
-    if session.state == State.FAULT and not _fault_is_over(session, inputs):
-        return session
-    if not inputs.usable:
-        return Session(State.OFF, Reason.NOT_USABLE)
-    if session.state == State.FAULT:
-        session = Session(State.READY, Reason.RELEASED)
-    if session.state == State.STOPPED:
-        return Session(State.READY, Reason.RESET)
-    return _ready(session, inputs)
+@compiled
+def may_yield(session: Session) -> bool:
+    """Return whether motors that hold may give way to a tension over its limit."""
+    return session.state in (State.CLUTCHED, State.HOLDING)
 
 
+@compiled
+def may_render(session: Session) -> bool:
+    """Return whether forces may reach the hand: only once the slave has engaged too."""
+    return session.state == State.ENGAGED and session.followed
+
+
+@compiled
+def fades(session: Session) -> bool:
+    """Return whether the force on the hand goes to zero by a ramp, and not at once."""
+    return session.state == State.HOLDING
+
+
+@compiled
+def _enter(session: Session, state: int, reason: int) -> None:
+    """Enter a state: nothing of what was seen or waited for before counts in it."""
+    session.state = state
+    session.reason = reason
+    session.open_seen = False
+    session.peer_seen = False
+    session.followed = False
+    session.waited_s = 0.0
+    session.peer = 0
+
+
+@compiled
+def _enter_with(session: Session, state: int, reason: int, followed: bool, waited_s: float) -> None:
+    """Enter a state that counts on the peer: the one that the session is coupled to."""
+    peer = session.peer
+    _enter(session, state, reason)
+    session.followed = followed
+    session.waited_s = waited_s
+    session.peer = peer
+
+
+@compiled
 def _fault_is_over(session: Session, inputs: Inputs) -> bool:
     """Return whether nothing but the past keeps a side in FAULT."""
     if inputs.engage or not inputs.usable:
@@ -227,75 +251,132 @@ def _fault_is_over(session: Session, inputs: Inputs) -> bool:
     return True
 
 
-def _ready(session: Session, inputs: Inputs) -> Session:
+@compiled
+def _step_ready(session: Session, inputs: Inputs) -> None:
     """Usable and not engaged: engage, or say what is missing."""
-    there = inputs.peer_fresh and inputs.peer_state in (State.READY, State.ENGAGED)
+    peer_ready = inputs.peer_fresh and inputs.peer_state == State.READY
+    peer_engaged = inputs.peer_fresh and inputs.peer_state == State.ENGAGED
+    present = peer_ready or peer_engaged
     open_seen = session.open_seen or not inputs.engage
-    peer_seen = session.peer_seen or (inputs.peer_fresh and inputs.peer_state == State.READY)
-    asked = inputs.engage and not inputs.clutch and inputs.hindrance == Reason.NONE
+    peer_seen = session.peer_seen or peer_ready
+    asked = inputs.engage and not inputs.clutch and inputs.not_ready_reason == Reason.NONE
     # engaging takes a tick in READY, so that the peer sees READY too
-    if session.state == State.READY and asked and there and open_seen and peer_seen:
-        followed = inputs.peer_state == State.ENGAGED
-        return Session(State.ENGAGED, Reason.NONE, followed=followed, peer=inputs.peer)
+    if session.state == State.READY and asked and present and open_seen and peer_seen:
+        _enter(session, State.ENGAGED, Reason.NONE)
+        session.followed = peer_engaged
+        session.peer = inputs.peer
+        return
+    _enter(session, State.READY, inputs.not_ready_reason)
+    session.open_seen = open_seen
+    session.peer_seen = peer_seen
     if not inputs.peer_fresh:
-        reason = Reason.PEER_ABSENT
-    elif not there or not peer_seen:
-        reason = Reason.PEER_NOT_READY
+        session.reason = Reason.PEER_ABSENT
+    elif not present or not peer_seen:
+        session.reason = Reason.PEER_NOT_READY
     elif not open_seen:
-        reason = Reason.RELEASE_FIRST
-    else:
-        reason = inputs.hindrance
-    return Session(State.READY, reason, open_seen=open_seen, peer_seen=peer_seen)
+        session.reason = Reason.RELEASE_FIRST
 
 
-def _coupled(session: Session, inputs: Inputs, dt: float) -> Session:
+@compiled
+def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
     """Engaged or clutched: stay so, change between the two, or leave."""
-    if not inputs.usable:
-        return Session(State.FAULT, Reason.NOT_USABLE)
-    if not inputs.peer_fresh:
-        return Session(State.HOLDING, Reason.PEER_SILENT, peer=session.peer)
-    if inputs.peer_state == State.STOPPED:
-        return Session(State.STOPPED, Reason.PEER_STOPPED)
-    if not inputs.engage:
-        why = inputs.hindrance if inputs.hindrance == Reason.HAND_AWAY else Reason.RELEASED
-        return Session(State.READY, why)
-    if inputs.peer != session.peer:
-        return Session(State.FAULT, Reason.PEER_RESTARTED)
-    if inputs.peer_state == State.HOLDING:
-        return Session(State.HOLDING, Reason.PEER_HOLDS, peer=session.peer)
-    if inputs.peer_state == State.FAULT:
-        return Session(State.FAULT, Reason.PEER_FAULT)
-    if inputs.peer_state == State.OFF:
-        return Session(State.READY, Reason.PEER_ENDED)
-    if session.followed and inputs.peer_state == State.READY:
-        return Session(State.FAULT, Reason.PEER_LEFT)
     follows = inputs.peer_state == State.ENGAGED
-    if inputs.clutch:
+    if not inputs.usable:
+        _enter(session, State.FAULT, Reason.NOT_USABLE)
+    elif not inputs.peer_fresh:
+        _enter_with(session, State.HOLDING, Reason.PEER_SILENT, False, 0.0)
+    elif inputs.peer_state == State.STOPPED:
+        _enter(session, State.STOPPED, Reason.PEER_STOPPED)
+    elif not inputs.engage:
+        _enter(session, State.READY, Reason.RELEASED)
+        if inputs.not_ready_reason == Reason.HAND_AWAY:
+            session.reason = Reason.HAND_AWAY
+    elif inputs.peer != session.peer:
+        _enter(session, State.FAULT, Reason.PEER_RESTARTED)
+    elif inputs.peer_state == State.HOLDING:
+        _enter_with(session, State.HOLDING, Reason.PEER_HOLDS, False, 0.0)
+    elif inputs.peer_state == State.FAULT:
+        _enter(session, State.FAULT, Reason.PEER_FAULT)
+    elif inputs.peer_state == State.OFF:
+        _enter(session, State.READY, Reason.PEER_ENDED)
+    elif session.followed and inputs.peer_state == State.READY:
+        _enter(session, State.FAULT, Reason.PEER_LEFT)
+    elif inputs.clutch:
         followed = session.followed or follows
-        return Session(State.CLUTCHED, Reason.CLUTCH_HELD, followed=followed, peer=session.peer)
-    if session.state == State.ENGAGED and follows:
-        return session if session.followed else replace(session, followed=True)
-    waited_s = 0.0 if session.state == State.CLUTCHED or session.followed else session.waited_s + dt
-    if waited_s > inputs.follow_s:
-        return Session(State.FAULT, Reason.PEER_DECLINED)
-    return Session(
-        State.ENGAGED, Reason.NONE, followed=follows, waited_s=waited_s, peer=session.peer
-    )
+        _enter_with(session, State.CLUTCHED, Reason.CLUTCH_HELD, followed, 0.0)
+    elif session.state == State.ENGAGED and follows:
+        session.followed = True
+    else:
+        again = session.state == State.CLUTCHED or session.followed
+        waited_s = 0.0 if again else session.waited_s + dt
+        if waited_s > inputs.follow_s:
+            _enter(session, State.FAULT, Reason.PEER_DECLINED)
+        else:
+            _enter_with(session, State.ENGAGED, Reason.NONE, follows, waited_s)
 
 
-def _holding(session: Session, inputs: Inputs, dt: float) -> Session:
+@compiled
+def _step_holding(session: Session, inputs: Inputs, dt: float) -> None:
     """Hold until the peer is heard and the operator has let go; silence for too long is a fault."""
     if not inputs.usable:
-        return Session(State.FAULT, Reason.NOT_USABLE)
-    if not inputs.peer_fresh:
-        waited_s = session.waited_s + dt
-        if waited_s > HOLD_LIMIT_S:
-            return Session(State.FAULT, Reason.PEER_SILENT)
-        return replace(session, waited_s=waited_s)
-    if inputs.peer_state == State.STOPPED:
-        return Session(State.STOPPED, Reason.PEER_STOPPED)
-    if not inputs.engage:
-        return Session(State.READY, Reason.RELEASED)
-    if inputs.peer != session.peer:
-        return Session(State.FAULT, Reason.PEER_RESTARTED)
-    return Session(State.HOLDING, Reason.RELEASE_FIRST, peer=session.peer)
+        _enter(session, State.FAULT, Reason.NOT_USABLE)
+    elif not inputs.peer_fresh:
+        session.waited_s += dt
+        if session.waited_s > HOLD_LIMIT_S:
+            _enter(session, State.FAULT, Reason.PEER_SILENT)
+    elif inputs.peer_state == State.STOPPED:
+        _enter(session, State.STOPPED, Reason.PEER_STOPPED)
+    elif not inputs.engage:
+        _enter(session, State.READY, Reason.RELEASED)
+    elif inputs.peer != session.peer:
+        _enter(session, State.FAULT, Reason.PEER_RESTARTED)
+    else:
+        _enter_with(session, State.HOLDING, Reason.RELEASE_FIRST, False, 0.0)
+
+
+@compiled
+def _change_state(session: Session, inputs: Inputs, dt: float) -> None:
+    if inputs.stop != Reason.NONE:
+        first = session.reason if session.state == State.STOPPED else inputs.stop
+        _enter(session, State.STOPPED, first)
+    elif inputs.fault == Reason.RIG_FINISHED:
+        _enter(session, State.OFF, inputs.fault)
+    elif session.state == State.STOPPED and not inputs.reset:
+        return
+    elif inputs.fault != Reason.NONE:
+        first = session.reason if session.state == State.FAULT else inputs.fault
+        _enter(session, State.FAULT, first)
+    elif session.state in (State.ENGAGED, State.CLUTCHED):
+        _step_coupled(session, inputs, dt)
+    elif session.state == State.HOLDING:
+        _step_holding(session, inputs, dt)
+    elif session.state == State.FAULT and not _fault_is_over(session, inputs):
+        return
+    elif not inputs.usable:
+        _enter(session, State.OFF, Reason.NOT_USABLE)
+    elif session.state == State.STOPPED:
+        _enter(session, State.READY, Reason.RESET)
+    else:
+        if session.state == State.FAULT:
+            _enter(session, State.READY, Reason.RELEASED)
+        _step_ready(session, inputs)
+
+
+@compiled
+def step(session: Session, inputs: Inputs, dt: float) -> None:
+    """Advance a session by one tick, in place.
+
+    Parameters
+    ----------
+    session : Session
+        Changed to what it is after the tick.
+    inputs : Inputs
+        What this side knows; its `peer_state` must be a state of this version (`known_state`).
+    dt : float
+        Time since the last tick [s].
+    """
+    _change_state(session, inputs, dt)
+    calling = inputs.stop != Reason.NONE
+    if calling != session.calling:
+        session.stops += 1
+    session.calling = calling

@@ -4,8 +4,8 @@ An effect changes what is simulated in one of three places, and is neutral where
 
 * `physics` changes the tendon, its sheath or what holds the tip (`estimator.extended.Physics`);
 * `reads` is what its sensor makes of the true signals;
-* `true` takes that away again from the signal that drives the simulation, `live` from one sample
-  of the housing's readings at a time.
+* `true` takes that away again from the signal that drives the simulation, `correction` from one
+  sample of the housing's readings at a time (estimator.reading_correction).
 
 Several effects act one after another, in the order in which they are given.
 """
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.extended import Physics
+from estimator.reading_correction import CorrectionKind
 
 Array = NDArray[np.float64]
 Values = tuple[float, ...]
@@ -28,10 +29,6 @@ CHANNELS = (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT, DISTAL_TENSION, DISTAL_DISP
 
 Signals = dict[str, Array]
 """By channel, [N] and [m], shape (n,) each."""
-
-Correction = Callable[[float, float, Values, float], tuple[float, float, float]]
-"""From tension [N] and travel [m] as the housing reads them, an effect's values and what was
-remembered of the sample before (NaN at first): both as they are, and what to remember."""
 
 
 class Parameter(NamedTuple):
@@ -114,8 +111,9 @@ class Effect:
         Channels without which the effect is not defined.
     within
         Its parameters, for records whose motor goes through a span [m]: what needs a way to show.
-    live
-        Of a sensor at the housing: its readings put right one by one, in another session too.
+    correction
+        Of a sensor at the housing: how its readings are put right one by one, in another session
+        too; None where they cannot be.
     """
 
     name: str
@@ -131,7 +129,7 @@ class Effect:
     where: str = ""
     needs: frozenset[str] = frozenset()
     within: Callable[[tuple[Parameter, ...], float], tuple[Parameter, ...]] = _as_they_are
-    live: Correction | None = None
+    correction: CorrectionKind | None = None
 
     @property
     def label(self) -> str:

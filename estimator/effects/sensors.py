@@ -1,6 +1,5 @@
 """Effects in the sensors and in how they are read: readings differ, the tendon does not."""
 
-import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -11,7 +10,6 @@ from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Array,
-    Correction,
     Effect,
     Parameter,
     Scene,
@@ -21,6 +19,7 @@ from estimator.effects.effect import (
     since,
 )
 from estimator.effects.ends import play
+from estimator.reading_correction import CorrectionKind
 
 ONSETS = 12
 WAVE = 5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
@@ -47,7 +46,7 @@ def _sensor(
     inverse: Change,
     where: str = "",
     needs: frozenset[str] = frozenset(),
-    live: Correction | None = None,
+    correction: CorrectionKind | None = None,
 ) -> Effect:
     """Return an effect of one sensor: `forward` makes its reading, `inverse` takes it back."""
 
@@ -71,7 +70,7 @@ def _sensor(
         true=true,
         where=where,
         needs=needs | {channel},
-        live=live if channel in (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT) else None,
+        correction=correction if channel in (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT) else None,
     )
 
 
@@ -87,7 +86,7 @@ def _gain(name: str, channel: str) -> Effect:
         lambda _: [(0.03,)],
         lambda T, values, _: (1.0 + values[0]) * T,
         lambda T, values, _: T / (1.0 + values[0]),
-        live=lambda T, q, values, memory: (T / (1.0 + values[0]), q, memory),
+        correction=CorrectionKind.TENSION_GAIN,
     )
 
 
@@ -103,7 +102,7 @@ def _bias(name: str, channel: str) -> Effect:
         lambda _: [(0.1,)],
         lambda T, values, _: T + values[0],
         lambda T, values, _: T - values[0],
-        live=lambda T, q, values, memory: (T - values[0], q, memory),
+        correction=CorrectionKind.TENSION_BIAS,
     )
 
 
@@ -209,7 +208,7 @@ def _scale(channel: str) -> Effect:
         lambda q, values, _: q / (1.0 + values[0]),
         WORDS[channel],
         frozenset({PROXIMAL_DISPLACEMENT}),
-        lambda T, q, values, memory: (T, q / (1.0 + values[0]), memory),
+        CorrectionKind.DISPLACEMENT_GAIN,
     )
 
 
@@ -296,15 +295,6 @@ def _eccentric(travel: Array, values: Values, _scene: Scene) -> Array:
     return np.asarray(travel - wave + wave[0])
 
 
-def _eccentric_live(
-    T: float, q: float, values: Values, memory: float
-) -> tuple[float, float, float]:
-    sine, cosine, radius = values
-    if math.isnan(q):
-        return T, q, memory
-    return T, q - sine * math.sin(q / radius) - cosine * math.cos(q / radius), memory
-
-
 PULLEY_ECCENTRICITY = Effect(
     name="pulley_eccentricity",
     cause="the pulley at the motor runs out of true",
@@ -319,7 +309,7 @@ PULLEY_ECCENTRICITY = Effect(
     starts=_eccentric_starts,
     true=_eccentric,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
-    live=_eccentric_live,
+    correction=CorrectionKind.PULLEY_ECCENTRICITY,
 )
 
 
@@ -344,13 +334,6 @@ def _ripple(signals: Signals, values: Values, scene: Scene) -> Signals:
     return changed(signals, PROXIMAL_TENSION, lambda T: T + wave)
 
 
-def _ripple_live(T: float, q: float, values: Values, memory: float) -> tuple[float, float, float]:
-    sine, cosine, number = values
-    if math.isnan(q):
-        return T, q, memory
-    return T - sine * math.sin(number * q) - cosine * math.cos(number * q), q, memory
-
-
 COGGING_RIPPLE = Effect(
     name="cogging_ripple",
     cause="the motor's or the gear's ripple is in the tension at the housing",
@@ -366,7 +349,7 @@ COGGING_RIPPLE = Effect(
     reads=_ripple,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
     within=_rippling,
-    live=_ripple_live,
+    correction=CorrectionKind.TENSION_RIPPLE,
 )
 
 
@@ -374,15 +357,6 @@ def _rub(signals: Signals, values: Values, scene: Scene) -> Signals:
     force, width = values
     lead = (scene.drive - play(scene.drive, width)) / (0.5 * width)
     return changed(signals, PROXIMAL_TENSION, lambda T: T + force * lead)
-
-
-def _rub_live(T: float, q: float, values: Values, memory: float) -> tuple[float, float, float]:
-    force, width = values
-    if math.isnan(q):
-        return T, q, memory
-    half = 0.5 * width
-    follower = q if math.isnan(memory) else min(max(memory, q - half), q + half)
-    return T - force * (q - follower) / half, q, follower
 
 
 SHEATH_RUB = Effect(
@@ -398,7 +372,7 @@ SHEATH_RUB = Effect(
     starts=lambda _: [(0.15, width) for width in (1e-5, 1e-4, 6e-4)],
     reads=_rub,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
-    live=_rub_live,
+    correction=CorrectionKind.SHEATH_RUB,
 )
 
 _TENSIONS = (PROXIMAL_TENSION, DISTAL_TENSION)

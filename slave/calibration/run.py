@@ -12,11 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slave import gate, standing
+from estimator.records import as_record
+from slave import gate, initial_position
 from slave.calibration import memory, procedure
 from slave.calibration.config import InitialiseConfig, compliance_limit
 from slave.calibration.memory import Contact, Joint, Memory, Phase, Seen
-from slave.gate import GateConfig
+from slave.gate import GateConfig, Verdict
+from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from teleop.clock import Tick
 from teleop.errors import TeleopError, UsageError
@@ -173,11 +175,14 @@ class _Drive:
         self._rig, self._limits, self._joints = rig, limits, joints
         self._told = [_told(limits.initialise, j, tendons) for j, tendons in enumerate(rig.joints)]
         self._memories = [Memory() for _ in rig.joints]
-        self._verdicts = [gate.Verdict.PASSED for _ in rig.joints]
+        self._verdicts = [Verdict.PASSED for _ in rig.joints]
         self._groups = [tuple(joints)] if together else [(j,) for j in joints]
         self._log = _Log()
-        self._place = standing.start(rig.tendons, rig.starts_at_zero)
+        self._position = InitialPosition.new()
+        initial_position.start(self._position, rig.tendons, rig.starts_at_zero)
         self._motor: tuple[float, ...] = ()
+        self._gate = as_record(limits.gate)
+        self._no_reach = gate.Reach.array(0)  # the joints' ends are what is looked for
         self._silence = 0.0
         self._interrupted = False
 
@@ -227,10 +232,22 @@ class _Drive:
             raise TeleopError(f"rig: {error}") from error
         useful = [sample for sample in samples if usable(sample)]
         self._log.add(useful, self._memories)
-        self._place = standing.step(self._place, samples, dt)
+        self._locate(samples, dt)
         self._silence = 0.0 if useful else self._silence + dt
         self.newest = useful[-1] if useful else self.newest
-        self._motor = self._motor or standing.known(self._place, SILENCE_MAX_S)
+
+    def _locate(self, samples: Sequence[RigSample], dt: float) -> None:
+        """Find out where the motors stand, until that is known."""
+        if self._motor:
+            return
+        tendons = self._rig.tendons
+        initial_position.age(self._position, dt)
+        for sample in samples:
+            travel = sample.proximal_displacement
+            if travel is not None:
+                initial_position.take(self._position, tendons, np.array(travel, np.float64), True)
+        if initial_position.known(self._position, SILENCE_MAX_S):
+            self._motor = tuple(self._position.position[:tendons].tolist())
 
     def _step(self, j: int, order: str, dt: float) -> tuple[float, ...]:
         """Step one joint; return where its motors shall be [m]."""
@@ -254,25 +271,29 @@ class _Drive:
     def _write(self, wanted: Sequence[float], dt: float) -> None:
         """Let through what each joint may do, and write it."""
         assert self.newest is not None  # noqa: S101 - asked by the caller
-        tension = self.newest.proximal_tension.tolist()
-        motor = list(self._motor)
-        for j, tendons in enumerate(self._rig.joints):
-            passed, self._verdicts[j] = gate.step(
-                self._limits.gate,
-                [self._motor[k] for k in tendons],
-                [wanted[k] for k in tendons],
-                [tension[k] for k in tendons],
-                self._silence,
-                True,
-                dt,
+        tension = self.newest.proximal_tension
+        motor = np.array(self._motor)
+        for j, joint in enumerate(self._rig.joints):
+            k = list(joint)
+            motor[k], self._verdicts[j] = self._gated(
+                motor[k], np.array([wanted[i] for i in k]), tension[k].astype(np.float64), dt
             )
-            for k, position in zip(tendons, passed, strict=True):
-                motor[k] = position
-        self._motor = tuple(motor)
+        self._motor = tuple(motor.tolist())
         try:
-            self._rig.write(np.array(motor))
+            self._rig.write(motor)
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
+
+    def _gated(
+        self, last: Array, wanted: Array, tension: Array, dt: float
+    ) -> tuple[Array, Verdict]:
+        """Return what the gate lets through of the motions of a joint [m], and its verdict."""
+        passed = np.empty_like(last)
+        verdict = gate.step(
+            self._gate, len(last), last, wanted, tension, self._silence, True, dt,
+            self._no_reach, False, False, passed,
+        )  # fmt: skip
+        return passed, Verdict(verdict)
 
 
 def fast_ticks(rate_hz: float) -> Iterator[Tick]:

@@ -5,8 +5,15 @@ docs/control.md explains both.
 """
 
 from slave.control.config import ControlConfig
-from slave.control.joint import JointEstimate, TendonSeen, joint_estimate, offset, seen
+from slave.control.joint import (
+    JointEstimate,
+    joint_estimate,
+    joint_estimates,
+    joint_offsets,
+    offset,
+)
 from slave.control.law import Control, step
+from slave.control.seen import TendonSeen, seen
 
 __all__ = [
     "Control",
@@ -14,6 +21,8 @@ __all__ = [
     "JointEstimate",
     "TendonSeen",
     "joint_estimate",
+    "joint_estimates",
+    "joint_offsets",
     "offset",
     "seen",
     "step",

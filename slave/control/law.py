@@ -1,4 +1,4 @@
-"""The control law of a joint: position, between a loose and a full tension.
+"""The control law of a joint: position, between a slack-side and a largest tension.
 
 Each tendon's motor is wanted where the joint's travel and the tendon's stretch ask for it,
 
@@ -6,164 +6,206 @@ Each tendon's motor is wanted where the joint's travel and the tendon's stretch 
 
 but never so far out that the tendon goes slack, nor so far in that its tension passes the limit:
 
-    motor_last - dx_other + k_loose (T_loose - T) dt  <=  motor
+    motor_last - dx_other + k_slack (T_slack - T) dt  <=  motor
     motor <= motor_last + k_limit (T_max - T) dt
 
 Of a pair, the tendon that the position law pulls drives; the position law of the other asks for
 less than the least tension, so it follows: fed forward by the travel dx_other of the other's tip,
-corrected by its own load cell. As everything is said from where the motors were last let go to,
+corrected by its own load cell. As everything is counted from where the motors were last let go to,
 nothing winds up while a limit holds.
 
-e is the motor's travel less the joint's, and that is told by both tendons (slave.control.joint).
+e is the motor's travel less the joint's, and that is measured by both tendons
+(slave.control.joint).
 """
 
 from collections.abc import Sequence
 from math import copysign, isfinite
-from typing import NamedTuple
+from typing import Annotated
 
+from estimator.compiled import compiled
+from estimator.records import F64, Field, Flag, Record
 from slave.control.config import ControlConfig
-from slave.control.joint import SIGNS, TendonSeen, fused
+from slave.control.joint import fused
+from slave.rig import Array
+from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
+from teleop.messages import MAX_JOINTS
 
 DT_MAX = 0.005  # [s] however long a tick was skipped, a motor may go no further than this allows
 
 
-class Driven(NamedTuple):
+class DrivenTendon(Record):
     """A tendon since its joint engaged."""
 
-    origin: float  # [m] motor position for no travel and no stretch
-    tip: float  # [m] motor position less elongation, at engagement
-    stretch: float  # [m] motor's travel less the joint's: elongation, as told by all its tendons
-    elongation: float  # [m] newest estimate that could be relied upon
-    motor: float  # [m] where the motor was let go at the tick before
+    origin: F64 = 0.0  # [m] motor position for no travel and no stretch
+    tip: F64 = 0.0  # [m] motor position less elongation, at engagement
+    stretch: F64 = 0.0  # [m] motor's travel less the joint's: elongation, by all its tendons
+    elongation: F64 = 0.0  # [m] newest estimate that could be relied upon
+    motor: F64 = 0.0  # [m] where the motor was let go at the tick before
 
 
-class Engaged(NamedTuple):
+class EngagedJoint(Record):
     """A joint since it engaged."""
 
-    command: float  # [m] travel asked for at engagement
-    tendons: tuple[Driven, ...]
+    command: F64 = 0.0  # [m] travel asked for at engagement
+    tendon: Annotated[Sequence[DrivenTendon], Field(DrivenTendon, 2)]
 
 
-class Control(NamedTuple):
-    """Memory of the controller: its joints, none until the session engages."""
+class Control(Record):
+    """State of the controller."""
 
-    joints: tuple[Engaged, ...] = ()
+    engaged: Flag = False  # whether `joint` is known: since the tick at which the session engaged
+    joint: Annotated[Sequence[EngagedJoint], Field(EngagedJoint, MAX_JOINTS)]
 
 
+@compiled
 def step(
     config: ControlConfig,
-    joints: Sequence[Sequence[int]],
+    layout: RigLayout,
     memory: Control,
-    command: Sequence[float],
-    motor: Sequence[float],
-    tendons: Sequence[TendonSeen],
+    command: Array,
+    velocity: Array,
+    motor: Array,
+    tendons: EstimatedTendons,
     engaged: bool,
     dt: float,
-    velocity: Sequence[float] = (),
-) -> tuple[tuple[float, ...], Control]:
-    """Return the motor positions wanted [m], finite whatever comes in, and the new memory.
+    out_wanted: Array,
+) -> None:
+    """Advance the controller by one tick: change `memory`, write the motor positions wanted.
 
     Parameters
     ----------
     config : ControlConfig
         Gains and limits.
-    joints : sequence of sequences of int
-        Which tendons each joint has, `Rig.joints`.
-    command : sequence of float
+    layout : RigLayout
+        Which tendons each joint has.
+    memory : Control
+        State, changed in place.
+    command : array, shape (MAX_JOINTS,)
         Travel asked of each joint [m]; what counts is how it changes from engagement on.
-    motor : sequence of float
+    velocity : array, shape (MAX_JOINTS,)
+        Of `command` [m/s], to make up for the servos' lag; with zeros, they lag.
+    motor : array, shape (MAX_TENDONS,)
         Motor position the gate last let through [m], for each tendon.
-    tendons : sequence of TendonSeen
-        The newest sample.
+    tendons : EstimatedTendons
+        The newest sample, shape (tendons,) or longer.
     engaged : bool
         Whether commands count. While they do not, and at the tick at which they begin to, the
         motors are wanted where they are.
     dt : float
         Time since the last tick [s].
-    velocity : sequence of float
-        Of `command` [m/s], to make up for the servos' lag; none, and they lag.
+    out_wanted : array, shape (MAX_TENDONS,)
+        Motor positions wanted [m], finite whatever comes in; those of the rig's tendons are
+        written.
     """
+    for i in range(layout.tendons):
+        out_wanted[i] = motor[i]
     if not engaged:
-        return tuple(motor), Control()
-    if not memory.joints:
-        start = [
-            _engage(config, joint, asked, motor, tendons)
-            for joint, asked in zip(joints, command, strict=True)
-        ]
-        return tuple(motor), Control(tuple(start))
+        memory.engaged = False
+        return
+    if not memory.engaged:
+        memory.engaged = True
+        for k in range(layout.joints):
+            _engage(config, layout.joint[k], memory.joint[k], command[k], motor, tendons)
+        return
     dt = min(dt, DT_MAX) if dt > 0.0 else 0.0
-    wanted, after = list(motor), []
-    for k, joint in enumerate(joints):
-        command_0, before = memory.joints[k]
-        speed = velocity[k] if velocity else 0.0
-        asked = command[k] - command_0
-        asked += config.lead * min(max(speed, -config.speed_max), config.speed_max)
-        driven = _told(before, joint, motor, tendons)
-        for n, i in enumerate(joint):
-            follow = 0.0
-            if len(joint) > 1:
-                was, now = before[1 - n], driven[1 - n]
-                follow = (now.elongation - was.elongation) - (now.motor - was.motor)
-            wanted[i] = _target(config, driven[n], SIGNS[n] * asked, follow, tendons[i], dt)
-        after.append(Engaged(command_0, driven))
-    return tuple(wanted), Control(tuple(after))
+    for k in range(layout.joints):
+        asked = command[k] - memory.joint[k].command
+        asked += config.lead * min(max(velocity[k], -config.speed_max), config.speed_max)
+        _drive(config, layout.joint[k], memory.joint[k], asked, motor, tendons, dt, out_wanted)
 
 
+@compiled
 def _engage(
     config: ControlConfig,
-    joint: Sequence[int],
+    joint: JointTendons,
+    memory: EngagedJoint,
     command: float,
-    motor: Sequence[float],
-    tendons: Sequence[TendonSeen],
-) -> Engaged:
-    """Return the memory of a joint that stays where it is.
+    motor: Array,
+    tendons: EstimatedTendons,
+) -> None:
+    """Start the state of a joint that stays where it is.
 
     Without load both position laws would keep the stretch that their tendons have now. That of the
-    tendon with less tension is set back by what lets both be loose then.
+    tendon with less tension is set back by what lets both be slack then.
     """
-    driven, excess, least = [], 0.0, 0
-    for n, i in enumerate(joint):
-        m, e, tension = motor[i], tendons[i].elongation, tendons[i].tension
-        origin = m - config.compensation * e
-        driven.append(Driven(origin, _position(m, tendons[i]) - e, e, e, m))
-        if tension > config.loose_tension:
-            excess += e * (1.0 - config.loose_tension / tension)
-        if tension <= tendons[joint[least]].tension:
+    memory.command = command
+    excess, least = 0.0, 0
+    for n in range(joint.count):
+        i = joint.tendon[n]
+        m, e, tension = motor[i], tendons[i].estimate.elongation, tendons[i].tension
+        driven = memory.tendon[n]
+        driven.origin = m - config.compensation * e
+        driven.tip = _position(m, tendons[i]) - e
+        driven.stretch = driven.elongation = e
+        driven.motor = m
+        if tension > config.slack_side_tension:
+            excess += e * (1.0 - config.slack_side_tension / tension)
+        if tension <= tendons[joint.tendon[least]].tension:
             least = n
-    if len(driven) > 1:
-        back = (1.0 - config.compensation) * excess
-        driven[least] = driven[least]._replace(origin=driven[least].origin - back)
-    return Engaged(command, tuple(driven))
+    if joint.count > 1:
+        memory.tendon[least].origin -= (1.0 - config.compensation) * excess
 
 
-def _told(
-    driven: tuple[Driven, ...],
-    joint: Sequence[int],
-    motor: Sequence[float],
-    tendons: Sequence[TendonSeen],
-) -> tuple[Driven, ...]:
-    """Return the tendons of a joint with the news of a sample; while one is invalid, no news."""
-    told = [tendons[i] for i in joint]
-    wound, travels = [], []
-    for n, tendon in enumerate(told):
-        if not tendon.valid:
-            return tuple(old._replace(motor=motor[i]) for old, i in zip(driven, joint, strict=True))
-        wound.append(_position(motor[joint[n]], tendon) - driven[n].tip)
-        travels.append(SIGNS[n] * (wound[n] - tendon.elongation))
-    travel = fused(travels, told)
-    after = []
-    for n, (origin, tip, *_) in enumerate(driven):
-        stretch = wound[n] - SIGNS[n] * travel
-        after.append(Driven(origin, tip, stretch, told[n].elongation, motor[joint[n]]))
-    return tuple(after)
+@compiled
+def _drive(
+    config: ControlConfig,
+    joint: JointTendons,
+    memory: EngagedJoint,
+    asked: float,
+    motor: Array,
+    tendons: EstimatedTendons,
+    dt: float,
+    out_wanted: Array,
+) -> None:
+    """Write where the motors of a joint are wanted that is asked to travel by `asked` [m]."""
+    a, b = memory.tendon[0], memory.tendon[1]  # of a joint of one tendon, b stays zero
+    e_a, m_a, e_b, m_b = a.elongation, a.motor, b.elongation, b.motor
+    _update(joint, memory, motor, tendons)
+    # the travel of each tip by its own motor, sign reversed: the other motor has to follow
+    follow_b = (a.elongation - e_a) - (a.motor - m_a)
+    follow_a = (b.elongation - e_b) - (b.motor - m_b)
+    i = joint.tendon[0]
+    out_wanted[i] = _target(config, a, SIGNS[0] * asked, follow_a, tendons[i], dt)
+    if joint.count > 1:
+        i = joint.tendon[1]
+        out_wanted[i] = _target(config, b, SIGNS[1] * asked, follow_b, tendons[i], dt)
 
 
+@compiled
+def _update(
+    joint: JointTendons, memory: EngagedJoint, motor: Array, tendons: EstimatedTendons
+) -> None:
+    """Update the tendons of a joint with a sample; while one is invalid, their motors only."""
+    valid = True
+    for n in range(joint.count):
+        i = joint.tendon[n]
+        memory.tendon[n].motor = motor[i]
+        valid = valid and tendons[i].valid
+    if not valid:
+        return
+    a, b = memory.tendon[0], memory.tendon[1]
+    i = joint.tendon[0]
+    a.elongation = tendons[i].estimate.elongation
+    wound_a, wound_b = _position(motor[i], tendons[i]) - a.tip, 0.0
+    travel_a, travel_b = SIGNS[0] * (wound_a - a.elongation), 0.0
+    if joint.count > 1:
+        i = joint.tendon[1]
+        b.elongation = tendons[i].estimate.elongation
+        wound_b = _position(motor[i], tendons[i]) - b.tip
+        travel_b = SIGNS[1] * (wound_b - b.elongation)
+    travel = fused(joint, tendons, travel_a, travel_b)
+    a.stretch = wound_a - SIGNS[0] * travel
+    if joint.count > 1:
+        b.stretch = wound_b - SIGNS[1] * travel
+
+
+@compiled
 def _target(
     config: ControlConfig,
-    driven: Driven,
+    driven: DrivenTendon,
     asked: float,
     follow: float,
-    tendon: TendonSeen,
+    tendon: EstimatedTendon,
     dt: float,
 ) -> float:
     """Return where a motor is wanted [m].
@@ -175,16 +217,17 @@ def _target(
     wanted = driven.origin + asked + config.compensation * driven.stretch
     least, most = motor + follow, motor
     if tendon.valid:
-        error = config.loose_tension - tendon.tension
-        if abs(error) > config.loose_band:
-            error -= copysign(config.loose_band, error)
-            least += config.loose_gain * error * dt
+        error = config.slack_side_tension - tendon.tension
+        if abs(error) > config.slack_side_band:
+            error -= copysign(config.slack_side_band, error)
+            least += config.slack_side_gain * error * dt
         most += config.limit_gain * (config.tension_max - tendon.tension) * dt
     reach = config.speed_max * dt
     bounded = min(max(wanted, least), most, motor + reach)
     return max(bounded, motor - reach) if isfinite(bounded) else motor
 
 
-def _position(motor: float, tendon: TendonSeen) -> float:
+@compiled
+def _position(motor: float, tendon: EstimatedTendon) -> float:
     """Return where a motor is [m]: as measured, or as it was let go where nothing measures it."""
     return tendon.displacement if isfinite(tendon.displacement) else motor

@@ -82,6 +82,9 @@ class ReplayedRig:
     def write(self, proximal_displacement: Array) -> None:
         """Do nothing: the motors of measured data have moved already."""
 
+    def advance(self) -> None:
+        """Do nothing: every row was there before."""
+
     def summary(self) -> dict[str, int | float | str]:
         """Return how much was played."""
         return {"rows": len(self._time), "played": self._played}

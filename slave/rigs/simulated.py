@@ -167,7 +167,8 @@ class SimulatedRig:
         self.tendons = sum(map(len, self.joints))
         self.coarse_reads = 0
         self._period = config.period
-        self._step = -1  # index of the newest sample
+        self._step = -1  # index of the newest sample that was read
+        self._ahead = False  # whether the plant is one step further than that
         self._targets = np.zeros((len(self.joints), 2))
         self._random = np.random.default_rng(config.seed)
         self._paired = np.array([[True, len(tendons) == 2] for tendons in self.joints])
@@ -200,18 +201,22 @@ class SimulatedRig:
         behind = round(time_s / self._period) - self._step
         if behind <= 0:
             return ()
-        steps, dt = behind, self._period
-        if behind > STEPS_AT_ONCE:
-            steps, dt = STEPS_AT_ONCE, behind * dt / STEPS_AT_ONCE
-            self.coarse_reads += 1
-        self._step += behind
+        if self._ahead:
+            self._ahead = False
+            self._step += 1
+            behind -= 1
+        if behind > 0:
+            self._simulate(behind)
+            self._step += behind
         time = self._step * self._period
-        if self._effects:
-            self._turn_effects(time)
-        self._truth = self._advance(steps, dt)
-        self._measure(behind * self._period)
         reading = self._samples.passed(time, self._sensed.reading)
         return () if reading is None else (RigSample(time, *reading),)
+
+    def advance(self) -> None:
+        """Compute the next step, with the targets written last, for the read that asks for it."""
+        if not self._ahead:
+            self._simulate(1)
+            self._ahead = True
 
     def write(self, proximal_displacement: Array) -> None:
         """Send the motors to these displacements [m], shape (tendons,)."""
@@ -226,6 +231,17 @@ class SimulatedRig:
 
     def close(self) -> None:
         """Leave the motors where they are; there is nothing to let go of."""
+
+    def _simulate(self, behind: int) -> None:
+        """Take the plant and its sensors so many periods on from the newest sample."""
+        steps, dt = behind, self._period
+        if behind > STEPS_AT_ONCE:
+            steps, dt = STEPS_AT_ONCE, behind * dt / STEPS_AT_ONCE
+            self.coarse_reads += 1
+        if self._effects:
+            self._turn_effects((self._step + behind) * self._period)
+        self._truth = self._advance(steps, dt)
+        self._measure(behind * self._period)
 
     def _advance(self, steps: int, dt: float) -> Array:
         seen = advance_all(self._joints, self._states, self._targets, steps, dt)

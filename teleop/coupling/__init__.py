@@ -1,32 +1,43 @@
 """How hand and tip are coupled over a network with delay, loss and jitter; docs/coupling.md.
 
-`port` is the energy ledger, `sides` the interface, `direct`, `passivity` and `wave` are the
-couplings, `side` is all joints of one side.
+`port` is the energy ledger, `interface` what a coupling is given and returns, `direct`, `passivity`
+and `wave` are the couplings, `side` is all joints of one side.
 """
 
-from teleop.coupling.config import Bilateral, CouplingConfig
+from teleop.coupling.config import (
+    Bilateral,
+    BilateralSettings,
+    CouplingConfig,
+    bilateral_settings,
+    differs,
+)
 from teleop.coupling.direct import DirectConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.side import (
     LEDGER_PERIOD_NS,
     Side,
-    at_hand,
     at_tip,
+    count_hand,
     hear,
     ledger_message,
+    render,
 )
 from teleop.coupling.wave import WaveConfig
 
 __all__ = [
     "LEDGER_PERIOD_NS",
     "Bilateral",
+    "BilateralSettings",
     "CouplingConfig",
     "DirectConfig",
     "PassivityConfig",
     "Side",
     "WaveConfig",
-    "at_hand",
     "at_tip",
+    "bilateral_settings",
+    "count_hand",
+    "differs",
     "hear",
     "ledger_message",
+    "render",
 ]

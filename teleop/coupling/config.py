@@ -2,16 +2,24 @@
 
 import zlib
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from teleop.confidence import ConfidenceConfig
+from estimator.compiled import compiled
+from estimator.records import F64, I64, U32, Field, Record, Records, as_records, record_dtype
 from teleop.coupling.direct import DirectConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.wave import WaveConfig
+from teleop.force_attenuation import ConfidenceConfig
 
 CouplingConfig = PassivityConfig | WaveConfig | DirectConfig
 
 NOT_TOLD = 0
+DIRECT, PASSIVITY, WAVE = range(3)
+KINDS: dict[type[Any], int] = {
+    DirectConfig: DIRECT,
+    PassivityConfig: PASSIVITY,
+    WaveConfig: WAVE,
+}
 
 
 class Bilateral(NamedTuple):
@@ -28,6 +36,40 @@ class Bilateral(NamedTuple):
     def differs(self, told: int) -> bool:
         """Return whether the other side has `told` another choice than this."""
         return told not in (NOT_TOLD, self.signature)
+
+
+class BilateralSettings(Record):
+    """A `Bilateral` for compiled functions; of the couplings only that of its `kind` is used."""
+
+    signature: U32 = NOT_TOLD  # `Bilateral.signature`
+    kind: I64 = DIRECT  # DIRECT, PASSIVITY or WAVE
+    reserve: F64 = 0.0  # [J] of the coupling
+    confidence: Annotated[ConfidenceConfig, Field(record_dtype(ConfidenceConfig))]
+    passivity: Annotated[PassivityConfig, Field(record_dtype(PassivityConfig))]
+    wave: Annotated[WaveConfig, Field(record_dtype(WaveConfig))]
+
+
+def bilateral_settings(bilateral: Bilateral) -> Records:
+    """Return a `Bilateral` as an array of one `BilateralSettings`."""
+    coupling = bilateral.coupling
+    settings = BilateralSettings.array()
+    settings["signature"] = bilateral.signature
+    settings["kind"] = KINDS[type(coupling)]
+    settings["reserve"] = coupling.reserve
+    settings["confidence"] = as_records(bilateral.confidence)
+    settings["passivity"] = as_records(
+        coupling if isinstance(coupling, PassivityConfig) else PassivityConfig()
+    )
+    settings["wave"] = as_records(coupling if isinstance(coupling, WaveConfig) else WaveConfig())
+    return settings
+
+
+@compiled
+def differs(settings: BilateralSettings, told: int) -> bool:
+    """Return whether the other side has `told` another choice than this."""
+    if told == NOT_TOLD:
+        return False
+    return told != settings.signature
 
 
 @lru_cache(maxsize=8)

@@ -1,14 +1,15 @@
 """No coupling in between: the tip goes where the hand is, the hand feels what the tip feels.
 
-Right where the delay is a few milliseconds. The ledger is counted, and nothing hangs on it.
+Right where the delay is a few milliseconds. The ledger is counted, and nothing depends on it.
 """
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from estimator.compiled import compiled
 from teleop.coupling import port as ledger
+from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.port import Port
-from teleop.coupling.sides import Felt, Followed, Pulled, Rendered
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,15 +21,19 @@ class DirectConfig:
     reserve: ClassVar[float] = 0.0  # [J]
 
 
-def at_hand(_config: DirectConfig, port: Port, felt: Felt, _dt: float) -> Rendered:
-    """Return the force as it came; see `teleop.coupling.sides`."""
-    work = felt.written * felt.way
-    return Rendered(felt.force, ledger.pass_on(ledger.worked(port, work), work))
+@compiled
+def count_hand(port: Port, hand: MasterInput) -> None:
+    """Count the work of the hand; see `teleop.coupling.interface`. The force is rendered as is."""
+    work = hand.written * hand.travel
+    ledger.count_work(port, work)
+    ledger.pass_on(port, work)
 
 
-def at_tip(_config: DirectConfig, port: Port, pulled: Pulled, _dt: float) -> Followed:
-    """Return the way as it was asked for; see `teleop.coupling.sides`."""
-    way = pulled.way + pulled.lag
-    work = -pulled.force * way
-    counted = ledger.pass_on(ledger.returned(port, work, passive=False), work)
-    return Followed(way, pulled.velocity, counted)
+@compiled
+def at_tip(port: Port, tip: SlaveInput) -> SlaveOutput:
+    """Return the motion as it was asked for; see `teleop.coupling.interface`."""
+    travel = tip.travel + tip.lag
+    work = -tip.force * travel
+    ledger.count_tip_work(port, work, False)
+    ledger.pass_on(port, work)
+    return SlaveOutput(travel, tip.velocity)

@@ -14,16 +14,17 @@ Four things differ from there:
   of Franken et al., "Bilateral telemanipulation with time delays: a two-layer approach combining
   passivity and transparency", IEEE Trans. Robotics 27, 2011, 741-756. A hand that trembles against
   a wall then lives on what it puts in.
-- Credit is spent over a time, not at once, so neither force nor motion ends in one tick.
-- What is behind the slave's port brings back no more than it took (`port.returned`).
+- Credit is used up over a time, not at once, so neither force nor motion ends in one tick.
+- What is behind the slave's port brings back no more than it took (`port.count_tip_work`).
 """
 
 from dataclasses import dataclass
 from typing import Literal
 
+from estimator.compiled import compiled
 from teleop.coupling import port as ledger
+from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.port import Port
-from teleop.coupling.sides import Felt, Followed, Pulled, Rendered
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +34,8 @@ class PassivityConfig:
     type: Literal["passivity"] = "passivity"
     reserve: float = 0.001  # [J] credit of each port at engagement, which it keeps for itself
     credit_max: float = 0.005  # [J] credit above it is given up
-    spend: float = 0.010  # [s] in which credit is spent
-    give: float = 2e-5  # [m] that a hand may move in a tick more than in the one before
+    discharge_time: float = 0.010  # [s] time constant with which credit is used up
+    step_tolerance: float = 2e-5  # [m] that a hand may move in a tick more than in the one before
     hand_damping: float = 2.0  # [N s/m] on the device, which every hand that holds it has
     catch_up: float = 0.050  # [s] in which a tip that fell behind comes after
     passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
@@ -45,34 +46,44 @@ class PassivityConfig:
             raise ValueError("reserve: must be above 0 and at most 0.1 [J]")
         if not self.reserve <= self.credit_max <= 1.0:
             raise ValueError("credit_max: must be at least reserve and at most 1 [J]")
-        if not 1e-3 <= self.spend <= 0.5:
-            raise ValueError("spend: must be within 0.001 ... 0.5 [s]")
-        if not 1e-6 <= self.give <= 1e-2:
-            raise ValueError("give: must be within 1e-6 ... 0.01 [m]")
+        if not 1e-3 <= self.discharge_time <= 0.5:
+            raise ValueError("discharge_time: must be within 0.001 ... 0.5 [s]")
+        if not 1e-6 <= self.step_tolerance <= 1e-2:
+            raise ValueError("step_tolerance: must be within 1e-6 ... 0.01 [m]")
         if not 0.0 <= self.hand_damping <= 100.0:
             raise ValueError("hand_damping: must be within 0 ... 100 [N s/m]")
         if not 5e-3 <= self.catch_up <= 10.0:
             raise ValueError("catch_up: must be within 0.005 ... 10 [s]")
 
 
-def at_hand(config: PassivityConfig, port: Port, felt: Felt, dt: float) -> Rendered:
-    """Return the force that the credit affords; see `teleop.coupling.sides`."""
-    work = felt.written * felt.way
-    port = ledger.worked(port, work)
-    port = ledger.allow(port, config.hand_damping * felt.dragged)
-    port = ledger.pass_on(port, min(work, port.credit - config.reserve))
-    port = ledger.capped(port, config.credit_max)
-    ticks = config.spend / max(dt, 1e-6)
-    return Rendered(ledger.affordable(port, felt.force, felt.way, ticks, config.give), port)
+@compiled
+def count_hand(config: PassivityConfig, port: Port, hand: MasterInput) -> None:
+    """Count the work of the hand and pass it on; see `teleop.coupling.interface`."""
+    work = hand.written * hand.travel
+    ledger.count_work(port, work)
+    ledger.grant(port, config.hand_damping * hand.dragged)
+    ledger.pass_on(port, min(work, port.credit - config.reserve))
+    ledger.cap_credit(port, config.credit_max)
 
 
-def at_tip(config: PassivityConfig, port: Port, pulled: Pulled, dt: float) -> Followed:
-    """Return the motion that the credit affords; see `teleop.coupling.sides`."""
-    wanted = pulled.way + pulled.lag * min(dt / config.catch_up, 1.0)
-    way = ledger.affordable_way(port, pulled.force, wanted, min(dt / config.spend, 1.0))
-    work = -pulled.force * way
-    port = ledger.returned(port, work, config.passive_tip)
-    port = ledger.pass_on(port, min(work, port.credit - config.reserve))
-    port = ledger.capped(port, config.credit_max)
-    velocity = pulled.velocity * (way / wanted) if wanted != 0.0 else pulled.velocity
-    return Followed(way, velocity, port)
+@compiled
+def render(
+    config: PassivityConfig, port: Port, hand: MasterInput, force: float, dt: float
+) -> float:
+    """Return how much of `force` [N] the credit affords; see `teleop.coupling.interface`."""
+    ticks = config.discharge_time / max(dt, 1e-6)
+    return ledger.affordable_force(port, force, hand.travel, ticks, config.step_tolerance)
+
+
+@compiled
+def at_tip(config: PassivityConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
+    """Return the motion that the credit affords; see `teleop.coupling.interface`."""
+    wanted = tip.travel + tip.lag * min(dt / config.catch_up, 1.0)
+    share = min(dt / config.discharge_time, 1.0)
+    travel = ledger.affordable_travel(port, tip.force, wanted, share)
+    work = -tip.force * travel
+    ledger.count_tip_work(port, work, config.passive_tip)
+    ledger.pass_on(port, min(work, port.credit - config.reserve))
+    ledger.cap_credit(port, config.credit_max)
+    velocity = tip.velocity * (travel / wanted) if wanted != 0.0 else tip.velocity
+    return SlaveOutput(travel, velocity)

@@ -1,160 +1,222 @@
-"""All joints of one side of a coupling: state in, state out."""
+"""All joints of one side of a coupling; the functions are compiled and change it in place."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.compiled import compiled
+from estimator.records import F64, U64, Field, Flag, Record
 from teleop.coupling import direct, passivity, wave
 from teleop.coupling import port as ledger
-from teleop.coupling.config import Bilateral
+from teleop.coupling.config import PASSIVITY, WAVE, BilateralSettings
+from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.port import Port
-from teleop.coupling.sides import Felt, Followed, Pulled, Rendered
-from teleop.messages import MAX_JOINTS, NO_JOINTS, Ledger, padded
+from teleop.messages import MAX_JOINTS, Ledger, padded
 from teleop.topics import Role
 
 LEDGER_PERIOD_NS = 10_000_000  # between two messages that tell listeners of the ledger
 
-Numbers = tuple[float, ...]
+Array = NDArray[np.float64]
 
 
-class Law(NamedTuple):
-    """The two steps of a coupling."""
+class Side(Record):
+    """What one side of a coupling remembers from one tick to the next.
 
-    at_hand: Callable[[Any, Port, Felt, float], Rendered]
-    at_tip: Callable[[Any, Port, Pulled, float], Followed]
+    Told to the other side are `ports[k].passed_on` [J] and `ports[k].told_wave` [sqrt(J s)].
+    """
 
-
-LAWS: dict[type[Any], Law] = {
-    direct.DirectConfig: Law(direct.at_hand, direct.at_tip),
-    passivity.PassivityConfig: Law(passivity.at_hand, passivity.at_tip),
-    wave.WaveConfig: Law(wave.at_hand, wave.at_tip),
-}
-
-
-class Side(NamedTuple):
-    """What one side of a coupling remembers from one tick to the next."""
-
-    ports: tuple[Port, ...] = (Port(),) * MAX_JOINTS
-    sender: int = 0  # nonce of the other side
-    asked: Numbers = NO_JOINTS  # [m] where the hand (master) asked the tips to be (slave)
-    tip: Numbers | None = None  # [m] where they were sent instead; None = not coupled
-
-    @property
-    def energy(self) -> Numbers:
-        """What is told of energy [J]."""
-        return tuple(port.passed_on for port in self.ports)
-
-    @property
-    def wave(self) -> Numbers:
-        """What is told of waves [sqrt(J s)]."""
-        return tuple(port.told_wave for port in self.ports)
+    ports: Annotated[Sequence[Port], Field(Port, MAX_JOINTS)]
+    sender: U64 = 0  # nonce of the other side
+    coupled: Flag = False  # whether forces are rendered (master), tips follow (slave)
+    asked: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] where the hand asked the tips to be
+    tip: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] where they were sent instead, if coupled
+    hand: Annotated[Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)]  # counted last (master)
+    dt: F64 = 0.0  # [s] of that tick
 
 
-def hear(side: Side, sender: int, energy: Sequence[float], wave: Sequence[float]) -> Side:
-    """Take in what the other side tells, MAX_JOINTS entries; `sender` is its nonce."""
-    ports = side.ports
-    if sender != side.sender:
-        ports = tuple(map(ledger.forget, ports))
-    ports = tuple(map(ledger.hear, ports, energy, wave))
-    return side._replace(ports=ports, sender=sender)
-
-
-def at_hand(
-    bilateral: Bilateral,
-    side: Side,
-    place: Sequence[float],
-    velocity: Sequence[float],
-    written: Sequence[float],
-    force: Sequence[float],
-    lever: float,
-    coupled: bool,
-    dt: float,
-) -> tuple[Numbers, Side]:
-    """Return the forces that the hand shall feel [N], in tip units, one for each of `force`.
+@compiled
+def hear(side: Side, sender: int, energy: Array, wave: Array) -> None:
+    """Take in what the other side tells.
 
     Parameters
     ----------
-    place, velocity : sequences of float
-        Where the hand is [m] and goes [m/s], MAX_JOINTS entries, in units of the tip; only how far
+    sender : int
+        Its nonce; another one than before is counted from its first word.
+    energy, wave : ndarray
+        Sums passed on [J] and waves sent [sqrt(J s)], shape (MAX_JOINTS,).
+    """
+    if sender != side.sender:
+        for k in range(MAX_JOINTS):
+            ledger.forget(side.ports[k])
+    for k in range(MAX_JOINTS):
+        ledger.hear(side.ports[k], energy[k], wave[k])
+    side.sender = sender
+
+
+@compiled
+def rest(settings: BilateralSettings, side: Side) -> None:
+    """Keep all ports of a side that is not coupled at the reserve."""
+    for k in range(MAX_JOINTS):
+        ledger.rest(side.ports[k], settings.reserve)
+
+
+@compiled
+def count_hand(
+    settings: BilateralSettings,
+    side: Side,
+    place: Array,
+    velocity: Array,
+    written: Array,
+    axes: int,
+    lever: float,
+    coupled: bool,
+    dt: float,
+) -> None:
+    """Count what the hand did since the last tick: the master's first phase.
+
+    After it `passed_on` and `told_wave` of the ports are what the next command tells; `render` is
+    the second phase. Nothing here depends on the force that the tips feel now.
+
+    Parameters
+    ----------
+    place, velocity : ndarray
+        Where the hand is [m] and goes [m/s], shape (MAX_JOINTS,), in units of the tip; only how far
         it went counts.
-    written : sequence of float
-        What was rendered since the last tick [N].
-    force : sequence of float
-        What the tips feel [N], as told.
+    written : ndarray
+        What was rendered since the last tick [N], of the first `axes`.
+    axes : int
+        Axes of the device.
     lever : float
         Damping on the device for a damping at the tip: the product of both scales.
     coupled : bool
-        Whether forces are rendered; if not, `force` is returned as it is.
+        Whether forces are rendered.
+    dt : float
+        Time since the last tick [s].
     """
-    config, asked = bilateral.coupling, tuple(place)
     if not coupled:
-        ways = (now - before for now, before in zip(asked, side.asked, strict=True))
-        done = (force * way for force, way in zip(written, ways, strict=False))
-        worked = map(ledger.worked, side.ports, done)  # by a force that fades
-        ports = (*worked, *side.ports[len(written) :])
-        ports = tuple(ledger.rest(port, config.reserve) for port in ports)
-        return tuple(force), Side(ports, side.sender, asked)
-    ports, before = side.ports, side.asked
-    if side.tip is None:  # how fast the hand moves already tells what it may be given
-        ports = tuple(ledger.rest(port, config.reserve) for port in ports)
-        before = tuple(now - speed * dt for now, speed in zip(asked, velocity, strict=True))
-    step, rendered = LAWS[type(config)].at_hand, []
-    for port, f, was, now, then, speed in zip(
-        ports, force, written, asked, before, velocity, strict=False
-    ):
-        way = now - then
-        # by the smaller of two measures: noise in one of them is no damping
-        dragged = max(min(way * speed, way * way / dt), 0.0) / lever if lever * dt > 0.0 else 0.0
-        rendered.append(step(config, port, Felt(f, was, way, speed, dragged), dt))
-    ports = (*(r.port for r in rendered), *ports[len(rendered) :])
-    return tuple(r.force for r in rendered), Side(ports, side.sender, asked, asked)
+        for k in range(axes):  # by a force that fades
+            ledger.count_work(side.ports[k], written[k] * (place[k] - side.asked[k]))
+        rest(settings, side)
+    elif not side.coupled:
+        rest(settings, side)
+    for k in range(axes):
+        hand = side.hand[k]
+        hand.written = written[k]
+        # how fast the hand moves when it is coupled tells what it may be given
+        before = side.asked[k] if side.coupled else place[k] - velocity[k] * dt
+        hand.travel = place[k] - before
+        hand.velocity = velocity[k]
+        hand.dragged = 0.0
+        if lever * dt > 0.0:
+            # by the smaller of two measures: noise in one of them is no damping
+            dragged = min(hand.travel * hand.velocity, hand.travel * hand.travel / dt)
+            hand.dragged = max(dragged, 0.0) / lever
+        if coupled:
+            if settings.kind == PASSIVITY:
+                passivity.count_hand(settings.passivity, side.ports[k], hand)
+            elif settings.kind == WAVE:
+                wave.count_hand(settings.wave, side.ports[k], hand, dt)
+            else:
+                direct.count_hand(side.ports[k], hand)
+    for k in range(MAX_JOINTS):
+        side.asked[k] = place[k]
+        side.tip[k] = place[k]
+    side.coupled = coupled
+    side.dt = dt
 
 
+@compiled
+def render(
+    settings: BilateralSettings, side: Side, force: Array, axes: int, rendered: Array
+) -> None:
+    """Work out the forces that the hand shall feel: the master's second phase.
+
+    It goes by what `count_hand` counted last. What the other side told in between (`hear`) counts.
+
+    Parameters
+    ----------
+    force : ndarray
+        What the tips feel [N], as told, of the first `axes`.
+    axes : int
+        Axes of the device.
+    rendered : ndarray
+        Overwritten with the forces [N] in tip units, of the first `axes`; if the side is not
+        coupled they are `force` as it is. May be the same array as `force`.
+    """
+    for k in range(axes):
+        if side.coupled and settings.kind == PASSIVITY:
+            rendered[k] = passivity.render(
+                settings.passivity, side.ports[k], side.hand[k], force[k], side.dt
+            )
+        elif side.coupled and settings.kind == WAVE:
+            rendered[k] = wave.render(settings.wave, side.ports[k], side.hand[k], force[k], side.dt)
+        else:
+            rendered[k] = force[k]
+
+
+@compiled
 def at_tip(
-    bilateral: Bilateral,
+    settings: BilateralSettings,
     side: Side,
-    asked: Sequence[float],
-    velocity: Sequence[float],
-    force: Sequence[float],
+    asked: Array,
+    velocity: Array,
+    force: Array,
+    joints: int,
     coupled: bool,
     dt: float,
-) -> tuple[Numbers, Numbers, Side]:
-    """Return where the tips shall be [m] and go [m/s], one for each of `asked`.
+) -> None:
+    """Work out where the tips shall be [m] and go [m/s], in place of what is asked.
 
     At the tick at which they are first coupled they shall be where they are asked to be.
 
     Parameters
     ----------
-    asked, velocity : sequences of float
-        By the hand [m], [m/s].
-    force : sequence of float
-        What the tips feel [N].
+    asked, velocity : ndarray
+        By the hand [m], [m/s], of the first `joints`; overwritten with where the tips shall be and
+        go. If they are not coupled, they stay as they are.
+    force : ndarray
+        What the tips feel [N], of the first `joints`.
+    joints : int
+        Joints of the rig.
     coupled : bool
-        Whether the tips follow; if not, what is asked is returned as it is.
+        Whether the tips follow.
+    dt : float
+        Time since the last tick [s].
     """
-    config, asked = bilateral.coupling, tuple(asked)
-    if not coupled or side.tip is None:
-        ports = tuple(ledger.rest(port, config.reserve) for port in side.ports)
-        resting = Side(ports, side.sender, asked, asked if coupled else None)
-        return asked, tuple(velocity), resting
-    step = LAWS[type(config)].at_tip
-    followed = [
-        step(config, port, Pulled(f, now - before, before - place, speed), dt)
-        for port, f, now, before, place, speed in zip(
-            side.ports, force, asked, side.asked, side.tip, velocity, strict=False
-        )
-    ]
-    tip = tuple(place + f.way for place, f in zip(side.tip, followed, strict=True))
-    ports = (*(f.port for f in followed), *side.ports[len(followed) :])
-    speeds = tuple(f.velocity for f in followed)
-    return tip, speeds, Side(ports, side.sender, asked, tip)
+    if not coupled or not side.coupled:
+        rest(settings, side)
+        for k in range(joints):
+            side.asked[k] = asked[k]
+            side.tip[k] = asked[k]
+        side.coupled = coupled
+        return
+    for k in range(joints):
+        place = side.tip[k]
+        before = side.asked[k]
+        tip = SlaveInput(force[k], asked[k] - before, before - place, velocity[k])
+        output = _follow(settings, side.ports[k], tip, dt)
+        side.asked[k] = asked[k]
+        side.tip[k] = place + output.travel
+        asked[k] = side.tip[k]
+        velocity[k] = output.velocity
+
+
+@compiled
+def _follow(settings: BilateralSettings, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
+    if settings.kind == PASSIVITY:
+        return passivity.at_tip(settings.passivity, port, tip, dt)
+    if settings.kind == WAVE:
+        return wave.at_tip(settings.wave, port, tip, dt)
+    return direct.at_tip(port, tip)
 
 
 def ledger_message(role: Role, side: Side, joints: int) -> Ledger:
     """Return what listeners are told about the ledger of one side."""
-    ports = side.ports[:joints]
 
-    def column(name: str) -> Numbers:
-        return padded([getattr(port, name) for port in ports], MAX_JOINTS)
+    def column(name: str) -> tuple[float, ...]:
+        return padded([float(getattr(side.ports[k], name)) for k in range(joints)], MAX_JOINTS)
 
     return Ledger(
         role=role,

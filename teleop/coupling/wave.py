@@ -16,11 +16,12 @@ without credit.
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
+from estimator.compiled import compiled
 from teleop.coupling import port as ledger
+from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.port import Port
-from teleop.coupling.sides import Felt, Followed, Pulled, Rendered
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,7 @@ class WaveConfig:
     play: float = 0.020  # [s] over which a wave that has come is played; twice the jitter
     reserve: float = 0.002  # [J] credit of each port at engagement
     credit_max: float = 0.020  # [J] credit above it is given up
-    give: float = 2e-5  # [m] that a hand may move in a tick more than in the one before
+    step_tolerance: float = 2e-5  # [m] that a hand may move in a tick more than in the one before
     catch_up: float = 2.0  # [s] in which the tip comes after where waves have left it behind
     passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
 
@@ -46,21 +47,15 @@ class WaveConfig:
             raise ValueError("reserve: must be above 0 and at most 0.1 [J]")
         if not self.reserve <= self.credit_max <= 1.0:
             raise ValueError("credit_max: must be at least reserve and at most 1 [J]")
-        if not 1e-6 <= self.give <= 1e-2:
-            raise ValueError("give: must be within 1e-6 ... 0.01 [m]")
+        if not 1e-6 <= self.step_tolerance <= 1e-2:
+            raise ValueError("step_tolerance: must be within 1e-6 ... 0.01 [m]")
         if not 5e-3 <= self.catch_up <= 10.0:
             raise ValueError("catch_up: must be within 0.005 ... 10 [s]")
 
 
-class Played(NamedTuple):
-    """The wave that comes out of the line now."""
-
-    wave: float  # [sqrt(W)]
-    port: Port
-
-
-def play(config: WaveConfig, port: Port, dt: float) -> Played:
-    """Play what has come of the other side's wave, with no more energy than there is credit.
+@compiled
+def play(config: WaveConfig, port: Port, dt: float) -> float:
+    """Play what has come of the other side's wave [sqrt(W)], with no more energy than the credit.
 
     Of a rest U of the integral, with energy E to go with it, goes out
 
@@ -70,44 +65,61 @@ def play(config: WaveConfig, port: Port, dt: float) -> Played:
     """
     rest = port.heard_wave - port.played_wave
     if rest == 0.0:
-        return Played(0.0, port)
+        return 0.0
     most = 2.0 * max(port.credit, 0.0) / abs(rest)
     wave = math.copysign(min(abs(rest) / max(config.play, dt), most), rest)
-    return Played(wave, port._replace(played_wave=port.played_wave + wave * dt))
+    port.played_wave += wave * dt
+    return wave
 
 
-def send(config: WaveConfig, port: Port, wave: float, dt: float) -> Port:
+@compiled
+def send(config: WaveConfig, port: Port, wave: float, dt: float) -> None:
     """Send `wave` [sqrt(W)] as far as there is credit for it."""
     most = math.sqrt(2.0 * max(port.credit, 0.0) / dt)
     wave = min(max(wave, -most), most)
-    port = ledger.pass_on(port, min(0.5 * wave * wave * dt, port.credit))
-    port = port._replace(told_wave=port.told_wave + wave * dt)
-    return ledger.capped(port, config.credit_max)
+    ledger.pass_on(port, min(0.5 * wave * wave * dt, port.credit))
+    port.told_wave += wave * dt
+    ledger.cap_credit(port, config.credit_max)
 
 
-def at_hand(config: WaveConfig, port: Port, felt: Felt, dt: float) -> Rendered:
-    """Return the force of the wave that came back; see `teleop.coupling.sides`."""
-    if not math.isfinite(felt.force) or dt <= 0.0:
-        return Rendered(felt.force, port)
-    b = config.impedance
-    port = ledger.worked(port, felt.written * felt.way)
-    port = send(config, port, (b * felt.way / dt + felt.written) / math.sqrt(2.0 * b), dt)
-    came, port = play(config, port, dt)
-    force = b * felt.velocity - math.sqrt(2.0 * b) * came
-    return Rendered(ledger.affordable(port, force, felt.way, 1.0, config.give), port)
-
-
-def at_tip(config: WaveConfig, port: Port, pulled: Pulled, dt: float) -> Followed:
-    """Return the motion that the wave makes against the force; see `teleop.coupling.sides`."""
+@compiled
+def count_hand(config: WaveConfig, port: Port, hand: MasterInput, dt: float) -> None:
+    """Count the work of the hand and send its wave; see `teleop.coupling.interface`."""
     if dt <= 0.0:
-        return Followed(0.0, 0.0, port)
+        return
     b = config.impedance
-    came, port = play(config, port, dt)
-    wanted = (math.sqrt(2.0 * b) * came - pulled.force) / b * dt
+    ledger.count_work(port, hand.written * hand.travel)
+    wave = (b * hand.travel / dt + hand.written) / math.sqrt(2.0 * b)
+    send(config, port, wave, dt)
+
+
+@compiled
+def render(config: WaveConfig, port: Port, hand: MasterInput, force: float, dt: float) -> float:
+    """Return the force [N] of the wave that came back; see `teleop.coupling.interface`.
+
+    The told `force` [N] is in that wave already; one that is not finite is returned as it is.
+    """
+    if not math.isfinite(force) or dt <= 0.0:
+        return force
+    b = config.impedance
+    came = play(config, port, dt)
+    rendered = b * hand.velocity - math.sqrt(2.0 * b) * came
+    return ledger.affordable_force(port, rendered, hand.travel, 1.0, config.step_tolerance)
+
+
+@compiled
+def at_tip(config: WaveConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
+    """Return the motion that the wave makes against the force; see `teleop.coupling.interface`."""
+    if dt <= 0.0:
+        return SlaveOutput(0.0, 0.0)
+    b = config.impedance
+    came = play(config, port, dt)
+    wanted = (math.sqrt(2.0 * b) * came - tip.force) / b * dt
     used = abs(came * (port.heard_wave - port.played_wave))  # by the wave that is under way
     spare = min(max((port.credit - used) / config.reserve - 1.0, 0.0), 1.0)
-    wanted += (pulled.way + pulled.lag) * min(spare * dt / config.catch_up, 1.0)
-    way = ledger.affordable_way(port, pulled.force, wanted, 1.0)
-    port = ledger.returned(port, -pulled.force * way, config.passive_tip)
-    back = (b * way / dt - pulled.force) / math.sqrt(2.0 * b)
-    return Followed(way, way / dt, send(config, port, back, dt))
+    wanted += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
+    travel = ledger.affordable_travel(port, tip.force, wanted, 1.0)
+    ledger.count_tip_work(port, -tip.force * travel, config.passive_tip)
+    back = (b * travel / dt - tip.force) / math.sqrt(2.0 * b)
+    send(config, port, back, dt)
+    return SlaveOutput(travel, travel / dt)

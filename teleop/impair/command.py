@@ -25,23 +25,23 @@ from teleop.clock import quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import UsageError
-from teleop.impair.config import ImpairConfig, WayConfig, wanted
-from teleop.impair.courier import LOOK_S, Courier
-from teleop.impair.way import Way
+from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
+from teleop.impair.delay_queue import WAIT_S, DelayQueue
+from teleop.impair.direction import Direction
 from teleop.launch.summary import impair_lines
 from teleop.link.bridge import Bank, ask
 from teleop.meter import percentiles
 from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
 from teleop.run_config import RunConfig
 
-WAYS = ("to_slave", "to_master")
+DIRECTIONS = ("to_slave", "to_master")
 ACTIONS = ("cut", "mend", "set", "status")
 _SWITCH_S = 0.0005  # a thread of ours waits for another no longer than this; Python's own is 5 ms
-_NUMBERS = tuple(name for name, hint in get_type_hints(WayConfig).items() if hint is float)
+_NUMBERS = tuple(name for name, hint in get_type_hints(DirectionConfig).items() if hint is float)
 
 
 class Proxy:
-    """The two banks, the two ways between them, and the courier.
+    """The two banks, the two directions between them, and the delay queue.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Proxy:
 
     def __init__(self, shared: RunConfig, read: Callable[[list[str]], ImpairConfig]) -> None:
         self._read, self._changes = read, list[str]()
-        self._courier = Courier()
+        self._queue = DelayQueue()
         config = read([])
         self._look_ns = 0  # when the banks are to be looked at again
         self._stack = ExitStack()
@@ -66,9 +66,9 @@ class Proxy:
             opening.callback(slave.close)
             self._stack = opening.pop_all()
         ends = {"to_slave": (master, slave), "to_master": (slave, master)}
-        self._ways = {
-            name: Way(name, getattr(config, name), config.seed, *ends[name], self._courier)
-            for name in WAYS
+        self._directions = {
+            name: Direction(name, getattr(config, name), config.seed, *ends[name], self._queue)
+            for name in DIRECTIONS
         }
         self._presence_s = config.presence
         master.serve(self.answer)
@@ -79,21 +79,23 @@ class Proxy:
 
     def work(self) -> None:
         """Do what there is to do now; returns within some 20 ms."""
-        self._courier.work()
+        self._queue.work()
         now = time.monotonic_ns()
         if now >= self._look_ns:
-            self._look_ns = now + round(LOOK_S * 1e9)
-            for way in self._ways.values():
-                way.mirror(self._presence_s)
+            self._look_ns = now + round(WAIT_S * 1e9)
+            for direction in self._directions.values():
+                direction.mirror(self._presence_s)
 
     def answer(self, request: str) -> dict[str, Any]:
         """Do as told by `teleop impair ACTION`, and return the counts."""
         action, *words = request.split("\n")
         if action in ("cut", "mend"):
-            if not set(words) <= set(WAYS):
-                raise UsageError(f"{action}: {' '.join(words)}: allowed are {', '.join(WAYS)}")
-            for name in words or WAYS:
-                self._ways[name].cut = action == "cut"
+            if not set(words) <= set(DIRECTIONS):
+                raise UsageError(
+                    f"{action}: {' '.join(words)}: allowed are {', '.join(DIRECTIONS)}"
+                )
+            for name in words or DIRECTIONS:
+                self._directions[name].cut = action == "cut"
         elif action == "set":
             self._set(words)
         elif action != "status":
@@ -101,28 +103,30 @@ class Proxy:
         return self.counts()
 
     def counts(self) -> dict[str, Any]:
-        """Return what became of the messages, each way; and how punctual the courier was."""
-        ways = {name: way.counts() for name, way in self._ways.items()}
-        return ways | {
-            "waiting": len(self._courier),
-            "lateness_us": percentiles(self._courier.lateness, 1e-3),
+        """Return what became of the messages, each way; and how punctual the queue was."""
+        counts = {name: direction.counts() for name, direction in self._directions.items()}
+        return counts | {
+            "waiting": len(self._queue),
+            "lateness_us": percentiles(self._queue.lateness, 1e-3),
         }
 
     def _look_soon(self) -> None:
         self._look_ns = 0
-        self._courier.wake()
+        self._queue.wake()
 
     def _set(self, words: list[str]) -> None:
         if not words:
             raise UsageError("set: KEY=VALUE is missing, such as to_slave.loss=0.3")
-        fixed = [word for word in words if not word.startswith(tuple(f"{way}." for way in WAYS))]
+        fixed = [
+            word for word in words if not word.startswith(tuple(f"{way}." for way in DIRECTIONS))
+        ]
         if fixed:
             raise UsageError(f"{fixed[0]}: allowed are to_slave.KEY=VALUE and to_master.KEY=VALUE")
         changes = [*self._changes, *(f"impair.{word}" for word in words)]
         config = self._read(changes)
         self._changes = changes
-        for name, way in self._ways.items():
-            way.configure(getattr(config, name))
+        for name, direction in self._directions.items():
+            direction.configure(getattr(config, name))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -138,7 +142,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     both = parser.add_argument_group(
         "both ways", "what `impair.to_slave` and `to_master` begin with"
     )
-    for item in dataclasses.fields(WayConfig):
+    for item in dataclasses.fields(DirectionConfig):
         if item.name in _NUMBERS:
             option = f"--{item.name.replace('_', '-')}"
             both.add_argument(option, dest=item.name, type=float, metavar="X")
@@ -186,5 +190,5 @@ def options(args: argparse.Namespace) -> list[str]:
     for name in _NUMBERS:
         value = getattr(args, name)
         if value is not None:
-            out += [f"impair.{way}.{name}={value}" for way in WAYS]
+            out += [f"impair.{way}.{name}={value}" for way in DIRECTIONS]
     return out

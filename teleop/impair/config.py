@@ -14,7 +14,7 @@ _SHARES = ("loss", "burst_loss", "reorder", "duplicate", "corrupt")
 
 
 @dataclass(frozen=True, slots=True)
-class WayConfig:
+class DirectionConfig:
     """What happens to messages on their way in one direction.
 
     A burst of losses is a Gilbert-Elliott channel (Gilbert 1960, Elliott 1963): in its bad state,
@@ -77,16 +77,16 @@ class WayConfig:
         return self.burst_leave * bad / (1.0 - bad) if bad < 1.0 else math.inf
 
     def cut_at(self, time_s: float) -> bool:
-        """Return whether the way is cut, by the clock, at `time_s` [s]."""
+        """Return whether the direction is cut, by the clock, at `time_s` [s]."""
         within = time_s % self.cut_period if time_s >= 0.0 else -1.0
         return any(start <= within < end for start, end in self.cuts)
 
-    def of(self, live: bool) -> "WayConfig":
+    def of(self, live: bool) -> "DirectionConfig":
         """Return what a live topic meets, or a reliable one."""
         if live or self.reliable == "impaired":
             return self
         if self.reliable == "clean":
-            return WayConfig(cuts=self.cuts, cut_period=self.cut_period)
+            return DirectionConfig(cuts=self.cuts, cut_period=self.cut_period)
         return replace(self, loss=0.0, burst_loss=0.0, reorder=0.0, duplicate=0.0, corrupt=0.0)
 
 
@@ -102,8 +102,8 @@ class ImpairConfig:
     presence: float = field(  # [s] of cut after which the other side is no longer announced
         default=2.0, metadata=MAY_BE_INFINITE
     )
-    to_slave: WayConfig = field(default_factory=WayConfig)
-    to_master: WayConfig = field(default_factory=WayConfig)
+    to_slave: DirectionConfig = field(default_factory=DirectionConfig)
+    to_master: DirectionConfig = field(default_factory=DirectionConfig)
 
     def __post_init__(self) -> None:
         """Refuse a presence that ends before it is cut."""

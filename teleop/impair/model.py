@@ -11,7 +11,7 @@ import math
 from enum import IntFlag
 from typing import NamedTuple
 
-from teleop.impair.config import WayConfig
+from teleop.impair.config import DirectionConfig
 
 _MASK = (1 << 64) - 1
 _GOLDEN = 0x9E3779B97F4A7C15  # increment of SplitMix64
@@ -65,13 +65,13 @@ def uniform(key: int, number: int) -> float:
 
 
 def step(
-    config: WayConfig, key: int, memory: Memory, time_s: float, data: bytes, cut: bool = False
+    config: DirectionConfig, key: int, memory: Memory, time_s: float, data: bytes, cut: bool = False
 ) -> tuple[tuple[Delivery, ...], Fate, Memory]:
     """Decide on the next message of a stream.
 
     Parameters
     ----------
-    config : WayConfig
+    config : DirectionConfig
         What may happen to it.
     key : int
         The stream's, see `key_of`.
@@ -80,7 +80,7 @@ def step(
     data : bytes
         The message.
     cut : bool
-        Whether the way is cut at this moment, on command; `config.cuts` are besides.
+        Whether the direction is cut at this moment, on command; `config.cuts` are besides.
 
     Returns
     -------
@@ -121,11 +121,11 @@ def step(
     return (Delivery(due, data),) * copies, fate, after
 
 
-def delay(config: WayConfig, key: int, number: int, time_s: float) -> float:
+def delay(config: DirectionConfig, key: int, number: int, time_s: float) -> float:
     """Return by how much [s] the `number`-th message of a stream, which came at `time_s`, is late.
 
     With `jitter_time` the delay moves in straight lines between values drawn that far apart, as
-    queues on the way fill and empty. Without, each message has one of its own; as none overtakes
+    queues of a network fill and empty. Without, each message has one of its own; as none overtakes
     another, a fast stream then has nearly the longest delay throughout.
     """
     if not config.jitter:

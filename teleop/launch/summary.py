@@ -22,7 +22,7 @@ def ran(loop: Mapping[str, Any] | None) -> bool:
     return bool(loop and loop["ticks"])
 
 
-# of the other side: what a fault that began there looks like from here
+# what a fault that began at the peer looks like from here
 FROM_AFAR = (
     Reason.PEER_SILENT.text,
     Reason.PEER_FAULT.text,

@@ -10,7 +10,7 @@ from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Heard, Link, Listener
 from teleop.messages import Event, LoopReport, text_of
 from teleop.process import Stop
-from teleop.remote.door import call_reset, call_stop
+from teleop.remote.requests import call_reset, call_stop
 from teleop.remote.stop import SIDES, state_of, stops_of
 from teleop.session import State
 from teleop.topics import REPORT, STATE, TENDONS, Role, role_name

@@ -11,12 +11,14 @@ from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
 from teleop.link import presence
 from teleop.link.config import LinkConfig
+from teleop.link.inbox import Inbox
 from teleop.link.listener import Listener
 from teleop.link.network import declare_publisher, open_session
 from teleop.link.presence import Stage, Token
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.roster import Roster
 from teleop.messages import LAYOUT, Message
+from teleop.packet import Packet
 from teleop.topics import Role, Topic
 
 M = TypeVar("M", bound=Message)
@@ -60,7 +62,7 @@ class Link:
         self.nonce = presence.new_nonce()
         self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
         self._publishers: dict[str, _Publisher] = {}
-        self._latest: dict[str, tuple[Latest[Any], Any]] = {}
+        self._latest: dict[str, tuple[Latest[Any], Inbox]] = {}
         self._subscribers: list[Any] = []
 
     def __enter__(self) -> Self:
@@ -99,6 +101,16 @@ class Link:
         publisher.put(topic.message.schema.pack(message, self.nonce, publisher.sequence, stamp))
         return stamp
 
+    def publish_packet(self, topic: Topic[M], packet: Packet[M]) -> int:
+        """Send what a loop has in `packet` and return its stamp [ns]; the head is filled in."""
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            publisher = self._publishers[topic.name] = self._declare(topic)
+        stamp = now_ns()
+        publisher.sequence += 1
+        publisher.put(packet.seal(self.nonce, publisher.sequence, stamp))
+        return stamp
+
     def publish_raw(self, topic: Topic[Any], data: bytes) -> None:
         """Send a message packed elsewhere: for a replay, which waits for room rather than drop it.
 
@@ -117,10 +129,19 @@ class Link:
         if topic.publisher is None:
             raise ValueError(f"{topic.name} has several publishers, so no one latest value")
         latest = Latest(topic, lambda nonce: self._visit(topic, nonce), limit_ns)
-        ring = self._zenoh.declare_subscriber(self._key(topic), zenoh.handlers.RingChannel(RING))
-        self._subscribers.append(ring)
-        self._latest[topic.name] = latest, ring.try_recv
+        inbox = Inbox(RING)
+        direct = zenoh.handlers.Callback(inbox.store, indirect=False)  # no thread in between
+        self._subscribers.append(self._zenoh.declare_subscriber(self._key(topic), direct))
+        self._latest[topic.name] = latest, inbox
         return latest
+
+    def wait(self, topic: Topic[Any], deadline_ns: int) -> bool:
+        """Wait for a message of `topic`, which must be subscribed to as a latest value.
+
+        Returns whether there is one that `latest` has not taken in; at the latest at `deadline_ns`
+        of the machine's monotonic clock.
+        """
+        return self._latest[topic.name][1].wait(deadline_ns)
 
     def latest(self, topic: Topic[M]) -> Latest[M]:
         """Return the newest message of `topic` with its age, having looked for newer ones."""
@@ -128,11 +149,8 @@ class Link:
         if entry is None:
             self.subscribe_latest(topic)
             entry = self._latest[topic.name]
-        latest, try_recv = entry
-        arrived: list[bytes] = []
-        while len(arrived) < RING and (sample := try_recv()) is not None:
-            arrived.append(sample.payload.to_bytes())
-        latest.take(arrived, now_ns(), overflowed=len(arrived) == RING)
+        latest, inbox = entry
+        latest.take(*inbox.take())
         return latest
 
     def listen(self, topics: Iterable[Topic[Any]]) -> Listener:

@@ -1,16 +1,20 @@
 """Hearing everything, in the order of arrival: for the recorder and the viewer."""
 
-from collections import deque
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import zenoh
 
 from teleop.clock import now_ns
+from teleop.link.message_queue import MessageQueue
 from teleop.link.reception import Counts, Reception
+from teleop.messages import Head
 from teleop.topics import Topic
 
-BACKLOG = 50_000  # messages kept for a slow reader: over 10 s of a whole session, some 50 MB
+SENDERS = (
+    64  # of one topic that are told apart; of more, the one not heard for longest is forgotten
+)
 
 
 class Heard(NamedTuple):
@@ -28,45 +32,98 @@ class Listener:
     """Collects messages of several topics until they are drained.
 
     Zenoh's thread stamps and queues; checking is done by who drains. A reader that falls behind by
-    more than `BACKLOG` messages loses the oldest, which shows as a gap and is counted as lost.
+    more than `message_queue.capacity_of` a topic loses its oldest messages. They are counted in
+    `dropped`, and the gap that they leave is `overwritten`, not `lost`.
     """
 
     def __init__(self, visit: Callable[[Topic[Any], int], int]) -> None:
-        self._queue: deque[tuple[Topic[Any], bytes, int]] = deque(maxlen=BACKLOG)
+        self._queue = MessageQueue()
         self._visit = visit
-        self._receptions: dict[tuple[str, int], Reception] = {}
+        self._senders: dict[str, _Senders] = {}
 
     def store(self, topic: Topic[Any]) -> Callable[[zenoh.Sample], None]:
         """Return the callback that Zenoh's thread gives the samples of `topic` to."""
-        append = self._queue.append
+        self._queue.add(topic)
+        self._senders[topic.name] = _Senders(topic, self._visit)
+        put = self._queue.put
         # copied at once: a payload kept as it is keeps the whole receive buffer it lies in
-        return lambda sample: append((topic, sample.payload.to_bytes(), now_ns()))
+        return lambda sample: put(topic, sample.payload.to_bytes(), now_ns())
 
     def drain(self) -> list[Heard]:
         """Return what has arrived since the last call, oldest first, checked as `Latest` does."""
+        arrivals, dropped = self._queue.take()
+        for name, count in dropped.items():
+            self._senders[name].overflowed_to(count)
         heard = []
-        for _ in range(len(self._queue)):
-            topic, data, received_ns = self._queue.popleft()
-            head = self._reception(topic, data).admit(data)
+        for _, topic, data, received_ns in arrivals:
+            head = self._senders[topic.name].admit(data)
             if head is not None:
                 heard.append(Heard(topic, data, received_ns, *head))
         return heard
 
     def counts(self, topic: Topic[Any]) -> Counts:
         """Return what became of the messages of `topic`, all its senders together."""
-        total = Counts()
-        for (name, _), reception in self._receptions.items():
-            if name == topic.name:
-                total += reception.counts
-        return total
+        senders = self._senders.get(topic.name)
+        return Counts() if senders is None else senders.counts()
 
-    def _reception(self, topic: Topic[Any], data: bytes) -> Reception:
-        """Return who judges `data`: one a topic, or one a sender if several publish it."""
-        sender = 0 if topic.publisher is not None else topic.message.schema.sender(data)
-        key = topic.name, sender
-        if key not in self._receptions:
-            self._receptions[key] = Reception(
-                topic,
-                (lambda nonce: self._visit(topic, nonce)) if sender == 0 else (lambda _: 1),
-            )
-        return self._receptions[key]
+    def dropped(self, topic: Topic[Any]) -> int:
+        """Return how many messages of `topic` arrived and were dropped for want of a reader.
+
+        Exact, also where no later message shows a gap: stored = drained + rejected + dropped.
+        """
+        return self._queue.dropped(topic)
+
+
+class _Senders:
+    """Who judges the messages of a topic: one `Reception`, or one a sender if several publish it.
+
+    Anyone may claim to be one sender more, so a sender is remembered only once a message of it was
+    let in, and of no more than `SENDERS` of them; the counts of those forgotten are kept.
+    """
+
+    def __init__(self, topic: Topic[Any], visit: Callable[[Topic[Any], int], int]) -> None:
+        self._topic, self._visit = topic, visit
+        self._receptions: OrderedDict[int, Reception] = OrderedDict()
+        self._overflowed: set[int] = set()  # of which the next gap is our own doing
+        self._dropped = 0
+        self._forgotten = Counts()
+
+    def __len__(self) -> int:
+        return len(self._receptions)
+
+    def overflowed_to(self, dropped: int) -> None:
+        """Take note of how many messages of the topic were dropped so far."""
+        if dropped > self._dropped:
+            self._dropped = dropped
+            self._overflowed = set(self._receptions)
+
+    def admit(self, data: bytes) -> Head | None:
+        """Return the head of `data` if it is let in, else None."""
+        shared = self._topic.publisher is None
+        sender = self._topic.message.schema.sender(data) if shared else 0
+        known = self._receptions.get(sender)
+        reception = known or Reception(self._topic, self._announced)
+        head = reception.admit(data, overflowed=sender in self._overflowed)
+        if head is not None:
+            self._overflowed.discard(sender)
+        if known is not None:
+            self._receptions.move_to_end(sender)
+        elif head is not None or not shared:
+            self._receptions[sender] = reception
+            self._forget()
+        else:
+            self._forgotten += reception.counts
+        return head
+
+    def counts(self) -> Counts:
+        """Return what became of all messages that were judged."""
+        return sum((r.counts for r in self._receptions.values()), self._forgotten)
+
+    def _announced(self, nonce: int) -> int:
+        return 1 if self._topic.publisher is None else self._visit(self._topic, nonce)
+
+    def _forget(self) -> None:
+        while len(self._receptions) > SENDERS:
+            sender, reception = self._receptions.popitem(last=False)
+            self._overflowed.discard(sender)
+            self._forgotten += reception.counts

@@ -11,6 +11,9 @@ from teleop.link.config import LinkConfig
 
 RETRY_MS = 100  # between attempts to reach a peer that is not there
 QUEUE = 16  # messages of one priority waiting to be sent to one peer
+BATCH_BYTES = (
+    2048  # of one write to the wire; holds any message of ours, each of which is sent alone
+)
 OPEN_MS = 3000  # for the handshake; closing waits as long for a target that takes and says nothing
 LEASE_MS = 2000  # a peer silent for so long is gone; a closed connection shows at once
 
@@ -43,6 +46,10 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
         # the default two places, a hiccup of the sending thread made 2 % of messages drop; of
         # sixteen, none.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+        # Each sample keeps the receive buffer that it lies in, which is as long as a batch may be,
+        # and 256 samples wait before each callback when a process is held up. With Zenoh's 64 KB a
+        # recorder that was stopped for one second grew by up to 50 MB.
+        "transport/link/tx/batch_size": BATCH_BYTES,
         "transport/link/tx/queue/size/real_time": QUEUE,
         "transport/link/tx/queue/size/interactive_high": QUEUE,
     }

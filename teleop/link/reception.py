@@ -4,7 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Generic, TypeVar
 
+from teleop.link.inbox import Arrived
 from teleop.messages import Head, Message, MessageError
+from teleop.packet import Packet
 from teleop.topics import Topic
 
 M = TypeVar("M", bound=Message)
@@ -103,7 +105,7 @@ class Reception:
 class Latest(Generic[M]):
     """The newest message of a topic and its age.
 
-    The age of a message is the time since it was first seen here, plus how much later it came than
+    The age of a message is the time since it came here, plus how much later it came than
     the quickest of its sender's messages. So a message that sat in a stalled network is old when
     it arrives, although the two clocks were never set to each other:
 
@@ -131,13 +133,15 @@ class Latest(Generic[M]):
     def __init__(
         self, topic: Topic[M], visit: Callable[[int], int], limit_ns: int = NEVER_NS
     ) -> None:
-        self.message: M | None = None
+        self.packet = Packet(topic.message)  # the newest message, once there is one
+        self.is_there = False  # whether there is
         self.new = False  # whether the last look brought a new message
         self.received_ns = 0  # when the message was first seen
         self._reception = Reception(topic, visit)
         self._visit = visit
         self._seen_visit = (0, 0)  # sender, and which visit of it the clocks were compared in
         self._message = topic.message
+        self._object: M | None = None  # of `message`, made when it is asked for
         self._limit_ns = limit_ns
         self._stamp_ns = 0  # of the message
         self._least_ns = 0
@@ -148,9 +152,21 @@ class Latest(Generic[M]):
         """What became of all messages so far."""
         return self._reception.counts
 
+    @property
+    def message(self) -> M | None:
+        """The newest message as an object, for who is in no hurry; None if there is none."""
+        if self._object is None and self.is_there:
+            self._object = self._message.unpack(self.packet.data.tobytes())
+        return self._object
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the newest message was sent, on its sender's clock; 0 if there is none."""
+        return self._stamp_ns
+
     def age_ns(self, now_ns: int) -> int:
         """Return the age [ns] of the message at `now_ns`; `NEVER_NS` if there is none."""
-        if self.message is None:
+        if not self.is_there:
             return NEVER_NS
         return max(0, now_ns - self.received_ns) + self._late_ns
 
@@ -158,14 +174,14 @@ class Latest(Generic[M]):
         """Return whether there is a message not older than `limit_ns` [ns]."""
         return self.age_ns(now_ns) <= limit_ns
 
-    def take(self, arrived: list[bytes], now_ns: int, overflowed: bool) -> None:
+    def take(self, arrived: list[Arrived], overflowed: bool = False) -> None:
         """Take in what arrived since the last look, oldest first."""
-        newest, newest_head = None, None
-        for data in arrived:
+        newest, newest_head, now_ns = None, None, 0
+        for data, received_ns in arrived:
             head = self._reception.admit(data, overflowed)
             overflowed = False
             if head is not None:
-                newest, newest_head = data, head
+                newest, newest_head, now_ns = data, head, received_ns
         self.new = newest is not None
         if newest is None or newest_head is None:
             return
@@ -185,4 +201,5 @@ class Latest(Generic[M]):
         self._late_ns = delay - self._least_ns
         counts.delayed += self._late_ns > self._limit_ns
         self.received_ns = now_ns
-        self.message = self._message.unpack(newest)
+        self.packet.data[:] = newest
+        self.is_there, self._object = True, None

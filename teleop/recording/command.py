@@ -59,7 +59,9 @@ def main(args: argparse.Namespace) -> int:
                     stopping = (
                         stop()
                     )  # asked before the last look: it finds all that came until then
-                    writer.write(listener.drain(), now_ns())
+                    heard = listener.drain()
+                    writer.note_dropped({topic.name: listener.dropped(topic) for topic in TOPICS})
+                    writer.write(heard, now_ns())
         finally:
             summary = summary_of(writer)
             write_summary(args.json, summary)
@@ -75,6 +77,7 @@ def summary_of(writer: RecordingWriter) -> dict[str, Any]:
         "seconds": (writer.last_ns - writer.first_ns) * 1e-9,
         "messages": dict(writer.messages),
         "gaps": writer.gaps.by_topic(),
+        "dropped": dict(writer.dropped),
         "bytes": writer.bytes_written,
     }
 
@@ -87,6 +90,9 @@ def lines(summary: dict[str, Any]) -> list[str]:
         lost = summary["gaps"][topic]
         rate = f"{(count - 1) / seconds:7.1f}/s" if seconds > 0 else ""
         out.append(f"  {topic:10} {count:9} messages {rate}" + (f", {lost} lost" if lost else ""))
+    if summary["dropped"]:
+        dropped = ", ".join(f"{count} {topic}" for topic, count in summary["dropped"].items())
+        out.append(f"  dropped, as the recorder was too slow: {dropped}; use a faster disk")
     if not summary["messages"]:
         out.append("  nobody published anything in this session")
     return out

@@ -1,4 +1,11 @@
-"""Messages that were sent but never arrived, counted from their sequence numbers."""
+"""Messages that were sent but are not in a recording, counted from their sequence numbers."""
+
+from collections import OrderedDict
+
+SENDERS = (
+    64  # of one topic that are told apart; of more, the one not heard for longest is forgotten
+)
+FORGOTTEN = 0  # stands for the senders that are no longer told apart
 
 
 class Gaps:
@@ -8,18 +15,26 @@ class Gaps:
     order; a number that is skipped is a lost message. What a sender sent before the first or after
     the last message heard cannot be known and is not counted. A restarted process is a new sender,
     not a gap.
+
+    Of senders that are forgotten the losses are kept, taken together under `FORGOTTEN`.
     """
 
     def __init__(self) -> None:
         self.lost: dict[tuple[str, int], int] = {}  # (topic, sender) -> messages
-        self._next: dict[tuple[str, int], int] = {}
+        self._next: dict[str, OrderedDict[int, int]] = {}  # topic -> sender -> number, oldest first
 
     def note(self, topic: str, sender: int, sequence: int) -> None:
         """Take one message into account."""
-        stream = topic, sender
-        expected = self._next.get(stream, sequence)
+        stream, senders = (topic, sender), self._next.setdefault(topic, OrderedDict())
+        expected = senders.get(sender, sequence)
         self.lost[stream] = self.lost.get(stream, 0) + max(0, sequence - expected)
-        self._next[stream] = max(expected, sequence + 1)
+        senders[sender] = max(expected, sequence + 1)
+        senders.move_to_end(sender)
+        if len(senders) > SENDERS:
+            oldest, _ = senders.popitem(last=False)
+            forgotten = topic, FORGOTTEN
+            lost = self.lost.pop((topic, oldest), 0)
+            self.lost[forgotten] = self.lost.get(forgotten, 0) + lost
 
     @property
     def total(self) -> int:

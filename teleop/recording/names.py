@@ -5,6 +5,7 @@ from mcap.records import Channel
 SESSION_METADATA = "recording"  # session, start, message layout
 VERSIONS_METADATA = "versions"  # of what wrote it
 GAPS_METADATA = "gaps"  # "<topic>/<sender>": lost messages; the last record of the name counts
+DROPPED_METADATA = "dropped"  # "<topic>": came, but the recorder was too slow; the last one counts
 CONFIG_ATTACHMENT = "config.yaml"
 SCHEMA_PACKAGE = "tendon_teleop"
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from teleop.recording.definition import dtype_of
 from teleop.recording.names import (
     CONFIG_ATTACHMENT,
+    DROPPED_METADATA,
     GAPS_METADATA,
     SESSION_METADATA,
     VERSIONS_METADATA,
@@ -50,7 +51,8 @@ class RecordingInfo:
     config_text: str  # the session's config file, "" = ran on defaults
     overrides: tuple[str, ...]  # what the command line said over it
     messages: dict[str, int]  # per topic
-    lost: dict[str, int]  # per topic: sent, but never received by the recorder
+    lost: dict[str, int]  # per topic: sent, but not in the file
+    dropped: dict[str, int]  # per topic: received, but the recorder was too slow to write them
     first_ns: int  # log time of the first message, 0 = there is none
     last_ns: int
 
@@ -81,6 +83,8 @@ def open_recording(path: str | Path) -> RecordingInfo:
         for stream, count_text in scan.metadata.get(GAPS_METADATA, {}).items():
             topic = stream.partition("/")[0]
             lost[topic] = lost.get(topic, 0) + int(count_text)
+        drops = scan.metadata.get(DROPPED_METADATA, {})
+        dropped = dict.fromkeys(messages, 0) | {topic: int(text) for topic, text in drops.items()}
         layout = int(head["layout"], 16) if "layout" in head else None
     except ValueError as error:
         raise RecordingError(f"{path}: is damaged: metadata that is no number: {error}") from error
@@ -94,6 +98,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
         overrides=tuple(head.get("overrides", "").splitlines()),
         messages=messages,
         lost=lost,
+        dropped=dropped,
         first_ns=first,
         last_ns=last,
     )

@@ -7,7 +7,7 @@ the file (session, layout, versions, config) stands at its head. See docs/record
 import contextlib
 import io
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,10 +21,12 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Heard
 from teleop.messages import LAYOUT
 from teleop.process import supervised
+from teleop.recording.chunk_indices import ChunkIndices
 from teleop.recording.config import RecordConfig
 from teleop.recording.gaps import Gaps
 from teleop.recording.names import (
     CONFIG_ATTACHMENT,
+    DROPPED_METADATA,
     GAPS_METADATA,
     SCHEMA_PACKAGE,
     SESSION_METADATA,
@@ -77,6 +79,7 @@ class RecordingWriter:
     ) -> None:
         self.messages: dict[str, int] = {}  # topic -> messages in the file
         self.gaps = Gaps()
+        self.dropped: dict[str, int] = {}  # topic -> messages that came and were dropped unread
         self.first_ns = self.last_ns = 0  # when the first and the last of them were received
         self._taken: dict[str, int] = {}  # topic -> messages in the file or on the way there
         self._span_ns = (0, 0)
@@ -84,13 +87,15 @@ class RecordingWriter:
         self._file = _WholeWrites(file)
         self._chunk_ns = round(config.chunk_s * 1e9)
         self._committed_ns = started_ns
-        self._noted_loss = 0
+        self._noted_loss, self._noted_drops = 0, dict[str, int]()
         self._channels: dict[str, int] = {}
         self._mcap = Writer(
             cast(io.BufferedWriter, self._file),
             compression=_COMPRESSION[config.compression],
             enable_data_crcs=True,
         )
+        # a private list of mcap's, which has no other way; a test measures that it is still used
+        vars(self._mcap)["_Writer__chunk_indices"] = ChunkIndices()
         self._mcap.start(profile=Profile.ROS2, library=f"tendon-teleop {_version('tendon-teleop')}")
         started = datetime.fromtimestamp(started_ns * 1e-9, UTC).isoformat(timespec="milliseconds")
         self._mcap.add_metadata(
@@ -118,6 +123,13 @@ class RecordingWriter:
         """Length of the file [bytes] as the kernel has it."""
         return self._file.length
 
+    def note_dropped(self, dropped: Mapping[str, int]) -> None:
+        """Take note of how many messages of each topic came, but were dropped as we were too slow.
+
+        They are among the gaps as well, unless nothing of their sender was kept before or after.
+        """
+        self.dropped = {topic: count for topic, count in dropped.items() if count}
+
     def write(self, heard: Iterable[Heard], now_ns: int) -> None:
         """Take what was heard; put it into the file if `chunk_s` has passed since the last time.
 
@@ -140,7 +152,7 @@ class RecordingWriter:
         if now_ns - self._committed_ns >= self._chunk_ns:
             self._committed_ns = now_ns
             self._mcap.flush()
-            if self.gaps.total != self._noted_loss:
+            if self.gaps.total != self._noted_loss or self.dropped != self._noted_drops:
                 self._note_gaps()
             self._commit()
 
@@ -185,6 +197,9 @@ class RecordingWriter:
         counts = {f"{topic}/{sender:016x}": str(n) for (topic, sender), n in self.gaps.lost.items()}
         self._mcap.add_metadata(GAPS_METADATA, counts)
         self._noted_loss = self.gaps.total
+        if self.dropped:
+            self._mcap.add_metadata(DROPPED_METADATA, {t: str(n) for t, n in self.dropped.items()})
+        self._noted_drops = self.dropped
 
     def _commit(self) -> None:
         try:

@@ -21,7 +21,7 @@ from teleop.config import load
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.process import Stop
-from teleop.remote.door import CALL, LEAVE, RESET, WATCH, call_reset, call_stop
+from teleop.remote.requests import CALL, LEAVE, RESET, WATCH, call_reset, call_stop
 from teleop.remote.watches import BEAT_S
 from teleop.run_config import RunConfig
 from teleop.session import Reason, State

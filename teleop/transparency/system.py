@@ -88,7 +88,7 @@ def settings(
     slave = SlaveConfig(
         tendons=(TendonConfig(effective_friction=0.02, tension_noise=0.01),),
         gate=GateConfig(displacement_min=-0.05, displacement_max=0.05, tension_max=40.0),
-        freshness=slow,
+        command_timeout=slow,
     )
     return Settings(master, slave)
 
@@ -183,7 +183,7 @@ class Teleoperator:
             self.slave,
             samples,
             told.message,
-            told.is_fresh(now, round(config.freshness * 1e9)),
+            told.is_fresh(now, round(config.command_timeout * 1e9)),
             Reason.NONE,
             DT,
             bilateral,

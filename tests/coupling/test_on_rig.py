@@ -48,7 +48,7 @@ def test_a_wall_behind_a_sheath(coupling, round_trip):
         rig=rig_config,
         calibration="as-built",
         gate=GateConfig(displacement_min=-0.05, displacement_max=0.05),
-        freshness=0.15,
+        command_timeout=0.15,
     )
     rig = OnRig(slave)
     system = Teleoperator(

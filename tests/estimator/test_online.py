@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from estimator import online
-from estimator.online import ModelError, Status, TendonModel
+from estimator.online import ModelError, Status, TendonEstimate, TendonModel
+from estimator.records import one
 from estimator.sheath import Section, Sheath
+from estimator.tables import MAX_SECTIONS
 from estimator.transmission import Phase, batch, envelope, slack_profile, tables
 from tests.brute.chain import Chain, Force, Position
 from tests.estimator.scenarios import HIDDEN, RATE, SCENARIOS, held, play, random_legs, spring
@@ -157,11 +159,11 @@ def test_step_and_run_give_the_same_numbers():
     state = online.initial(prepared)
     before = 0.0
     for i, t in enumerate(record.time):
-        kept = state.copy()
+        kept = state.tobytes()
         result, after = online.step(prepared, state, T[i], q[i], t - before if i else 0.0)
-        assert np.array_equal(state, kept), "step must leave the state it was given"
-        for name, value in result._asdict().items():
-            assert np.array_equal(getattr(whole, name)[i], value, equal_nan=True), (i, name)
+        assert state.tobytes() == kept, "step must leave the state it was given"
+        for name, row in whole._asdict().items():
+            assert np.array_equal(row[i], getattr(result, name), equal_nan=True), (i, name)
         state, before = after, t
 
 
@@ -225,7 +227,8 @@ def test_a_bad_sample_is_refused_held_and_widens_the_interval(sample):
         held_estimate, state = online.step(prepared, state, *sample)
         assert held_estimate.status & Status.INVALID_INPUT
         assert held_estimate.distal_tension == good.distal_tension
-        assert all(map(math.isfinite, held_estimate[:4]))
+        fields = ("distal_tension", "low", "high", "elongation")
+        assert all(math.isfinite(getattr(held_estimate, name)) for name in fields)
         assert held_estimate.low <= previous.low
         assert held_estimate.high >= previous.high
         previous = held_estimate
@@ -278,7 +281,7 @@ def test_profile_is_that_of_the_chain():
     profile = online.profile_at(prepared, state, places)
     assert profile == pytest.approx(chain.tensions, rel=0.01)
     assert profile[0] == pytest.approx(result.distal_tension * profile[0] / profile[-1])
-    assert result.phase is Phase.PULL_TO_RELEASE
+    assert result.phase == Phase.PULL_TO_RELEASE
     peak = places[np.argmax(chain.tensions)]
     assert result.front == pytest.approx(peak, abs=0.03)
 
@@ -298,6 +301,50 @@ def test_profile_is_that_of_the_chain():
 def test_refuses_a_senseless_model(change):
     with pytest.raises(ModelError, match=next(iter(change))):
         TendonModel(SHEATH, **change)
+
+
+def test_a_sheath_of_many_sections_is_estimated_as_one_of_few():
+    """As many as fit, all curved; the tables are padded to that."""
+    record = scenario("nested reversals, then the tip is drawn out")
+    (whole,) = SHEATH.sections
+    pieces = (Section(whole.length / MAX_SECTIONS, whole.radius),) * MAX_SECTIONS
+    result = estimate(record, sheath=replace(SHEATH, sections=pieces))
+    expected = estimate(record)
+    assert result.distal_tension == pytest.approx(expected.distal_tension, rel=1e-6)
+    assert result.elongation == pytest.approx(expected.elongation, rel=1e-6, abs=1e-12)
+
+
+def test_refuses_more_sections_than_fit():
+    pieces = (SHEATH.sections[0],) * (MAX_SECTIONS + 1)
+    with pytest.raises(ModelError, match=f"sheath: {MAX_SECTIONS + 1} sections"):
+        TendonModel(replace(SHEATH, sections=pieces, friction=1e-3))
+
+
+def test_tendons_of_a_rig_are_estimated_as_each_alone():
+    """Records in an array share no memory: what one is given never shows in another."""
+    record = scenario("tip is drawn out after a pull")
+    T, q = measure(record, NOISES[1])
+    models = [model(NOISES[1], sheath, initial=5.0) for sheath in SHEATHS]
+    prepared = online.prepare_all(models)
+    states = online.initial_all(prepared)
+    estimates = TendonEstimate.array(len(models))
+    alone = [
+        online.run(online.prepare(m), record.time, T * (1 + i), q) for i, m in enumerate(models)
+    ]
+    before = 0.0
+    for k, t in enumerate(record.time):
+        for i in range(len(models)):
+            online.advance(
+                one(prepared, i),
+                one(states, i),
+                T[k] * (1 + i),
+                q[k],
+                t - before if k else 0.0,
+                one(estimates, i),
+            )
+            for name, row in alone[i]._asdict().items():
+                assert np.array_equal(row[k], estimates[name][i], equal_nan=True), (k, i, name)
+        before = t
 
 
 def test_refuses_rows_of_unequal_length():

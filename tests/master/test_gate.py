@@ -1,17 +1,38 @@
 import math
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from estimator.records import as_record
 from master import gate
 from master.gate import FADE_S, GateConfig, Verdict
+from teleop.messages import MAX_JOINTS
 from tests.anything import CASES, Anything
+from tests.master.records import eight
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 LIMITS = st.floats(1e-3, 1e3)
 CONFIGS = st.builds(GateConfig, axis_max=LIMITS, total_max=LIMITS, slew_max=st.floats(1e-3, 1e6))
 ZERO = Verdict.NOT_ENGAGED | Verdict.STALE | Verdict.NOT_FINITE
+
+
+class Gated(NamedTuple):
+    force: tuple[float, ...]
+    verdict: int
+
+
+def step(config, last, wanted, fresh, may_render, dt, fades=False, rest=()):
+    """The gate with tuples; nothing is written beyond the axes."""
+    axes, out = len(last), eight(*(9.0,) * MAX_JOINTS)
+    assert len(wanted) == axes
+    verdict = gate.step(
+        as_record(config),
+        *(eight(*last), eight(*wanted), axes, fresh, may_render, dt, fades, eight(*rest), out),
+    )
+    assert (out[axes:] == 9.0).all()
+    return Gated(tuple(out[:axes].tolist()), verdict)
 
 
 def vectors(elements):
@@ -33,7 +54,7 @@ def test_whatever_is_asked_for_the_output_is_safe(config, run):
     axes, inputs = run
     last = (0.0,) * axes
     for wanted, fresh, may_render, dt in inputs:
-        force, verdict = gate.step(config, last, wanted, fresh, may_render, dt)
+        force, verdict = step(config, last, wanted, fresh, may_render, dt)
         assert len(force) == axes
         assert all(math.isfinite(f) and abs(f) <= config.axis_max for f in force)
         assert math.hypot(*force) <= config.total_max * (1 + 1e-12)
@@ -52,7 +73,7 @@ def test_the_gate_never_pushes_more_or_the_other_way_than_asked(config, run):
     axes, inputs = run
     last = (0.0,) * axes
     for wanted, fresh, may_render, dt in inputs:
-        force, _ = gate.step(config, last, wanted, fresh, may_render, dt)
+        force, _ = step(config, last, wanted, fresh, may_render, dt)
         for asked, was, now in zip(wanted, last, force, strict=True):
             if math.isfinite(asked):
                 assert abs(now) <= abs(asked) * (1 + 1e-12)
@@ -64,21 +85,21 @@ def test_the_gate_never_pushes_more_or_the_other_way_than_asked(config, run):
 @given(vectors(st.floats(-2.0, 2.0)))
 def test_within_limits_and_slow_passes_untouched(wanted):
     config = GateConfig(axis_max=2.0, total_max=100.0, slew_max=1.0)
-    assert gate.step(config, wanted, wanted, True, True, 0.001) == (wanted, Verdict.PASSED)
+    assert step(config, wanted, wanted, True, True, 0.001) == (wanted, Verdict.PASSED)
 
 
 @given(vectors(st.floats(-3.0, 3.0)), st.floats(0.0, 1.0))
 def test_zero_is_reachable_at_once_and_so_is_anything_between(last, share):
     config = GateConfig(axis_max=3.0, total_max=100.0, slew_max=1e-3)
     wanted = tuple(share * f for f in last)
-    assert gate.step(config, last, wanted, True, True, 1e-3).force == wanted
+    assert step(config, last, wanted, True, True, 1e-3).force == wanted
 
 
 def test_growth_follows_the_slew_limit_exactly():
     config = GateConfig(axis_max=3.0, total_max=3.0, slew_max=100.0)
     force, trace = (0.0,), []
     for _ in range(40):
-        force, verdict = gate.step(config, force, (2.0,), True, True, 0.001)
+        force, verdict = step(config, force, (2.0,), True, True, 0.001)
         trace.append((force[0], verdict))
     assert [f for f, _ in trace[:20]] == pytest.approx([0.1 * k for k in range(1, 21)])
     assert trace[10][1] == Verdict.SLEW
@@ -87,19 +108,19 @@ def test_growth_follows_the_slew_limit_exactly():
 
 def test_a_reversal_passes_through_zero_first():
     config = GateConfig(slew_max=100.0)
-    force, verdict = gate.step(config, (2.0,), (-2.0,), True, True, 0.001)
+    force, verdict = step(config, (2.0,), (-2.0,), True, True, 0.001)
     assert force == pytest.approx((-0.1,))
     assert verdict == Verdict.SLEW
 
 
 def test_a_skipped_second_does_not_buy_a_jump():
     config = GateConfig(slew_max=100.0)
-    assert gate.step(config, (0.0,), (2.0,), True, True, 1.0).force == pytest.approx((0.5,))
+    assert step(config, (0.0,), (2.0,), True, True, 1.0).force == pytest.approx((0.5,))
 
 
 def test_total_limit_keeps_the_direction():
     config = GateConfig(axis_max=10.0, total_max=1.0, slew_max=1e6)
-    force, verdict = gate.step(config, (0.0, 0.0), (3.0, 4.0), True, True, 0.001)
+    force, verdict = step(config, (0.0, 0.0), (3.0, 4.0), True, True, 0.001)
     assert force == pytest.approx((0.6, 0.8))
     assert verdict == Verdict.TOTAL_LIMIT
 
@@ -116,7 +137,7 @@ def test_a_force_that_fades_only_shrinks_and_is_gone_in_time(start, dt):
     config = GateConfig(total_max=10.0)
     force, passed = tuple(start), 0.0
     while passed < FADE_S - 1e-9:
-        faded, verdict = gate.step(config, force, force, False, False, dt, fades=True)
+        faded, verdict = step(config, force, force, False, False, dt, fades=True)
         assert verdict == Verdict.NOT_ENGAGED | Verdict.STALE
         for was, now in zip(force, faded, strict=True):
             assert now == 0.0 or (abs(now) < abs(was) and now * was > 0.0)
@@ -126,18 +147,44 @@ def test_a_force_that_fades_only_shrinks_and_is_gone_in_time(start, dt):
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, math.nan, math.inf])
 def test_where_time_cannot_be_told_a_force_is_gone_at_once(dt):
-    assert gate.step(GateConfig(), (2.0,), (2.0,), False, False, dt, fades=True).force == (0.0,)
+    assert step(GateConfig(), (2.0,), (2.0,), False, False, dt, fades=True).force == (0.0,)
 
 
 def test_what_is_not_a_number_does_not_fade_but_is_gone():
-    gated = gate.step(GateConfig(), (2.0,), (math.nan,), True, False, 1e-3, fades=True)
+    gated = step(GateConfig(), (2.0,), (math.nan,), True, False, 1e-3, fades=True)
     assert gated.force == (0.0,)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_rest_that_is_no_number_is_none(bad):
-    gated = gate.step(GateConfig(), (0.0,), (1.0,), True, False, 1e-3, rest=(bad,))
+    gated = step(GateConfig(), (0.0,), (1.0,), True, False, 1e-3, rest=(bad,))
     assert gated.force == (0.0,)
+
+
+@given(CONFIGS, ticks())
+def test_the_output_may_take_the_place_of_what_was_written_last(config, run):
+    axes, inputs = run
+    last, rest = (0.0,) * axes, eight()
+    for wanted, fresh, may_render, dt in inputs:
+        gated = step(config, last, wanted, fresh, may_render, dt, True)
+        both = eight(*last)
+        verdict = gate.step(
+            as_record(config),
+            *(both, eight(*wanted), axes, fresh, may_render, dt, True, rest, both),
+        )
+        assert (tuple(both[:axes].tolist()), verdict) == gated
+        last = gated.force
+
+
+@pytest.mark.parametrize("size", [1e300, 1.0, 1e-300])
+@given(wanted=vectors(st.floats(-3.0, 3.0)))
+def test_the_total_limit_holds_where_squares_overflow_or_vanish(size, wanted):
+    config = GateConfig(axis_max=10.0 * size, total_max=2.0 * size, slew_max=100.0 * size)
+    wanted = tuple(size * force for force in wanted)
+    force, verdict = step(config, wanted, wanted, True, True, 1e-3)
+    assert math.hypot(*force) <= 2.0 * size * (1 + 1e-12)
+    if abs(math.hypot(*wanted) / size - 2.0) > 1e-9:
+        assert bool(verdict & Verdict.TOTAL_LIMIT) == (math.hypot(*wanted) > 2.0 * size)
 
 
 def test_a_long_run_of_anything_stays_within_all_limits():
@@ -149,7 +196,7 @@ def test_a_long_run_of_anything_stays_within_all_limits():
         wanted = (draw.number(-6.0, 6.0), draw.number(-6.0, 6.0))
         fresh, may_render, fades = draw.flag(0.8), draw.flag(0.8), draw.flag(0.2)
         dt = draw.number(0.0, 0.01)
-        after, _ = gate.step(config, force, wanted, fresh, may_render, dt, fades)
+        after, _ = step(config, force, wanted, fresh, may_render, dt, fades)
         assert all(map(math.isfinite, after))
         assert all(abs(f) <= 2.0 for f in after)
         assert math.hypot(*after) <= 2.5 * (1 + 1e-12)

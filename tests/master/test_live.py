@@ -11,8 +11,11 @@ from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.live import KEYS, SLEW_S
+from master.operator import OperatorConfig
+from master.settings import SettingsRecord, master_settings
+from teleop.coupling import Bilateral
 from teleop.errors import UsageError
-from tests.master.test_loop import CONFIG, MS, Run, answer, hand
+from tests.master.run import CONFIG, MS, Run, answer, hand
 
 DT = 1e-3
 SCALES = st.floats(0.0, 10.0)
@@ -133,3 +136,23 @@ def test_a_press_of_a_button_of_each_scale_at_once_changes_both_and_no_force_jum
     assert 0.99 * before.force.scale < soon < before.force.scale
     away, _ = live.press(state, None)
     assert live.press(away, buttons("coarser", "weaker"))[1] == ""  # the same press, still
+
+
+@pytest.mark.parametrize(("key", "value"), list(zip(KEYS, ("0.3", "[0, 2]", "0.1"), strict=True)))
+def test_the_record_of_the_settings_follows_every_change(key, value):
+    state = live.start(MasterConfig(operator=OperatorConfig(workspace=((-0.1, 0.2),))))
+    settings = SettingsRecord(state.config, Bilateral())
+    state, _ = live.change(state, key, value)
+    for _ in range(600):
+        state = live.step(state, DT)
+        assert settings.update(state.config) == master_settings(state.config, Bilateral())
+    assert settings.update(state.config) != master_settings(MasterConfig(), Bilateral())
+
+
+def test_a_settled_config_is_not_written_anew():
+    state = live.start(MasterConfig())
+    settings = SettingsRecord(state.config, Bilateral())
+    settings.records["force"]["limit"] = settings.records["operator"]["wall"] = 77.0
+    state = live.step(state, DT)
+    (record,) = settings.update(state.config)
+    assert (record["force"]["limit"], record["operator"]["wall"]) == (77.0, 77.0)

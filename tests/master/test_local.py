@@ -7,22 +7,33 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from estimator.records import one
 from master import local
 from master.config import MasterConfig
 from master.device import HandState
-from master.operator import OperatorConfig
+from master.local import WorkspaceLimits
+from master.operator import OperatorConfig, operator_settings
 from teleop.coupling import Bilateral
 from teleop.coupling.config import PassivityConfig
 from teleop.session import State
-from tests.master.test_loop import CONFIG, MS, Run, answer, hand
+from tests.master.records import eight, hand_record
+from tests.master.run import CONFIG, MS, Run, answer, hand
 
 WALLS = OperatorConfig(workspace=((-0.05, 0.05),), wall=300.0, wall_damping=2.0, wall_max=2.0)
 METRES, SPEEDS = st.floats(-0.08, 0.08), st.floats(-5.0, 5.0)
 
 
+def walls(config, the_hand):
+    """The forces of the limits where the workspace has them."""
+    settings, out = one(operator_settings(config)), eight()
+    limits = WorkspaceLimits.new(low=settings.low, high=settings.high, known=True)
+    local.wall_forces(settings, limits, hand_record(the_hand), out)
+    return tuple(out[: len(the_hand.position)])
+
+
 @given(METRES, SPEEDS)
 def test_a_limit_pushes_back_inwards_and_no_harder_than_it_may(x, v):
-    (force,) = local.walls(WALLS, WALLS.workspace, HandState((x,), (v,), True))
+    (force,) = walls(WALLS, HandState((x,), (v,), True))
     assert abs(force) <= WALLS.wall_max
     if abs(x) <= 0.05:
         assert force == 0.0
@@ -39,7 +50,7 @@ def test_a_limit_gives_back_no_more_than_was_put_in(way):
             before = x
             x += 1e-4 * v
             middle = HandState((0.5 * (x + before),), (v,), True)
-            (force,) = local.walls(WALLS, WALLS.workspace, middle)
+            (force,) = walls(WALLS, middle)
             gained += force * (x - before)
     assert gained <= 1e-3
 
@@ -47,8 +58,9 @@ def test_a_limit_gives_back_no_more_than_was_put_in(way):
 def test_an_axis_without_limits_has_none():
     config = OperatorConfig(workspace=((-0.05, 0.05),))
     far = HandState((0.0, 9.0), (0.0, 0.0), True)
-    assert local.walls(config, config.workspace, far) == (0.0, 0.0)
-    assert local.weight(OperatorConfig(weight=(0.5,)), 2) == (0.5, 0.0)
+    assert walls(config, far) == (0.0, 0.0)
+    weight = one(operator_settings(OperatorConfig(weight=(0.5,)))).weight
+    assert tuple(weight[:2]) == (0.5, 0.0)
 
 
 def test_the_wall_is_felt_in_free_motion_and_only_while_engaged():
@@ -92,13 +104,13 @@ def test_a_heavy_device_is_kept_from_falling_at_rest_but_not_in_a_stop():
 
 
 def test_forces_of_its_own_are_no_work_of_the_coupling():
-    run = Run(MasterConfig(operator=OperatorConfig(weight=(0.4,)), gate=CONFIG.gate))
     bilateral = Bilateral(coupling=PassivityConfig())
+    run = Run(MasterConfig(operator=OperatorConfig(weight=(0.4,)), gate=CONFIG.gate), bilateral)
     for k in range(200):
         state = State.READY if k < 4 else State.ENGAGED
         told = replace(answer(run.now + MS, state, force=0.0), coupling=bilateral.signature)
-        run.tick(hand(1e-4 * k, engage=k > 2), told, bilateral=bilateral)
+        run.tick(hand(1e-4 * k, engage=k > 2), told)
     assert run.state == State.ENGAGED
     assert run.output.force[0] == pytest.approx(0.4, abs=0.05)
-    assert run.memory.port.ports[0].put_in == pytest.approx(0.0, abs=1e-9)
-    assert run.memory.port.ports[0].taken_out == pytest.approx(0.0, abs=1e-9)
+    assert run.memory.coupling.ports[0].put_in == pytest.approx(0.0, abs=1e-9)
+    assert run.memory.coupling.ports[0].taken_out == pytest.approx(0.0, abs=1e-9)

@@ -5,68 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from master import loop
 from master.config import MasterConfig
 from master.device import HandState
-from master.feedback import FeedbackConfig
 from master.gate import FADE_S, GateConfig, Verdict
 from teleop import session
 from teleop.link import NEVER_NS
-from teleop.messages import MAX_JOINTS, SlaveState, padded
-from teleop.session import Reason, Session, State
-
-MS = 1_000_000
-EPOCH = 1_700_000_000 * 10**9
-CONFIG = MasterConfig(force=FeedbackConfig(scale=0.2, slew=1e6), gate=GateConfig(slew_max=1e6))
-
-
-def hand(position=0.0, engage=True, velocity=0.0, **buttons):
-    return HandState((position,), (velocity,), engage, **buttons)
-
-
-def answer(now, state=State.ENGAGED, force=5.0, echo=None, sender=7, sample_age=0):
-    return SlaveState(
-        sender=sender,
-        stamp_ns=now,
-        state=state,
-        joints=1,
-        sample_age_ns=sample_age,
-        echo_stamp_ns=now - MS if echo is None else echo,
-        force=padded((force,), MAX_JOINTS),
-        force_low=padded((force - 1.0,), MAX_JOINTS),
-        force_high=padded((force + 1.0,), MAX_JOINTS),
-    )
-
-
-class Run:
-    """A master driven tick by tick, with a slave that does as it is told."""
-
-    def __init__(self, config=CONFIG):
-        self.config, self.now = config, EPOCH
-        self.memory = loop.start(1, self.now)
-        self.output = None
-
-    def tick(self, the_hand, state=None, age=0, fault=Reason.NONE, **asked):
-        self.now += MS
-        self.output, self.memory = loop.step(
-            self.config, self.memory, the_hand, state, age, self.now, 1e-3, fault, **asked
-        )
-        return self.output
-
-    def answered(self, the_hand, state=State.ENGAGED, force=5.0, age=0, **more):
-        return self.tick(the_hand, answer(self.now + MS, state, force, **more), age)
-
-    def engaged(self):
-        for _ in range(3):
-            self.answered(hand(engage=False), State.READY)
-        self.answered(hand(), State.READY)
-        self.answered(hand())
-        assert self.memory.session.may_render
-        return self
-
-    @property
-    def state(self):
-        return self.memory.session.state
+from teleop.session import Inputs, Reason, Session, State
+from tests.master.run import EPOCH, MS, Run, answer, hand
 
 
 def test_engaged_on_both_sides_the_hand_feels_the_tip():
@@ -111,7 +56,7 @@ def test_the_clutch_frees_the_hand_and_letting_it_go_resumes_without_a_jump(way,
         assert output.force == (0.0,)
         assert output.command.position == there
         assert not any(output.command.velocity)
-        assert run.memory.session == Session(State.CLUTCHED, Reason.CLUTCH_HELD)
+        assert run.session == (State.CLUTCHED, Reason.CLUTCH_HELD)
     output = run.answered(hand(way[-1]), State.CLUTCHED)
     assert run.state == State.ENGAGED
     assert output.command.position == pytest.approx(there, abs=1e-15)
@@ -122,20 +67,20 @@ def test_the_clutch_frees_the_hand_and_letting_it_go_resumes_without_a_jump(way,
 def test_the_emergency_stop_lasts_until_it_is_reset_and_then_everything_is_let_go_of():
     run = Run().engaged()
     assert run.answered(hand(stop=True)).force == (0.0,)
-    stopped = Session(State.STOPPED, Reason.EMERGENCY_STOP)
-    assert run.memory.session == stopped
+    stopped = (State.STOPPED, Reason.EMERGENCY_STOP)
+    assert run.session == stopped
     for engage, clutch, stop in itertools.product((True, False), repeat=3):
         if engage or clutch or stop:
             run.answered(hand(engage=engage, clutch=clutch, stop=stop))
-            assert run.memory.session == stopped
+            assert run.session == stopped
             assert run.output.force == (0.0,)
     for _ in range(5):
         run.answered(hand(engage=False), State.STOPPED)
-        assert run.memory.session == stopped
+        assert run.session == stopped
     run.tick(hand(), answer(run.now + MS, State.READY), reset=True)
-    assert run.memory.session == Session(State.READY, Reason.RESET)
+    assert run.session == (State.READY, Reason.RESET)
     run.answered(hand(), State.READY)
-    assert run.memory.session == Session(State.READY, Reason.RELEASE_FIRST)
+    assert run.session == (State.READY, Reason.RELEASE_FIRST)
     run.answered(hand(engage=False), State.READY)
     run.answered(hand(), State.READY)
     assert run.state == State.ENGAGED
@@ -153,7 +98,7 @@ def test_a_stop_from_elsewhere_takes_the_force_away_in_the_same_tick():
     output = run.tick(hand(), answer(run.now + MS), stop=Reason.STOP_CALLED)
     assert output.force == (0.0,)
     assert output.command.state == State.STOPPED
-    assert run.memory.session == Session(State.STOPPED, Reason.STOP_CALLED)
+    assert run.session == (State.STOPPED, Reason.STOP_CALLED)
 
 
 @pytest.mark.parametrize("engaged", [True, False])
@@ -162,7 +107,7 @@ def test_the_emergency_stop_counts_whether_engaged_or_not(engaged):
     if engaged:
         run.engaged()
     run.answered(hand(engage=False, stop=True), State.READY)
-    assert run.memory.session == Session(State.STOPPED, Reason.EMERGENCY_STOP)
+    assert run.session == (State.STOPPED, Reason.EMERGENCY_STOP)
 
 
 @pytest.mark.parametrize("how", ["silent", "never", "old answer", "unheard", "gone", "rig"])
@@ -192,10 +137,10 @@ def test_after_a_stale_state_the_force_fades_and_nothing_couples_until_let_go(ho
         assert felt < output.force[0] <= 0.0 or felt == output.force[0] == 0.0
         felt = output.force[0]
     assert felt == 0.0
-    assert run.memory.session == Session(State.HOLDING, Reason.PEER_SILENT)
+    assert run.session == (State.HOLDING, Reason.PEER_SILENT)
     for _ in range(5):  # it comes back, but the switch was never let go of
         assert run.answered(hand()).force == (0.0,)
-        assert run.memory.session == Session(State.HOLDING, Reason.RELEASE_FIRST)
+        assert run.session == (State.HOLDING, Reason.RELEASE_FIRST)
     run.answered(hand(engage=False), State.READY)
     assert run.state == State.READY
 
@@ -245,14 +190,14 @@ def test_a_hand_that_cannot_be_read_is_never_engaged():
         assert run.state == State.OFF
     run = Run().engaged()
     assert run.answered(None).force == (0.0,)
-    assert run.memory.session == Session(State.FAULT, Reason.NOT_USABLE)
+    assert run.session == (State.FAULT, Reason.NOT_USABLE)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_an_estimate_that_is_no_number_is_a_fault_when_it_would_be_felt(bad):
     run = Run().engaged()
     assert run.answered(hand(), force=bad).force == (0.0,)
-    assert run.memory.session == Session(State.FAULT, Reason.NOT_FINITE)
+    assert run.session == (State.FAULT, Reason.NOT_FINITE)
     idle = Run()
     for _ in range(3):
         idle.answered(hand(engage=False), State.READY, force=bad)
@@ -262,7 +207,7 @@ def test_an_estimate_that_is_no_number_is_a_fault_when_it_would_be_felt(bad):
 def test_a_state_number_from_the_future_is_a_fault_of_the_slave():
     run = Run().engaged()
     assert run.answered(hand(), 99).force == (0.0,)
-    assert run.memory.session == Session(State.FAULT, Reason.PEER_FAULT)
+    assert run.session == (State.FAULT, Reason.PEER_FAULT)
 
 
 def test_each_command_is_counted_as_answered_once_and_only_our_own():
@@ -321,7 +266,7 @@ def test_over_any_session_the_force_is_safe_and_a_fault_lasts_until_release(scri
         state = None
         if number is not None:
             state = answer(now, number, step["force"], now - step["delay"], step["sender"])
-        before, felt = run.state, run.memory.force
+        before, felt = run.state, run.memory.force.copy()
         output = run.tick(the_hand, state, step["age"], step["fault"])
         force, command = output.force, output.command
 
@@ -364,7 +309,7 @@ def test_over_any_session_the_force_is_safe_and_a_fault_lasts_until_release(scri
 )
 def test_with_a_real_slave_session_and_an_outage_the_force_ends_in_time(outages, delay):
     """Both state machines over a line that comes and goes, with `delay` ticks each way."""
-    run, slave = Run(), Session()
+    run, slave = Run(), Session.new()
     line = [True] * (60 + 10 * delay)
     for up, down in outages:
         line += [True] * up + [False] * down
@@ -385,15 +330,12 @@ def test_with_a_real_slave_session_and_an_outage_the_force_ends_in_time(outages,
             command, last_commanded = to_slave[-1 - delay], tick
         fresh = last_commanded is not None and tick - last_commanded <= 30
         asked = command[1] if command else None
-        slave = session.step(
-            slave,
-            session.Inputs(
-                usable=True,
-                peer_fresh=fresh,
-                peer_state=State(asked.state) if asked else State.OFF,
-                engage=asked is not None and asked.state == State.ENGAGED,
-            ),
-            1e-3,
+        inputs = Inputs.new(
+            usable=True,
+            peer_fresh=fresh,
+            peer_state=asked.state if asked else State.OFF,
+            engage=asked is not None and asked.state == State.ENGAGED,
         )
+        session.step(slave, inputs, 1e-3)
         to_master.append(answer(now, slave.state, 3.0, command[0]) if command else None)
     assert felt > 0

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import online
-from estimator.records import Records, as_records, one
+from estimator.records import Records, as_record, one
 from estimator.sheath import Sheath
 from slave import control, fault_detection, gate
-from slave.control import Control, ControlConfig
+from slave.control import Control, ControlConfig, JointEstimate
 from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.plant.body import BodyConfig
@@ -26,7 +26,7 @@ from slave.rigs.simulated import (
     TendonPlantConfig,
 )
 from slave.tendons import EstimatedTendon, rig_layout
-from teleop.messages import MAX_TENDONS
+from teleop.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session import Reason
 
 Array = NDArray[np.float64]
@@ -94,13 +94,22 @@ def model(
 
 
 def estimated(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> Records:
-    """Return the tendons of a sample as they are measured, shape (16,)."""
+    """Return the tendons of a sample as records, shape (MAX_TENDONS,)."""
     tendons = EstimatedTendon.array(MAX_TENDONS)
-    for i, seen in enumerate(control.seen(sample, estimates)):
-        tendon = one(tendons, i)
-        tendon.tension, tendon.displacement = seen.tension, seen.displacement
-        tendon.valid = seen.valid
+    for k, estimate in enumerate(estimates):
+        tendon = one(tendons, k)
+        tendon.tension = sample.proximal_tension[k]
+        if sample.proximal_displacement is not None:
+            tendon.displacement = sample.proximal_displacement[k]
+        tendon.valid = not estimate.status & online.Status.INVALID_INPUT
+        for name, value in estimate._asdict().items():
+            setattr(tendon.estimate, name, value)
     return tendons
+
+
+def padded(values: Sequence[float], length: int) -> Array:
+    """Return an array of this length that begins with `values`, zero beyond."""
+    return np.array([*values, *[0.0] * (length - len(values))])
 
 
 def follow(
@@ -119,10 +128,11 @@ def follow(
     models = [model(tendon, j.body.pretension, *errors) for j in joints for tendon in j.tendons]
     prepared = [online.prepare(m) for m in models]
     states = [online.initial(p) for p in prepared]
-    memory, layout = Control(), one(rig_layout(rig.joints))
-    detector, limits = one(fault_detection.start(models)), one(as_records(FaultDetectionConfig()))
-    motor: tuple[float, ...] = (0.0,) * rig.tendons
-    offsets: list[float] = []
+    layout, settings, limits = one(rig_layout(rig.joints)), as_record(config), as_record(LIMITS)
+    memory, detector = Control.new(), one(fault_detection.start(models))
+    detection = as_record(FaultDetectionConfig())
+    motor, wanted, offsets = np.zeros(MAX_TENDONS), np.zeros(MAX_TENDONS), np.zeros(MAX_JOINTS)
+    told, no_reach = JointEstimate.array(MAX_JOINTS), gate.Reach.array(0)
     rows, found = [], []
     for k in range(round(seconds / DT)):
         time = k * DT
@@ -138,11 +148,10 @@ def follow(
         ):
             estimate, states[i] = online.step(p, states[i], T, q, DT if k else 0.0)
             estimates.append(estimate)
-        seen = control.seen(sample, estimates)
-        own = [[seen[i] for i in j] for j in rig.joints]
-        offsets = offsets or [control.offset(tendons) for tendons in own]
         tendons = estimated(sample, estimates)
-        fault = fault_detection.step(limits, layout, detector, tendons, DT if k else 0.0)
+        if k == 0:
+            control.joint_offsets(layout, tendons, offsets)
+        fault = fault_detection.step(detection, layout, detector, tendons, DT if k else 0.0)
         if fault[0] is not Reason.NONE and (not found or found[-1][1] != fault):
             found.append((time, fault))
             if until_found:
@@ -150,18 +159,21 @@ def follow(
         if time < BEGIN:
             continue
         asked, velocity = zip(*(command(time - BEGIN) for command in commands), strict=True)
-        wanted, memory = control.step(
-            config, rig.joints, memory, asked, motor, seen, True, DT, velocity
-        )
-        tension = sample.proximal_tension.tolist()
-        motor = gate.step(LIMITS, motor, wanted, tension, 0.0, True, DT).displacement
-        rig.write(np.array(motor))
+        control.step(
+            settings, layout, memory, padded(asked, MAX_JOINTS), padded(velocity, MAX_JOINTS),
+            motor, tendons, True, DT, wanted,
+        )  # fmt: skip
+        tension = sample.proximal_tension
+        gate.step(
+            limits, rig.tendons, motor, wanted, tension, 0.0, True, DT, no_reach, False, False,
+            motor,
+        )  # fmt: skip
+        sent = motor[: rig.tendons].copy()
+        rig.write(sent)
+        control.joint_estimates(layout, tendons, offsets, told)
         firsts = [j[0] for j in rig.joints]
-        told = [
-            control.joint_estimate(tendons, offset).position
-            for tendons, offset in zip(own, offsets, strict=True)
-        ]
-        rows.append((asked, sample.bench_distal_displacement[firsts], tension, motor, told))
+        position = told["position"][: len(rig.joints)].copy()
+        rows.append((asked, sample.bench_distal_displacement[firsts], tension, sent, position))
     return Record(*(np.array(column) for column in zip(*rows, strict=True)), tuple(found))
 
 

@@ -1,12 +1,20 @@
 """The last gate before the motors: whatever is asked, what comes out is safe."""
 
 import math
+from functools import cache
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slave.gate import GateConfig, Verdict, reaches, step
+from estimator.records import as_record, one
+from slave import gate
+from slave.control import JointEstimate
+from slave.gate import GateConfig, Reach, Verdict
+from slave.tendons import rig_layout
+from teleop.messages import MAX_JOINTS, MAX_TENDONS
 from tests.anything import CASES, Anything
 
 LIMITS = GateConfig(displacement_min=-0.005, displacement_max=0.06, speed_max=0.1, tension_max=25.0)
@@ -14,6 +22,40 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 inside = st.floats(LIMITS.displacement_min, LIMITS.displacement_max)
 anywhere = st.floats(-0.2, 0.2)
 tick = (anything, anything, anything, st.booleans(), anything)
+UNLIMITED = Reach.array(0)
+UNWRITTEN = 7.0
+record_of = cache(as_record)
+
+
+class Gated(NamedTuple):
+    displacement: tuple[float, ...]
+    verdict: Verdict
+
+
+def padded(values):
+    return np.array([*values, *[math.nan] * (MAX_TENDONS - len(values))])
+
+
+def step(config, last, wanted, tension, age, may_move, dt, reach=UNLIMITED, may_yield=False):
+    """Call the gate with arrays that are longer than the rig has tendons, as the loop does."""
+    n = len(last)
+    out = np.full(MAX_TENDONS, UNWRITTEN)
+    verdict = gate.step(
+        record_of(config), n, padded(last), padded(wanted), padded(tension), age, may_move, dt,
+        reach, len(reach) > 0, may_yield, out,
+    )  # fmt: skip
+    assert (out[n:] == UNWRITTEN).all()
+    return Gated(tuple(out[:n].tolist()), Verdict(verdict))
+
+
+def reaches(config, joints, position, force):
+    """Return the reach of each tendon of joints of which these are the estimates."""
+    estimates = JointEstimate.array(MAX_JOINTS)
+    estimates["position"][: len(joints)] = position
+    estimates["force"][: len(joints)] = force
+    reach = Reach.array(MAX_TENDONS)
+    gate.reaches(record_of(config), one(rig_layout(joints)), estimates, reach)
+    return reach
 
 
 @given(start=anywhere, ticks=st.lists(st.tuples(*tick), max_size=50))
@@ -169,9 +211,34 @@ def test_what_holds_gives_way_to_too_large_a_tension_only(start, tension, age, d
 def test_giving_way_brings_a_tension_back_to_its_limit():
     stiffness, motor, tension = 5000.0, 0.02, 40.0
     for _ in range(1000):
-        (after,), _ = step(LIMITS, (motor,), (motor,), (tension,), 0.0, False, 1e-3, (), True)
+        (after,), _ = step(LIMITS, (motor,), (motor,), (tension,), 0.0, False, 1e-3, may_yield=True)
         tension, motor = tension + stiffness * (after - motor), after
     assert tension == pytest.approx(LIMITS.tension_max, abs=0.1)
+
+
+def test_the_output_may_be_the_array_of_the_last_positions():
+    last = np.array([0.02, 0.03])
+    wanted, tension = np.array([0.02001, 0.02999]), np.array([5.0, 5.0])
+    config = record_of(LIMITS)
+    gate.step(config, 2, last, wanted, tension, 0.0, True, 1e-3, UNLIMITED, False, False, last)
+    assert last.tolist() == [0.02001, 0.02999]
+
+
+@pytest.mark.parametrize("short", range(5))
+def test_an_array_that_is_too_short_is_refused_and_never_read_beyond_its_end(short):
+    arrays = [np.zeros(1 if k == short else 2) for k in range(4)]
+    last, wanted, tension, out = arrays
+    reach = Reach.array(1 if short == 4 else 2)
+    with pytest.raises(ValueError, match="shorter"):
+        gate.step(
+            record_of(LIMITS), 2, last, wanted, tension, 0.0, True, 1e-3, reach, True, False, out
+        )
+
+
+def test_joints_without_a_reach_that_was_told_are_not_pulled():
+    unknown = Reach.array(1)
+    motor, verdict = step(RANGE, (0.0,), (5e-5,), (5.0,), 0.0, True, 1e-3, unknown)
+    assert (motor, verdict) == ((0.0,), Verdict.JOINT | Verdict.FORCE)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ KNOWN = loop.know(((0,),), [online.TendonModel(Sheath.uniform(0.8, 1.5, 9000.0))
 DT = 0.001
 
 
-LONG = 3 * round(CONFIG.silence_max / DT)  # ticks
+LONG = 3 * round(CONFIG.sample_timeout / DT)  # ticks
 
 
 def sample(time_s, tension=5.0, displacement=0.01):

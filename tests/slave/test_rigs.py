@@ -41,6 +41,23 @@ def played(rig, targets, start=0):
 # --- simulated
 
 
+def test_a_plant_computed_ahead_gives_the_same_samples():
+    config = SimulatedRigConfig(joints=(PAIR, QUIET))
+    plain, ahead = SimulatedRig(config), SimulatedRig(config)
+    ahead.advance()
+    for k in range(200):
+        target = np.array([k * 1e-5, -k * 1e-5, 2e-5 * k])
+        (expected,), (sample,) = plain.read(k * 1e-3), ahead.read(k * 1e-3)
+        assert sample.time_s == expected.time_s
+        assert (sample.proximal_tension == expected.proximal_tension).all()
+        assert (sample.bench_distal_displacement == expected.bench_distal_displacement).all()
+        for rig in (plain, ahead):
+            rig.write(target)
+        ahead.advance()
+        ahead.advance()  # at most one step ahead
+    assert ahead.read(0.19) == ()  # nothing before its time
+
+
 def test_the_default_scene_feels_a_spring_then_tissue():
     rig = SimulatedRig(SimulatedRigConfig(joints=(QUIET,)))
     samples = played(rig, np.linspace(0.0, 14e-3, 20_000))  # slow, so damping says little

@@ -68,12 +68,12 @@ def test_at_rest_nothing_hunts_whatever_the_friction(K):
 
 
 @pytest.mark.parametrize("K", [0.4, 1.2])
-def test_the_loose_tendon_stays_taut_and_loose(K):
+def test_the_slack_side_tendon_stays_taut_at_a_low_tension(K):
     record = follow([loaded(K)], [MOTIONS["sine"]], 4.0)
     least = record.tension[200:].min(axis=1)
     assert least.min() > 0.1
-    assert abs(np.median(least) - CONFIG.loose_tension) < CONFIG.loose_band
-    assert np.quantile(least, 0.9) < 3.0 * CONFIG.loose_tension
+    assert abs(np.median(least) - CONFIG.slack_side_tension) < CONFIG.slack_side_band
+    assert np.quantile(least, 0.9) < 3.0 * CONFIG.slack_side_tension
 
 
 def test_against_a_wall_the_tension_stops_at_its_limit_and_the_joint_comes_back():

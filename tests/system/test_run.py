@@ -16,7 +16,7 @@ from teleop.launch.supervisor import wait_for
 from teleop.messages import MESSAGES
 from teleop.recording.names import channel_name
 from teleop.recording.reader import read_columns
-from teleop.session import State
+from teleop.session import Reason, State
 from teleop.topics import HAND, TENDONS, TOPICS, Role
 from tests.conftest import ROOT
 from tests.system.processes import OURS, START_S, Processes, free_ports, pause
@@ -235,7 +235,7 @@ def test_a_slave_that_is_never_usable_is_told_why_and_exit_code_1(demo_config, t
 
 def test_a_fault_that_ends_the_session_is_named_and_exit_code_1(demo_config, tmp_path):
     effects = "slave.rig.effects=[{type: stuck_cell, start: 1.5}]"
-    fault = "a load cell repeats the same reading: joint 1, tendon a"
+    fault = f"{Reason.CELL_STUCK.text}: joint 1, tendon a"
     for _ in range(4):  # a machine that stalls for 30 ms makes a fault of its own before this one
         code, out, err = run(
             demo_config, tmp_path, "--duration", "4", "--view", "none", "--set", effects

@@ -8,6 +8,7 @@ from dataclasses import asdict
 
 import pytest
 
+from teleop.link.inbox import Arrived
 from teleop.link.reception import CLOCK_JUMP_NS, Latest
 from teleop.messages import Command, Hand, SlaveState
 from teleop.topics import COMMAND
@@ -33,7 +34,7 @@ class Line:
         return Command(state=state).pack(sender, sequence, stamp)
 
     def look(self, *arrived):
-        self.latest.take(list(arrived), self.now, overflowed=False)
+        self.latest.take([Arrived(data, self.now) for data in arrived])
 
     def tick(self, *before):
         """Let a millisecond pass, in which `before` and then the next message arrive."""

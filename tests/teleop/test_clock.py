@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop import clock
-from teleop.clock import Grid, Tick, now_ns, quiet_garbage
+from teleop.clock import EventClock, Grid, Tick, now_ns, quiet_garbage
 
 MS = 1_000_000
 
@@ -135,3 +135,70 @@ def test_the_collector_is_quiet_inside_and_back_outside_even_after_an_error() ->
         loop()
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
+
+
+def answered(
+    arrivals_ns: list[int], until_ns: int, work_ns: int = 100_000
+) -> tuple[EventClock, list[tuple[int, Tick]]]:
+    """Run an event clock of 1 kHz over arrivals at these times; return when each tick began."""
+    world, left, ticks = World(), sorted(arrivals_ns), []
+    start = world.now_ns
+
+    def wait(deadline: int) -> bool:
+        if left and start + left[0] <= max(deadline, world.now_ns):
+            world.now_ns = max(world.now_ns, start + left[0])
+            while left and start + left[0] <= world.now_ns:
+                left.pop(0)
+            return True
+        world.now_ns = max(world.now_ns, deadline)
+        return False
+
+    events = EventClock(
+        1000.0, lambda: world.now_ns >= start + until_ns, wait, world.now, world.sleep
+    )
+    for tick in events:
+        ticks.append((world.now_ns - start, tick))
+        world.now_ns += work_ns
+    return events, ticks
+
+
+def test_every_arrival_is_a_tick_at_once_however_it_jitters() -> None:
+    arrivals = [k * MS + (k * 7919) % 400_000 for k in range(1, 500)]
+    _, ticks = answered(arrivals, 500 * MS)
+    begun = [at for at, tick in ticks if tick.answers]
+    assert begun[1:] == arrivals[1:]  # the first came just behind a tick of the own rate
+    assert sum(not tick.answers for _, tick in ticks) <= 3  # before the first, behind the last
+
+
+def test_without_arrivals_it_keeps_its_own_rate() -> None:
+    events, ticks = answered([], 1000 * MS)
+    assert not any(tick.answers for _, tick in ticks)
+    assert len(ticks) == pytest.approx(1000, abs=2)
+    assert events.stats.overruns == 0
+
+
+def test_a_missing_arrival_is_made_up_for_by_the_deadline() -> None:
+    arrivals = [k * MS for k in range(1, 100) if k != 50]
+    _, ticks = answered(arrivals, 99 * MS)
+    (missed,) = [at for at, tick in ticks if not tick.answers and at > MS]
+    assert missed == pytest.approx(50.5 * MS, abs=1)
+
+
+@given(
+    st.lists(st.integers(0, 20 * MS), max_size=300),
+    st.integers(0, 3 * MS),
+)
+def test_ticks_are_never_nearer_than_half_a_period_and_tell_the_time(
+    arrivals: list[int], work_ns: int
+) -> None:
+    _, ticks = answered(arrivals, 30 * MS, work_ns)
+    times = [at for at, _ in ticks]
+    for before, (at, tick) in zip(times, ticks[1:], strict=False):
+        assert at - before >= MS // 2
+        assert tick.dt == pytest.approx((at - before) * 1e-9)
+        assert at - before <= max(1.5 * MS, work_ns + MS)
+
+
+def test_skipped_periods_are_counted() -> None:
+    events, _ = answered([], 100 * MS, work_ns=3_200_000)
+    assert events.stats.overruns == pytest.approx(3 * events.stats.ticks, rel=0.2)

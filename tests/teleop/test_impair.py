@@ -7,7 +7,9 @@ import os
 import subprocess
 import sys
 import time
+import unittest.mock
 import uuid
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +19,9 @@ from hypothesis import strategies as st
 from teleop.clock import now_ns
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
-from teleop.impair.config import ImpairConfig, WayConfig, wanted
-from teleop.impair.courier import Courier
+from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
+from teleop.impair.delay_queue import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue
+from teleop.impair.direction import Direction
 from teleop.impair.model import Fate, Memory
 from teleop.launch.supervisor import wait_for
 from teleop.link import Link, LinkConfig
@@ -51,7 +54,7 @@ def count_of(fates, kind):
 
 shares = st.floats(0.0, 1.0)
 ways = st.builds(
-    lambda delay, jitter, **others: WayConfig(delay=delay, jitter=jitter * delay, **others),
+    lambda delay, jitter, **others: DirectionConfig(delay=delay, jitter=jitter * delay, **others),
     delay=st.floats(0.0, 0.3),
     jitter=shares,
     jitter_time=st.sampled_from([0.0, 0.01, 0.1]),
@@ -69,7 +72,7 @@ ways = st.builds(
 
 
 def test_a_clean_way_passes_everything_on_at_once():
-    out, fates = passed_on(WayConfig())
+    out, fates = passed_on(DirectionConfig())
     assert [number for number, _, _ in out] == list(range(1000))
     assert all(due == number * PERIOD_S for number, due, _ in out)
     assert set(fates) == {Fate.PASSED}
@@ -78,7 +81,7 @@ def test_a_clean_way_passes_everything_on_at_once():
 @given(ways, st.integers(0, 2**64 - 1))
 def test_the_same_key_gives_the_same_fates_and_another_key_others(config, key):
     assert passed_on(config, 50, key) == passed_on(config, 50, key)
-    lossy = WayConfig(loss=0.5)
+    lossy = DirectionConfig(loss=0.5)
     assert passed_on(lossy, 200, key)[1] != passed_on(lossy, 200, key ^ 1)[1]
 
 
@@ -121,7 +124,7 @@ def test_as_many_are_met_as_was_asked_for(name, share):
         "duplicate": Fate.DUPLICATED,
         "corrupt": Fate.CORRUPTED,
     }[name]
-    met = np.array([kind in fate for fate in passed_on(WayConfig(**{name: share}), n)[1]])
+    met = np.array([kind in fate for fate in passed_on(DirectionConfig(**{name: share}), n)[1]])
     sigma = math.sqrt(share * (1 - share) / n)
     assert abs(met.mean() - share) < 4 * sigma
     runs = np.count_nonzero(met[1:] & met[:-1]) / n  # each by itself: pairs are as rare as that
@@ -130,7 +133,9 @@ def test_as_many_are_met_as_was_asked_for(name, share):
 
 def test_nothing_that_is_drawn_depends_on_anything_else_that_is():
     n = 20_000
-    config = WayConfig(burst_loss=0.2, burst_length=1.0, reorder=0.5, duplicate=0.5, corrupt=0.5)
+    config = DirectionConfig(
+        burst_loss=0.2, burst_length=1.0, reorder=0.5, duplicate=0.5, corrupt=0.5
+    )
     fates = passed_on(config, n)[1]
     kinds = (Fate.LOST_IN_BURST, Fate.HELD_BACK, Fate.DUPLICATED, Fate.CORRUPTED)
     met = np.array([[kind in fate for kind in kinds] for fate in fates], float)
@@ -144,7 +149,7 @@ def test_nothing_that_is_drawn_depends_on_anything_else_that_is():
 @pytest.mark.parametrize(("length", "depth"), [(5.0, 1.0), (50.0, 1.0), (50.0, 0.5)])
 def test_bursts_lose_their_share_and_last_as_long_as_asked_for(length, depth):
     n, share = 200_000, 0.1
-    config = WayConfig(burst_loss=share, burst_length=length, burst_depth=depth)
+    config = DirectionConfig(burst_loss=share, burst_length=length, burst_depth=depth)
     lost = np.array([Fate.LOST_IN_BURST in fate for fate in passed_on(config, n)[1]])
     bursts = n * share / depth / length
     assert abs(lost.mean() - share) < 5 * share * math.sqrt(2.0 / bursts)
@@ -154,14 +159,16 @@ def test_bursts_lose_their_share_and_last_as_long_as_asked_for(length, depth):
 
 
 def test_asking_for_more_does_not_change_what_is_lost():
-    alone = passed_on(WayConfig(loss=0.1, burst_loss=0.05))[1]
-    busy = WayConfig(delay=0.1, jitter=0.05, loss=0.1, burst_loss=0.05, corrupt=0.3, reorder=0.2)
+    alone = passed_on(DirectionConfig(loss=0.1, burst_loss=0.05))[1]
+    busy = DirectionConfig(
+        delay=0.1, jitter=0.05, loss=0.1, burst_loss=0.05, corrupt=0.3, reorder=0.2
+    )
     gone = Fate.LOST | Fate.LOST_IN_BURST
     assert [fate & gone for fate in passed_on(busy)[1]] == [fate & gone for fate in alone]
 
 
 def test_a_wandering_delay_visits_all_of_its_range_and_keeps_the_order():
-    config = WayConfig(delay=0.1, jitter=0.05)
+    config = DirectionConfig(delay=0.1, jitter=0.05)
     out, _ = passed_on(config, 20_000)
     late = np.array([due - number * PERIOD_S for number, due, _ in out])
     assert late.min() < 0.06
@@ -171,12 +178,12 @@ def test_a_wandering_delay_visits_all_of_its_range_and_keeps_the_order():
 
 
 def test_cuts_are_where_the_clock_says_and_go_round():
-    config = WayConfig(cuts=((0.1, 0.2),), cut_period=0.5)
+    config = DirectionConfig(cuts=((0.1, 0.2),), cut_period=0.5)
     _, fates = passed_on(config, 1000)
     cut = [number for number, fate in enumerate(fates) if fate == Fate.CUT]
     assert {101, 150, 198, 601, 698} <= set(cut)
     assert len(cut) == pytest.approx(200, abs=2)
-    _, fates = passed_on(WayConfig(), 10, cut=lambda number: number in (3, 4))
+    _, fates = passed_on(DirectionConfig(), 10, cut=lambda number: number in (3, 4))
     assert [number for number, fate in enumerate(fates) if fate == Fate.CUT] == [3, 4]
 
 
@@ -184,13 +191,15 @@ def test_a_corrupted_message_is_never_let_in():
     data = Command(position=(0.01,) * 8).pack(7, 1, now_ns())
     memory = Memory()
     for _ in range(2000):
-        ((_, changed),), _, memory = model.step(WayConfig(corrupt=1.0), KEY, memory, 0.0, data)
+        ((_, changed),), _, memory = model.step(
+            DirectionConfig(corrupt=1.0), KEY, memory, 0.0, data
+        )
         with pytest.raises(MessageError):
             Command.unpack(changed)
 
 
 def test_reliable_topics_are_late_but_whole_unless_asked_otherwise():
-    worst = WayConfig(
+    worst = DirectionConfig(
         delay=0.1, jitter=0.05, loss=1.0, burst_loss=0.5, reorder=1.0, duplicate=1.0, corrupt=1.0,
         cuts=((0.0, 1.0),),
     )  # fmt: skip
@@ -198,8 +207,8 @@ def test_reliable_topics_are_late_but_whole_unless_asked_otherwise():
     _, fates = passed_on(worst.of(live=False), 1500)
     assert set(fates[1000:]) == {Fate.PASSED}
     assert set(fates[:1000]) == {Fate.CUT}
-    clean = WayConfig(delay=0.1, loss=1.0, reliable="clean").of(live=False)
-    assert clean == WayConfig()
+    clean = DirectionConfig(delay=0.1, loss=1.0, reliable="clean").of(live=False)
+    assert clean == DirectionConfig()
 
 
 # --- config ---------------------------------------------------------------------------------------
@@ -222,7 +231,7 @@ def test_reliable_topics_are_late_but_whole_unless_asked_otherwise():
 )
 def test_what_no_network_does_is_refused(field, value):
     with pytest.raises(ValueError, match=f"^{field}: "):
-        WayConfig(**{field: value})
+        DirectionConfig(**{field: value})
 
 
 def test_a_session_has_a_proxy_only_where_its_config_says_so():
@@ -236,19 +245,76 @@ def test_the_proxy_leaves_the_machine_no_easier_than_a_side():
         ImpairConfig(endpoint="tcp/10.0.0.1:7449").link(LinkConfig())
 
 
-# --- the courier ----------------------------------------------------------------------------------
+# --- the delay queue ------------------------------------------------------------------------------
 
 
-def test_the_courier_hands_over_in_order_of_time_then_of_sending():
-    courier, out = Courier(), []
+def test_the_delay_queue_hands_over_in_order_of_time_then_of_sending():
+    queue, out = DelayQueue(), []
     now = time.monotonic_ns()
     for name, due in ((b"c", 3), (b"a", 1), (b"b", 2), (b"d", 3)):
-        courier.send(now + due * 1_000_000, out.append, name)
-    while len(courier):
-        courier.work()
+        queue.send(now + due * 1_000_000, out.append, name)
+    while len(queue):
+        queue.work()
     assert out == [b"a", b"b", b"c", b"d"]
     assert time.monotonic_ns() >= now + 3_000_000
-    assert courier.lateness.count == 4
+    assert queue.lateness.count == 4
+
+
+@given(
+    st.integers(1, 20),
+    st.lists(st.tuples(st.integers(0, 5), st.integers(0, 30)), max_size=60),
+    st.booleans(),
+)
+def test_a_full_delay_queue_refuses_the_newest_and_keeps_the_order_of_the_others(
+    room, messages, late
+):
+    """Whatever is accepted comes out once, by due time and then by order of sending."""
+    capacity, out, accepted, held = 100 + room * ENTRY_BYTES, [], [], 0
+    queue = DelayQueue(capacity)
+    now = time.monotonic_ns() - 10**9
+    for number, (due, length) in enumerate(messages):
+        data = bytes([number]) + bytes(length)
+        fits = held + len(data) + ENTRY_BYTES <= capacity
+        assert queue.send(now + due, out.append, data) == fits
+        if fits:
+            held += len(data) + ENTRY_BYTES
+            accepted.append((due, number))
+    assert held <= capacity
+    assert len(queue) == len(accepted)
+    if len(queue):
+        queue.work()
+    assert [data[0] for data in out] == [number for _, number in sorted(accepted)]
+    if late:  # what was handed over has made room
+        assert all(queue.send(now, out.append, b"") for _ in range(room))
+
+
+def test_memory_stays_flat_when_the_delay_queue_is_filled_again_and_again():
+    """Resident memory, of a third of the largest backlog: 16 MB of messages, 20 times."""
+    queue, out, sizes, refused = DelayQueue(CAPACITY_BYTES // 4), [], [], 0
+    for _ in range(20):
+        out.clear()
+        begin = time.monotonic_ns() - 10**9
+        for k in range(28_000):
+            refused += not queue.send(begin + k % 977, out.append, bytes(324 + 168 * (k % 2)))
+        queue.work()
+        assert not len(queue)
+        assert len(out) + refused // (_ + 1) == 28_000
+        status = Path("/proc/self/status").read_text()
+        sizes.append(int(status.split("VmRSS:")[1].split()[0]) * 1024)
+    assert refused > 0
+    assert max(sizes) - sizes[0] < 2_000_000
+
+
+def test_what_a_full_queue_refuses_is_counted_by_topic():
+    near, far = unittest.mock.Mock(), unittest.mock.Mock()
+    queue = DelayQueue(10 * (ENTRY_BYTES + 50))
+    direction = Direction("to_slave", DirectionConfig(duplicate=1.0), 0, near, far, queue)
+    for _ in range(20):
+        direction.take(COMMAND, bytes(50))
+    counts = direction.counts()["command"]
+    assert (counts["came"], counts["sent"], counts["overflowed"]) == (20, 10, 30)
+    queue.work()
+    assert far.put(COMMAND).call_count == 10
 
 
 # --- the process ----------------------------------------------------------------------------------

@@ -16,8 +16,8 @@ from teleop.launch.status import StatusLine, status_text
 from teleop.launch.supervisor import Supervisor, wait_for
 from teleop.link import Heard
 from teleop.messages import Event, LoopReport, SlaveState, TendonState, padded, text_bytes
-from teleop.remote.door import CALL, RESET
-from teleop.session import State
+from teleop.remote.requests import CALL, RESET
+from teleop.session import Reason, State
 from teleop.topics import COMMAND, EVENT, REPORT, STATE, STOP, Role
 
 
@@ -28,7 +28,7 @@ def loop(ticks=1000, latencies=0):
     return {
         "ticks": ticks, "rate_hz": 1000.0, "seconds": 1.0, "overruns": 3, "lateness_max_ms": 0.5,
         "work_us": some if ticks else none, "latency_ms": some if latencies else none,
-        "role": "slave", "faults": ["the rig failed"] if ticks else [],
+        "role": "slave", "faults": [Reason.RIG_FAULT.text] if ticks else [],
         "ticks_in": {"off": ticks - ticks // 2, "ready": 0, "engaged": ticks // 2, "fault": 0},
         "not_usable": "no calibration", "reason": "", "ended_in": "",
         "gate": {"PASSED": 1, "SPEED": ticks // 4},
@@ -47,7 +47,7 @@ def test_the_summary_of_a_session_in_words():
     text = "\n".join(summaries.lines(whole))
     for words in (
         "received 999, lost 7, rejected 3",
-        "1 fault, last: the rig failed",
+        f"1 fault, last: {Reason.RIG_FAULT.text}",
         "speed 25.0 % of the ticks",
         "command to force p50 2.00 ms",
         "ping-pong, same sizes: p50 0.10 ms",
@@ -66,12 +66,12 @@ def test_a_session_that_was_never_usable_or_ended_in_a_fault_is_told_from_a_good
     assert summaries.trouble({"slave": loop(), "master": loop()}) == ""
     assert summaries.trouble({"slave": loop(ticks=0), "master": None}) == ""
     assert summaries.trouble({"slave": never}) == "the slave was never usable: no calibration"
-    afar = ended_in("the other side is at fault")
+    afar = ended_in(Reason.PEER_FAULT.text)
     broken = ended_in("a tendon is broken: joint 1, tendon a")
     said = "ended the session: a tendon is broken: joint 1, tendon a"
     assert summaries.trouble({"slave": broken, "master": afar}) == f"a fault of the slave {said}"
     assert summaries.trouble({"slave": afar, "master": broken}) == f"a fault of the master {said}"
-    assert "other side" in summaries.trouble({"slave": loop(), "master": afar})
+    assert Reason.PEER_FAULT.text in summaries.trouble({"slave": loop(), "master": afar})
 
 
 def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():

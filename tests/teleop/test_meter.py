@@ -5,7 +5,7 @@ import pytest
 from teleop.clock import Grid
 from teleop.link import Counts
 from teleop.meter import REPORT_PERIOD_NS, LoopMeter
-from teleop.session import Reason, Session, State
+from teleop.session import Reason, SessionOutline, State
 from teleop.topics import Role
 
 MS = 1_000_000
@@ -15,7 +15,7 @@ def reports(stamps):
     """The offsets [ns] of those ticks that report, counted from the start."""
     loop = LoopMeter(Role.SLAVE, Grid(1000, lambda: True))
     start = loop._due_ns - REPORT_PERIOD_NS
-    return [t for t in stamps if loop.report(start + t, Session(), Counts()) is not None]
+    return [t for t in stamps if loop.report(start + t, SessionOutline(), Counts()) is not None]
 
 
 def test_a_loop_reports_once_a_period():
@@ -34,14 +34,14 @@ def test_the_rate_is_that_of_the_span_reported():
     rates = []
     for seconds, ticks in ((1, 250), (2, 500)):
         grid.stats.ticks += ticks
-        report = loop.report(start + seconds * 1000 * MS, Session(), Counts())
+        report = loop.report(start + seconds * 1000 * MS, SessionOutline(), Counts())
         rates.append(report.rate_hz)
     assert rates == [250.0, 500.0]
 
 
-ENGAGED = Session(State.ENGAGED, Reason.NONE)
-READY = Session(State.READY, Reason.RELEASED)
-BROKEN = Session(State.FAULT, Reason.TENDON_BROKEN)
+ENGAGED = SessionOutline(State.ENGAGED, Reason.NONE)
+READY = SessionOutline(State.READY, Reason.RELEASED)
+BROKEN = SessionOutline(State.FAULT, Reason.TENDON_BROKEN)
 WHERE = "joint 2, tendon b"
 
 
@@ -68,8 +68,8 @@ def test_a_fault_ends_a_session_unless_somebody_engages_again(sides, ended):
 
 def test_why_a_side_was_not_usable_is_remembered():
     loop = LoopMeter(Role.SLAVE, Grid(1000, lambda: True))
-    loop.tick(Session(), 0, "no calibration fits")
-    finished = Session(State.OFF, Reason.RIG_FINISHED)
+    loop.tick(SessionOutline(), 0, "no calibration fits")
+    finished = SessionOutline(State.OFF, Reason.RIG_FINISHED)
     loop.tick(finished, 0)
     summary = loop.summary(finished, Counts(), {})
     assert summary["not_usable"] == f"{Reason.NOT_USABLE.text}: no calibration fits"

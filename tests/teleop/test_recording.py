@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from teleop.messages import LAYOUT, MESSAGES
 from teleop.process import SUPERVISED
 from teleop.recording.config import RecordConfig
 from teleop.recording.definition import dtype_of
-from teleop.recording.gaps import Gaps
+from teleop.recording.gaps import SENDERS, Gaps
 from teleop.recording.reader import open_recording, read_columns, read_messages
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import RecordingWriter
@@ -274,6 +275,55 @@ def test_gaps_are_the_numbers_missing_between_first_and_last(data):
         assert gaps.lost[stream] == len(whole - set(received))
     assert gaps.by_topic()["state"] == gaps.lost["state", 1] + gaps.lost["state", 2]
     assert gaps.total == sum(gaps.lost.values())
+
+
+def test_senders_without_end_take_no_memory_and_their_losses_are_kept():
+    gaps = Gaps()
+    for sender in range(1, 2001):
+        gaps.note("stop", sender, 1)
+        gaps.note("stop", sender, 4)
+        gaps.note("state", 7, 3 * sender)
+    assert len(gaps.lost) <= SENDERS + 2
+    assert gaps.by_topic() == {"stop": 4000, "state": 3998}
+    assert gaps.lost["state", 7] == 3998
+
+
+def test_what_the_recorder_dropped_stands_in_the_file_before_it_is_closed(tmp_path):
+    rng = np.random.default_rng(4)
+    config = RecordConfig(directory=str(tmp_path), chunk_s=0.01)
+    with RecordingWriter(config, "demo", START_NS) as writer:
+        writer.note_dropped({"state": 0, "event": 0})
+        writer.write([heard(STATE, 5, rng)], START_NS + 10_000_000)
+        assert open_recording(writer.path).dropped == {"state": 0}
+        writer.note_dropped({"state": 3, "event": 2})
+        writer.write([heard(STATE, 9, rng)], START_NS + 20_000_000)
+        info = open_recording(writer.path)
+        assert not info.complete
+        assert info.lost == {"state": 3}
+        assert info.dropped == {"state": 3, "event": 2}
+    assert open_recording(writer.path).dropped == {"state": 3, "event": 2}
+
+
+def test_a_long_recording_takes_little_memory_and_its_index_is_whole(tmp_path):
+    rng = np.random.default_rng(4)
+    chunk = [heard(topic, 0, rng) for topic in TOPICS]
+    config = RecordConfig(directory=str(tmp_path), chunk_s=0.01, compression="none")
+    chunks, before = 1000, 0
+    tracemalloc.start()
+    with RecordingWriter(config, "demo", START_NS) as writer:
+        for k in range(chunks):
+            if k == 100:
+                before = tracemalloc.get_traced_memory()[0]
+            later = [item._replace(received_ns=START_NS + k, sequence=k) for item in chunk]
+            writer.write(later, START_NS + (k + 1) * 10_000_000)
+        grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown / (chunks - 100) < 300  # [bytes] a chunk
+    with writer.path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert len(summary.chunk_indexes) == chunks
+        late = list(make_reader(file).iter_messages(starting_at=START_NS + chunks - 1))
+    assert len(late) == len(TOPICS)
 
 
 def test_gaps_stand_in_the_file_before_it_is_closed(tmp_path):

@@ -2,17 +2,27 @@
 
 import itertools
 from collections import deque
-from dataclasses import fields, replace
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 
+from estimator.compiled import compiled
+from estimator.records import Records
 from teleop.session import (
     FOLLOW_LIMIT_S,
     HOLD_LIMIT_S,
     Inputs,
     Reason,
     Session,
+    SessionOutline,
     State,
+    fades,
+    known_state,
+    may_move,
+    may_render,
+    may_yield,
+    outline,
     step,
     switch_of,
 )
@@ -20,9 +30,89 @@ from teleop.session import (
 DT = 0.001
 OWN_FAULTS = (Reason.RIG_FAULT, Reason.DEVICE_FAULT)
 STOP = Reason.STOP_CALLED
+
+
+class Known(NamedTuple):
+    """The fields of `Inputs`, as values."""
+
+    usable: bool
+    peer_fresh: bool
+    peer_state: State
+    engage: bool
+    fault: Reason = Reason.NONE
+    clutch: bool = False
+    stop: Reason = Reason.NONE
+    reset: bool = False
+    not_ready_reason: Reason = Reason.NONE
+    peer: int = 0
+
+
+class Now(NamedTuple):
+    """The fields of `Session`, as values, and what it allows."""
+
+    state: State = State.OFF
+    reason: Reason = Reason.NOT_USABLE
+    open_seen: bool = False
+    peer_seen: bool = False
+    followed: bool = False
+    waited_s: float = 0.0
+    peer: int = 0
+    calling: bool = False
+    stops: int = 0
+    may_move: bool = False
+    may_yield: bool = False
+    may_render: bool = False
+    fades: bool = False
+
+    @property
+    def outline(self) -> SessionOutline:
+        return SessionOutline(self.state, self.reason)
+
+
+FIELDS = Session.dtype.names or ()
+
+
+def sessions_of(now: Now, count: int = 1) -> Records:
+    sessions = Session.array(count)
+    sessions[:] = tuple(getattr(now, name) for name in FIELDS)
+    return sessions
+
+
+def inputs_of(known: list[Known]) -> Records:
+    inputs = Inputs.array(len(known))
+    for name in Known._fields:
+        inputs[name] = [getattr(item, name) for item in known]
+    return inputs
+
+
+@compiled
+def step_each(sessions: Records, inputs: Records, dt: float, allowed: np.ndarray) -> None:
+    for k in range(len(sessions)):
+        step(sessions[k], inputs[k], dt)
+        allowed[k, 0] = may_move(sessions[k])
+        allowed[k, 1] = may_yield(sessions[k])
+        allowed[k, 2] = may_render(sessions[k])
+        allowed[k, 3] = fades(sessions[k])
+
+
+def after_each(before: Now, inputs: Records, dt: float) -> list[Now]:
+    """What a session becomes with each of many inputs."""
+    sessions = sessions_of(before, len(inputs))
+    allowed = np.zeros((len(inputs), 4), bool)
+    step_each(sessions, inputs, dt, allowed)
+    return [
+        Now(State(values[0]), Reason._value2member_map_[values[1]], *values[2:], *flags)
+        for values, flags in zip(sessions.tolist(), allowed.tolist(), strict=True)
+    ]
+
+
+def advance(before: Now, known: Known, dt: float = DT) -> Now:
+    return after_each(before, inputs_of([known]), dt)[0]
+
+
 EVERY_INPUT = [
-    Inputs(usable, fresh, peer, engage, fault, clutch, stop, reset, hindrance, nonce)
-    for usable, fresh, peer, engage, fault, clutch, stop, reset, (hindrance, nonce) in (
+    Known(usable, fresh, peer, engage, fault, clutch, stop, reset, not_ready_reason, nonce)
+    for usable, fresh, peer, engage, fault, clutch, stop, reset, (not_ready_reason, nonce) in (
         itertools.product(
             *((False, True), (False, True), State, (False, True), (Reason.NONE, *OWN_FAULTS)),
             *((False, True), (Reason.NONE, STOP), (False, True)),
@@ -32,36 +122,36 @@ EVERY_INPUT = [
     if not (stop and fault)
 ]
 COUPLES = (State.ENGAGED, State.CLUTCHED)
-CALM = Inputs(usable=True, peer_fresh=True, peer_state=State.READY, engage=False)
-PRESS = Inputs(usable=True, peer_fresh=True, peer_state=State.READY, engage=True)
-COUPLED = Inputs(usable=True, peer_fresh=True, peer_state=State.ENGAGED, engage=True)
+CALM = Known(usable=True, peer_fresh=True, peer_state=State.READY, engage=False)
+PRESS = Known(usable=True, peer_fresh=True, peer_state=State.READY, engage=True)
+COUPLED = Known(usable=True, peer_fresh=True, peer_state=State.ENGAGED, engage=True)
 
 
-def whole(session: Session) -> tuple[object, ...]:
-    """All fields, also those that equality leaves out; the wait only by whether it has run out.
+def whole(session: Now) -> tuple[object, ...]:
+    """All fields, also those that the outline leaves out; the wait by whether it has run out.
 
-    But for the count of stops, on which nothing hangs.
+    But for the count of stops, on which nothing depends.
     """
-    values = {f.name: getattr(session, f.name) for f in fields(session)}
+    values = {name: getattr(session, name) for name in FIELDS}
     del values["stops"], values["calling"]
     limit_s = FOLLOW_LIMIT_S if session.state == State.ENGAGED else HOLD_LIMIT_S
     values["waited_s"] = values["waited_s"] > 0.5 * limit_s
     return tuple(values.values())
 
 
-def run(session: Session, *inputs: Inputs) -> Session:
+def run(session: Now, *inputs: Known) -> Now:
     for item in inputs:
-        session = step(session, item, DT)
+        session = advance(session, item)
     return session
 
 
-def explore(dt: float = FOLLOW_LIMIT_S * 0.6) -> list[tuple[Session, Inputs, Session]]:
+def explore(dt: float = FOLLOW_LIMIT_S * 0.6) -> list[tuple[Now, Known, Now]]:
     """Every transition that any sequence of inputs can cause."""
-    todo, seen, transitions = deque([Session()]), {whole(Session())}, []
+    every = inputs_of(EVERY_INPUT)
+    todo, seen, transitions = deque([Now()]), {whole(Now())}, []
     while todo:
         before = todo.popleft()
-        for inputs in EVERY_INPUT:
-            after = step(before, inputs, dt)
+        for inputs, after in zip(EVERY_INPUT, after_each(before, every, dt), strict=True):
             transitions.append((before, inputs, after))
             if whole(after) not in seen:
                 seen.add(whole(after))
@@ -103,7 +193,7 @@ def test_engaged_only_with_usable_fresh_willing_and_asked_for() -> None:
             assert inputs.peer_state in (State.READY, *COUPLES)
             assert inputs.peer == after.peer
             if before.state == State.READY:
-                assert inputs.hindrance == Reason.NONE
+                assert inputs.not_ready_reason == Reason.NONE
 
 
 def test_engaged_is_entered_from_ready_or_by_the_clutch_only() -> None:
@@ -150,7 +240,7 @@ def test_a_stop_of_the_peer_stops_whoever_is_coupled_to_it() -> None:
         calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable and inputs.peer_fresh
         coupled = before.state in (*COUPLES, State.HOLDING)
         if coupled and calm and inputs.peer_state == State.STOPPED:
-            assert after == Session(State.STOPPED, Reason.PEER_STOPPED)
+            assert after.outline == (State.STOPPED, Reason.PEER_STOPPED)
 
 
 def test_a_restarted_peer_is_a_fault_for_whoever_was_coupled_or_held_for_it() -> None:
@@ -159,7 +249,7 @@ def test_a_restarted_peer_is_a_fault_for_whoever_was_coupled_or_held_for_it() ->
         calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable and inputs.peer_fresh
         another = inputs.peer != before.peer and inputs.peer_state != State.STOPPED
         if before.state in (*COUPLES, State.HOLDING) and calm and another and inputs.engage:
-            assert after == Session(State.FAULT, Reason.PEER_RESTARTED)
+            assert after.outline == (State.FAULT, Reason.PEER_RESTARTED)
             seen.add(before.state)
     assert seen == {*COUPLES, State.HOLDING}
 
@@ -168,7 +258,7 @@ def test_silence_while_coupled_is_held_and_ends_in_ready_fault_or_stop() -> None
     for before, inputs, after in TRANSITIONS:
         calm = inputs.fault == inputs.stop == Reason.NONE and inputs.usable
         if before.state in COUPLES and calm and not inputs.peer_fresh:
-            assert after == Session(State.HOLDING, Reason.PEER_SILENT)
+            assert after.outline == (State.HOLDING, Reason.PEER_SILENT)
         if before.state == State.HOLDING and after.state != State.HOLDING:
             assert after.state in (State.READY, State.FAULT, State.STOPPED)
             if after.state == State.READY:
@@ -189,9 +279,9 @@ def test_fault_is_left_only_with_the_switch_open_and_the_fault_gone() -> None:
 
 
 def test_a_rig_that_has_played_its_data_ends_without_fault() -> None:
-    for before, _, _ in TRANSITIONS:
-        ended = step(before, Inputs(True, True, State.ENGAGED, True, Reason.RIG_FINISHED), 1e-3)
-        assert ended == Session(State.OFF, Reason.RIG_FINISHED)
+    for before in {before for before, _, _ in TRANSITIONS}:
+        ended = advance(before, Known(True, True, State.ENGAGED, True, Reason.RIG_FINISHED), 1e-3)
+        assert ended.outline == (State.OFF, Reason.RIG_FINISHED)
 
 
 def test_a_fault_keeps_its_first_reason() -> None:
@@ -230,43 +320,43 @@ def test_forces_wait_for_the_slave_to_engage() -> None:
 
 def test_step_is_a_function() -> None:
     for before, inputs, after in SHORT_TICKS[::7]:
-        assert whole(step(before, inputs, FOLLOW_LIMIT_S * 0.6)) == whole(after)
+        assert whole(advance(before, inputs, FOLLOW_LIMIT_S * 0.6)) == whole(after)
 
 
 def test_the_ordinary_way_in_and_out() -> None:
-    session = Session()
+    session = Now()
     for inputs, state in (
         (CALM, State.READY),
         (CALM, State.READY),
         (PRESS, State.ENGAGED),
         (COUPLED, State.ENGAGED),
     ):
-        session = step(session, inputs, DT)
+        session = advance(session, inputs)
         assert session.state == state
     assert session.may_move
     assert session.may_render
-    session = step(session, CALM, DT)
-    assert session == Session(State.READY, Reason.RELEASED)
+    session = advance(session, CALM)
+    assert session.outline == (State.READY, Reason.RELEASED)
 
 
 def test_a_switch_held_from_the_start_does_not_engage() -> None:
-    session = run(Session(), *[PRESS] * 1000)
-    assert session == Session(State.READY, Reason.RELEASE_FIRST)
+    session = run(Now(), *[PRESS] * 1000)
+    assert session.outline == (State.READY, Reason.RELEASE_FIRST)
     assert run(session, CALM, PRESS).state == State.ENGAGED
 
 
 @pytest.mark.parametrize(
     "mishap",
     [
-        Inputs(True, False, State.READY, True),
-        Inputs(True, True, State.FAULT, True),
-        Inputs(False, True, State.ENGAGED, True),
-        Inputs(True, True, State.ENGAGED, True, Reason.NOT_FINITE),
+        Known(True, False, State.READY, True),
+        Known(True, True, State.FAULT, True),
+        Known(False, True, State.ENGAGED, True),
+        Known(True, True, State.ENGAGED, True, Reason.NOT_FINITE),
     ],
 )
-def test_no_engagement_by_itself_after_a_mishap(mishap: Inputs) -> None:
-    engaged = run(Session(), CALM, CALM, PRESS, COUPLED)
-    faulty = step(engaged, mishap, DT)
+def test_no_engagement_by_itself_after_a_mishap(mishap: Known) -> None:
+    engaged = run(Now(), CALM, CALM, PRESS, COUPLED)
+    faulty = advance(engaged, mishap)
     assert faulty.state == (State.FAULT if mishap.peer_fresh else State.HOLDING)
     held = run(faulty, *[PRESS] * 500, *[COUPLED] * 500)
     assert held.state == faulty.state
@@ -275,16 +365,16 @@ def test_no_engagement_by_itself_after_a_mishap(mishap: Inputs) -> None:
 
 
 def test_a_slave_restarted_while_the_master_is_engaged_stays_out() -> None:
-    nothing_heard = Inputs(usable=True, peer_fresh=False, peer_state=State.OFF, engage=False)
+    nothing_heard = Known(usable=True, peer_fresh=False, peer_state=State.OFF, engage=False)
     for before in ([], [nothing_heard] * 5):
-        assert run(Session(), *before, *[COUPLED] * 1000).state == State.READY
+        assert run(Now(), *before, *[COUPLED] * 1000).state == State.READY
 
 
 def test_a_peer_that_does_not_follow_in_time_is_a_fault() -> None:
-    session = run(Session(), CALM, CALM, PRESS)
+    session = run(Now(), CALM, CALM, PRESS)
     ticks = 0
     while session.state == State.ENGAGED:
-        session = step(session, PRESS, DT)
+        session = advance(session, PRESS)
         ticks += 1
         assert ticks < 1000
     assert session.reason == Reason.PEER_DECLINED
@@ -292,13 +382,13 @@ def test_a_peer_that_does_not_follow_in_time_is_a_fault() -> None:
 
 
 def test_a_peer_that_disengages_by_itself_is_a_fault() -> None:
-    engaged = run(Session(), CALM, CALM, PRESS, COUPLED)
-    assert run(engaged, PRESS) == Session(State.FAULT, Reason.PEER_LEFT)
+    engaged = run(Now(), CALM, CALM, PRESS, COUPLED)
+    assert run(engaged, PRESS).outline == (State.FAULT, Reason.PEER_LEFT)
 
 
 def pair(
-    master: Session,
-    slave: Session,
+    master: Now,
+    slave: Now,
     heard: tuple[State, State],
     engage: bool,
     linked: bool,
@@ -306,85 +396,85 @@ def pair(
     clutch: bool = False,
     stop: bool = False,
     reset: bool = False,
-) -> tuple[Session, Session, tuple[State, State]]:
+) -> tuple[Now, Now, tuple[State, State]]:
     """One tick of both sides; each hears what the other was a tick ago, if they are linked."""
     slave_heard, master_heard = heard
     stopped = STOP if stop else Reason.NONE
-    new_master = step(
+    new_master = advance(
         master,
-        Inputs(True, linked, slave_heard, engage, clutch=clutch, stop=stopped, reset=reset),
+        Known(True, linked, slave_heard, engage, clutch=clutch, stop=stopped, reset=reset),
         DT,
     )
     fault = Reason.NONE if ok else Reason.RIG_FAULT
     asked, held = switch_of(master_heard), master_heard == State.CLUTCHED
-    new_slave = step(slave, Inputs(True, linked, master_heard, asked, fault, held, reset=reset), DT)
+    new_slave = advance(slave, Known(True, linked, master_heard, asked, fault, held, reset=reset))
     heard = (new_slave.state, new_master.state) if linked else heard
     return new_master, new_slave, heard
 
 
-SILENT = Inputs(usable=True, peer_fresh=False, peer_state=State.ENGAGED, engage=True)
+SILENT = Known(usable=True, peer_fresh=False, peer_state=State.ENGAGED, engage=True)
 
 
 def test_silence_that_lasts_becomes_a_fault() -> None:
-    session = run(Session(), CALM, CALM, PRESS, COUPLED)
+    session = run(Now(), CALM, CALM, PRESS, COUPLED)
     ticks = 0
     while session.state != State.FAULT:
-        session = step(session, SILENT, DT)
+        session = advance(session, SILENT)
         ticks += 1
     assert session.reason == Reason.PEER_SILENT
     assert ticks * DT == pytest.approx(HOLD_LIMIT_S, abs=3 * DT)
 
 
 def test_a_short_silence_says_what_to_do_and_does_not_become_a_fault() -> None:
-    session = run(Session(), CALM, CALM, PRESS, COUPLED)
+    session = run(Now(), CALM, CALM, PRESS, COUPLED)
     for _ in range(20):
         session = run(session, *[SILENT] * 1500, COUPLED)
-        assert session == Session(State.HOLDING, Reason.RELEASE_FIRST)
+        assert session.outline == (State.HOLDING, Reason.RELEASE_FIRST)
 
 
 def test_the_clutch_goes_and_comes_back_while_the_switch_is_held() -> None:
-    clutched = replace(COUPLED, clutch=True)
-    session = run(Session(), CALM, CALM, PRESS, COUPLED, clutched)
-    assert session == Session(State.CLUTCHED, Reason.CLUTCH_HELD)
-    answered = replace(clutched, peer_state=State.CLUTCHED)
+    clutched = COUPLED._replace(clutch=True)
+    session = run(Now(), CALM, CALM, PRESS, COUPLED, clutched)
+    assert session.outline == (State.CLUTCHED, Reason.CLUTCH_HELD)
+    answered = clutched._replace(peer_state=State.CLUTCHED)
     session = run(session, *[answered] * 5000)
     assert session.state == State.CLUTCHED
-    session = run(session, replace(answered, clutch=False))
+    session = run(session, answered._replace(clutch=False))
     assert session.state == State.ENGAGED
     assert not session.may_render  # until the slave has engaged again too
     assert run(session, COUPLED).may_render
-    assert run(session, replace(PRESS, engage=False)).state == State.READY
+    assert run(session, PRESS._replace(engage=False)).state == State.READY
 
 
 def test_a_tap_on_the_clutch_over_a_long_line_is_no_fault() -> None:
     """The peer's CLUTCHED comes when the clutch has long been let go of."""
-    session = run(Session(), CALM, CALM, PRESS, COUPLED, replace(COUPLED, clutch=True), COUPLED)
+    session = run(Now(), CALM, CALM, PRESS, COUPLED, COUPLED._replace(clutch=True), COUPLED)
     assert session.state == State.ENGAGED
-    session = run(session, *[replace(COUPLED, peer_state=State.CLUTCHED)] * 50)
+    session = run(session, *[COUPLED._replace(peer_state=State.CLUTCHED)] * 50)
     assert session.state == State.ENGAGED
     assert not session.may_render
     assert run(session, COUPLED).may_render
 
 
 def test_a_restarted_peer_is_not_the_one_we_engaged_with() -> None:
-    session = run(Session(), CALM, CALM, PRESS, COUPLED)
-    assert run(session, replace(COUPLED, peer=1)) == Session(State.FAULT, Reason.PEER_RESTARTED)
+    session = run(Now(), CALM, CALM, PRESS, COUPLED)
+    assert run(session, COUPLED._replace(peer=1)).outline == (State.FAULT, Reason.PEER_RESTARTED)
 
 
 def test_after_a_reset_nothing_is_coupled_until_let_go_and_pressed() -> None:
-    stopped = run(Session(), CALM, CALM, PRESS, COUPLED, replace(COUPLED, stop=STOP))
-    assert run(stopped, *[CALM] * 1000, *[PRESS] * 1000) == Session(State.STOPPED, STOP)
-    assert run(stopped, replace(PRESS, reset=True, stop=STOP)).state == State.STOPPED
-    ready = run(stopped, replace(PRESS, reset=True))
-    assert ready == Session(State.READY, Reason.RESET)
-    assert run(ready, *[PRESS] * 1000) == Session(State.READY, Reason.RELEASE_FIRST)
+    stopped = run(Now(), CALM, CALM, PRESS, COUPLED, COUPLED._replace(stop=STOP))
+    assert run(stopped, *[CALM] * 1000, *[PRESS] * 1000).outline == (State.STOPPED, STOP)
+    assert run(stopped, PRESS._replace(reset=True, stop=STOP)).state == State.STOPPED
+    ready = run(stopped, PRESS._replace(reset=True))
+    assert ready.outline == (State.READY, Reason.RESET)
+    assert run(ready, *[PRESS] * 1000).outline == (State.READY, Reason.RELEASE_FIRST)
     assert run(ready, CALM, PRESS).state == State.ENGAGED
 
 
 def test_what_hinders_is_named_and_must_be_gone_to_engage() -> None:
-    astray = replace(PRESS, hindrance=Reason.ALIGN_FIRST)
-    session = run(Session(), CALM, CALM, *[astray] * 100)
-    assert session == Session(State.READY, Reason.ALIGN_FIRST)
+    astray = PRESS._replace(not_ready_reason=Reason.ALIGN_FIRST)
+    session = run(Now(), CALM, CALM, *[astray] * 100)
+    assert session.outline == (State.READY, Reason.ALIGN_FIRST)
     assert run(session, PRESS).state == State.ENGAGED
 
 
@@ -393,7 +483,7 @@ def test_two_sides_never_wait_for_each_other_for_ever() -> None:
 
     But for an emergency stop, which first takes a reset.
     """
-    start = (Session(), Session(), (State.OFF, State.OFF))
+    start = (Now(), Now(), (State.OFF, State.OFF))
     todo, seen = deque([start]), set()
     while todo:
         master, slave, heard = todo.popleft()
@@ -417,22 +507,25 @@ def test_two_sides_never_wait_for_each_other_for_ever() -> None:
 
 
 def test_a_fault_of_the_slave_is_kept_until_the_operator_lets_go() -> None:
-    master, slave, heard = Session(), Session(), (State.OFF, State.OFF)
+    master, slave, heard = Now(), Now(), (State.OFF, State.OFF)
     for engage in [False] * 4 + [True] * 4:
         master, slave, heard = pair(master, slave, heard, engage, True, True)
     assert slave.may_move
     master, slave, heard = pair(master, slave, heard, True, True, False)
     for _ in range(100):  # the rig is well again, the switch is still held
         master, slave, heard = pair(master, slave, heard, True, True, True)
-        assert slave == Session(State.FAULT, Reason.RIG_FAULT)
+        assert slave.outline == (State.FAULT, Reason.RIG_FAULT)
     for _ in range(6):
         master, slave, heard = pair(master, slave, heard, False, True, True)
     assert (master.state, slave.state) == (State.READY, State.READY)
 
 
-def test_equality_ignores_the_bookkeeping_so_that_an_event_is_a_change_of_state_or_reason() -> None:
-    assert Session(State.READY, Reason.NONE, open_seen=True) == Session(State.READY, Reason.NONE)
-    assert Session(State.READY) != Session(State.ENGAGED)
+def test_the_outline_leaves_out_the_bookkeeping_so_that_an_event_is_a_change_of_it() -> None:
+    ready = Session.new(state=State.READY, reason=Reason.NONE)
+    seen = Session.new(state=State.READY, reason=Reason.NONE, open_seen=True, waited_s=1.0)
+    assert outline(ready) == outline(seen) == (State.READY, Reason.NONE)
+    assert outline(ready) != outline(Session.new(state=State.ENGAGED, reason=Reason.NONE))
+    assert outline(Session.new()) == SessionOutline() == Now().outline
 
 
 def test_every_reason_has_its_own_number_and_sentence() -> None:
@@ -443,13 +536,30 @@ def test_every_reason_has_its_own_number_and_sentence() -> None:
 def test_numbers_of_a_later_version_are_read_as_unreliable() -> None:
     assert State(200) == State.FAULT
     assert Reason(200) == Reason.UNKNOWN
+    assert outline(Session.new(state=200, reason=200)) == (State.FAULT, Reason.UNKNOWN)
+    for number in (*range(-3, 300), np.uint32(6), np.uint32(7), np.uint32(2**32 - 1)):
+        assert known_state(number) == State(int(number))
+        assert switch_of(number) == switch_of(known_state(number))
+
+
+def test_a_step_changes_one_record_and_no_other() -> None:
+    sessions = Session.array(3)
+    step_one(sessions, inputs_of([CALM]), 1)
+    assert sessions["state"].tolist() == [State.OFF, State.READY, State.OFF]
+    assert sessions["open_seen"].tolist() == [False, True, False]
+    assert outline(Session.new()) == SessionOutline()
+
+
+@compiled
+def step_one(sessions: Records, inputs: Records, index: int) -> None:
+    step(sessions[index], inputs[0], DT)
 
 
 def test_a_call_for_a_stop_is_counted_when_it_begins_and_when_it_ends():
-    side, counts = Session(), []
+    side, counts = Now(), []
     calls = [0, 1, 1, 1, 0, 0, 1, 0]
     for call in calls:
         stop = Reason.STOP_CALLED if call else Reason.NONE
-        side = step(side, replace(CALM, stop=stop), DT)
+        side = advance(side, CALM._replace(stop=stop))
         counts.append(side.stops)
     assert counts == [0, 1, 1, 1, 2, 2, 3, 4]

@@ -1,15 +1,29 @@
 """The couplings over an arbitrary network, between an arbitrary hand and an arbitrary tip."""
 
 from dataclasses import fields, replace
+from typing import Annotated, get_args
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from estimator.compiled import compiled
+from estimator.records import U64, Field, Record, one
 from teleop import coupling
-from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, Side, WaveConfig
-from teleop.coupling.side import LAWS, ledger_message
-from teleop.messages import MAX_JOINTS, NO_JOINTS, padded
+from teleop.coupling import (
+    Bilateral,
+    BilateralSettings,
+    CouplingConfig,
+    DirectConfig,
+    PassivityConfig,
+    Side,
+    WaveConfig,
+    bilateral_settings,
+    ledger_message,
+)
+from teleop.coupling.config import KINDS
+from teleop.messages import MAX_JOINTS
 from teleop.topics import Role
 
 DT = 0.001
@@ -21,6 +35,43 @@ ROBUST = [
     WaveConfig(play=0.1),
 ]
 OLDEST = 30  # ticks
+
+
+def record_of(config):
+    return one(bilateral_settings(Bilateral(coupling=config)))
+
+
+def joints(*values):
+    """The values of the first joints; those of the others are zero."""
+    return np.array([*values, *[0.0] * (MAX_JOINTS - len(values))])
+
+
+def told(side):
+    """What the next message tells of energy and of waves."""
+    return tuple(
+        np.array([getattr(port, name) for port in side.ports])
+        for name in ("passed_on", "told_wave")
+    )
+
+
+def at_hand(rules, side, place, speed, written, force, coupled=True, axes=1):
+    """Both phases of the master, at one joint or more: the forces that the hand feels."""
+    inputs = [joints(*np.atleast_1d(value)) for value in (place, speed, written, force)]
+    coupling.count_hand(rules, side, *inputs[:3], axes, LEVER, coupled, DT)
+    rendered = joints()
+    coupling.render(rules, side, inputs[3], axes, rendered)
+    return rendered[0] if axes == 1 else rendered[:axes]
+
+
+def at_tip(rules, side, asked, speed, force, coupled=True):
+    """Where a single tip shall be, and how fast it goes."""
+    place, velocity = joints(asked), joints(speed)
+    coupling.at_tip(rules, side, place, velocity, joints(force), 1, coupled, DT)
+    return place[0], velocity[0]
+
+
+def copy_of(side):
+    return one(np.array([side.tolist()], Side.dtype))
 
 
 def ticks(most):
@@ -40,39 +91,35 @@ class Line:
 
     def tell(self, tick, side):
         for late in self._fates[tick % len(self._fates)]:
-            self._told.setdefault(tick + late, []).append((side.energy, side.wave))
+            self._told.setdefault(tick + late, []).append(told(side))
 
     def hear(self, tick, side, sender):
         for energy, wave in self._told.pop(tick, ()):
-            side = coupling.hear(side, sender, energy, wave)
-        return side
+            coupling.hear(side, sender, energy, wave)
 
 
 def session(config, turns, forces, shares, there, back, count=100, rested=()):
-    """Return both sides after each tick: a hand that turns, a tip that is pushed.
+    """Return both sides after each tick, in place: a hand that turns, a tip that is pushed.
 
-    `turns` are changes of the way a tick [m], `forces` what the tip feels [N], `shares` how much
+    `turns` are changes of the travel a tick [m], `forces` what the tip feels [N], `shares` how much
     of the force is rendered.
     """
-    bilateral = Bilateral(coupling=config)
-    master, slave = Side(), Side()
+    rules = record_of(config)
+    master, slave = Side.new(), Side.new()
     to_slave, to_master = Line(there), Line(back)
-    place, way, written = 0.0, 0.0, 0.0
+    place, travel, written = 0.0, 0.0, 0.0
     for tick in range(count):
         coupled = tick not in rested
-        way += turns[tick % len(turns)]
-        way = min(max(way, -0.001), 0.001)
-        place += way
-        master = to_master.hear(tick, master, 7)
-        felt = forces[(tick // 3) % len(forces)]
-        tip, speed = padded((place,), MAX_JOINTS), padded((way / DT,), MAX_JOINTS)
-        (rendered,), master = coupling.at_hand(
-            bilateral, master, tip, speed, (written,), (felt,), LEVER, coupled, DT
-        )
+        travel += turns[tick % len(turns)]
+        travel = min(max(travel, -0.001), 0.001)
+        place += travel
+        to_master.hear(tick, master, 7)
+        force = forces[(tick // 3) % len(forces)]
+        rendered = at_hand(rules, master, place, travel / DT, written, force, coupled)
         written = rendered * shares[tick % len(shares)] if coupled else 0.0
         to_slave.tell(tick, master)
-        slave = to_slave.hear(tick, slave, 8)
-        _, _, slave = coupling.at_tip(bilateral, slave, (place,), (way / DT,), (felt,), coupled, DT)
+        to_slave.hear(tick, slave, 8)
+        at_tip(rules, slave, place, travel / DT, force, coupled)
         to_master.tell(tick, slave)
         yield master, slave
 
@@ -94,14 +141,14 @@ def test_no_more_comes_out_of_both_ports_than_went_in_whatever_hand_tip_and_netw
     for master, slave in session(config, turns, forces, shares, there, back):
         hand += damping / LEVER * (master.asked[0] - place) ** 2 / DT  # [J] it dissipates itself
         place = master.asked[0]
-        one, other = master.ports[0], slave.ports[0]
-        assert one.credit >= -1e-12
-        assert other.credit >= -1e-12
-        out = one.taken_out + other.taken_out
-        assert out <= one.put_in + other.put_in + one.granted + other.granted + 1e-12
-        assert one.granted + other.granted <= 2.0 * config.reserve + hand + 1e-12
-        assert one.heard <= other.passed_on + 1e-12
-        assert other.heard <= one.passed_on + 1e-12
+        near, far = master.ports[0], slave.ports[0]
+        assert near.credit >= -1e-12
+        assert far.credit >= -1e-12
+        out = near.taken_out + far.taken_out
+        assert out <= near.put_in + far.put_in + near.granted + far.granted + 1e-12
+        assert near.granted + far.granted <= 2.0 * config.reserve + hand + 1e-12
+        assert near.heard <= far.passed_on + 1e-12
+        assert far.heard <= near.passed_on + 1e-12
 
 
 def test_direct_lets_out_what_was_never_put_in():
@@ -123,61 +170,114 @@ def test_each_engagement_grants_the_reserve_at_most(turns, forces, fates, rested
 
 @pytest.mark.parametrize("config", ROBUST, ids=lambda c: f"{c.type}")
 def test_a_hand_that_jerks_overdraws_by_what_it_moved_further_and_makes_it_good(config):
-    """300 mm/s the other way within a tick: more than `give` allows for."""
+    """300 mm/s the other way within a tick: more than `step_tolerance` allows for."""
     if isinstance(config, PassivityConfig):
         config = replace(config, hand_damping=0.0)
-    still = [*session(config, [0.0], [10.0], [1.0], [[1]], [[1]], count=20)][-1][0]
-    bilateral = Bilateral(coupling=config)
+    *_, (side, _) = session(config, [0.0], [10.0], [1.0], [[1]], [[1]], count=20)
+    rules = record_of(config)
     left_over, written, place = [], 10.0, 0.0
-    side = still._replace(asked=padded((0.0,), MAX_JOINTS))
     for tick in range(100):
-        way = -3e-4 if tick < 3 else 3e-5
-        place += way
-        tip, speed = padded((place,), MAX_JOINTS), padded((way / DT,), MAX_JOINTS)
-        (force,), side = coupling.at_hand(
-            bilateral, side, tip, speed, (written,), (10.0,), LEVER, True, DT
-        )
+        travel = -3e-4 if tick < 3 else 3e-5
+        place += travel
+        written = at_hand(rules, side, place, travel / DT, written, 10.0)
         left_over.append(side.ports[0].credit)
-        written = force
     assert -10.0 * 3e-4 <= min(left_over) < 0.0
     assert left_over[-1] > 0.0
 
 
 def test_direct_changes_nothing():
     """What the hand feels, and where the tip goes, is what was told."""
-    bilateral, side = Bilateral(), Side()
+    rules, side = record_of(DirectConfig()), Side.new()
     for tick in range(50):
         place = 1e-4 * tick
-        tip = padded((place,), MAX_JOINTS)
-        (force,), side = coupling.at_hand(
-            bilateral, side, tip, tip, (5.0,), (7.0,), LEVER, tick > 0, DT
-        )
-        assert force == 7.0
-    side = Side()
+        assert at_hand(rules, side, place, place, 5.0, 7.0, tick > 0) == 7.0
+    side = Side.new()
     for tick in range(50):
         place = 1e-4 * tick**1.5
-        where, speed, side = coupling.at_tip(bilateral, side, (place,), (0.1,), (9.0,), True, DT)
-        assert where == pytest.approx((place,), abs=1e-15)
-        assert speed == (0.1,)
+        where, speed = at_tip(rules, side, place, 0.1, 9.0)
+        assert where == pytest.approx(place, abs=1e-15)
+        assert speed == 0.1
 
 
 @pytest.mark.parametrize("config", [PassivityConfig(), WaveConfig(), DirectConfig()])
 @given(force=st.floats(-20, 20), place=st.floats(-0.1, 0.1))
 def test_engaging_moves_nothing(config, force, place):
-    where, _, side = coupling.at_tip(
-        Bilateral(coupling=config), Side(), (place,), (0.0,), (force,), True, DT
-    )
-    assert where == (place,)
-    assert side.tip == (place,)
+    side = Side.new()
+    assert at_tip(record_of(config), side, place, 0.0, force)[0] == place
+    assert side.tip[0] == place
+    assert side.coupled
 
 
 @pytest.mark.parametrize("config", [PassivityConfig(), WaveConfig(), DirectConfig()])
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_a_force_that_is_no_number_is_not_rendered_as_one(config, bad):
-    """Not coupled or coupled, it reaches the gate as it is."""
-    bilateral, side, tip = Bilateral(coupling=config), Side(), (0.0,) * MAX_JOINTS
-    (force,), side = coupling.at_hand(bilateral, side, tip, tip, (0.0,), (bad,), LEVER, False, DT)
+    """Not coupled, it reaches the gate as it is."""
+    force = at_hand(record_of(config), Side.new(), 0.0, 0.0, 0.0, bad, coupled=False)
     assert force != force or force == bad
+
+
+@pytest.mark.parametrize("config", [WaveConfig(), DirectConfig()])
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_nor_is_it_while_coupled(config, bad):
+    side = Side.new()
+    for force in (1.0, bad):
+        rendered = at_hand(record_of(config), side, 0.0, 0.0, 0.0, force)
+    assert rendered != rendered or rendered == bad
+
+
+@pytest.mark.parametrize("config", [*ROBUST, DirectConfig()], ids=lambda c: f"{c.type}")
+def test_what_is_told_is_known_before_the_force(config):
+    """`count_hand` alone changes what is told; `render` takes nothing of it back."""
+    *_, (side, _) = session(config, [1e-5, -3e-5], [9.0, -5.0], [1.0], [[3]], [[5]])
+    rules = record_of(config)
+    before = [values.tolist() for values in told(side)]
+    coupling.count_hand(rules, side, joints(0.02), joints(5.0), joints(9.0), 1, LEVER, True, DT)
+    counted = [values.tolist() for values in told(side)]
+    assert counted != before
+    for force in (0.0, 7.0, -7.0, 1e6):
+        coupling.render(rules, side, joints(force), 1, joints())
+        assert [values.tolist() for values in told(side)] == counted
+
+
+@pytest.mark.parametrize("config", ROBUST, ids=lambda c: f"{c.type}")
+def test_what_is_heard_between_the_two_phases_counts_in_the_second(config):
+    """A hand that yields to 9 N, of which little is affordable until more is heard."""
+    rules, side = record_of(config), Side.new()
+    at_hand(rules, side, 0.0, -0.05, 0.0, 9.0)
+    coupling.hear(side, 7, joints(0.0), joints(0.0))
+    coupling.count_hand(rules, side, joints(-5e-5), joints(-0.05), joints(0), 1, LEVER, True, DT)
+    deaf, before, after = copy_of(side), joints(), joints()
+    coupling.render(rules, deaf, joints(9.0), 1, before)
+    coupling.hear(side, 7, joints(1e-3), joints(-1e-4))
+    coupling.render(rules, side, joints(9.0), 1, after)
+    assert before[0] < after[0] <= 9.0
+
+
+@pytest.mark.parametrize("config", [*ROBUST, DirectConfig()], ids=lambda c: f"{c.type}")
+@pytest.mark.parametrize("coupled", [False, True])
+def test_one_joint_never_leaks_into_another(config, coupled):
+    """Three joints at once do what each of them does alone, and the others nothing."""
+    rules, rng = record_of(config), np.random.default_rng(3)
+    together, alone = (Side.new(), Side.new()), [(Side.new(), Side.new()) for _ in range(3)]
+    place = np.zeros(3)
+    for tick in range(60):
+        travel = rng.normal(0.0, 3e-5, 3)
+        place, speed, force = place + travel, travel / DT, rng.normal(0.0, 9.0, 3)
+        on = coupled and tick != 30
+        felt = at_hand(rules, together[0], place, speed, 0.8 * force, force, on, axes=3)
+        asked, velocity = joints(*place), joints(*speed)
+        coupling.at_tip(rules, together[1], asked, velocity, joints(*force), 3, on, DT)
+        for k, (master, slave) in enumerate(alone):
+            mine = place[k], speed[k]
+            assert at_hand(rules, master, *mine, 0.8 * force[k], force[k], on) == felt[k]
+            assert at_tip(rules, slave, *mine, force[k], on) == (asked[k], velocity[k])
+            for side, single in ((together[0], master), (together[1], slave)):
+                assert repr(side.ports[k].tolist()) == repr(single.ports[0].tolist())
+        for side in together:
+            idle = {repr(side.ports[k].tolist()) for k in range(3, MAX_JOINTS)}
+            assert len(idle) == 1
+            assert not any(told(side)[0][3:])
+            assert not any(told(side)[1][3:])
 
 
 def test_the_signature_tells_any_two_choices_apart():
@@ -192,30 +292,46 @@ def test_the_signature_tells_any_two_choices_apart():
     assert choices[0].differs(choices[1].signature)
     assert not choices[0].differs(choices[0].signature)
     assert not choices[0].differs(0)
+    for choice in choices:
+        rules = one(bilateral_settings(choice))
+        assert rules.signature == choice.signature
+        for number in (0, 1, 2**32 - 1, *(other.signature for other in choices)):
+            assert coupling.differs(rules, number) == choice.differs(number)
 
 
 def test_every_coupling_of_the_config_is_there():
-    assert set(LAWS) == {PassivityConfig, WaveConfig, DirectConfig}
+    assert set(KINDS) == set(get_args(CouplingConfig))
+    assert len(set(KINDS.values())) == len(KINDS)
+
+
+def test_compiled_functions_are_given_the_very_numbers_of_the_config():
+    config = PassivityConfig(reserve=0.003, discharge_time=0.02, passive_tip=False)
+    rules = record_of(config)
+    assert rules.reserve == rules.passivity.reserve == 0.003
+    assert rules.passivity.discharge_time == 0.02
+    assert not rules.passivity.passive_tip
+    assert record_of(WaveConfig(play=0.07)).wave.play == 0.07
+    assert record_of(DirectConfig()).reserve == 0.0
 
 
 def test_the_ledgers_message_balances():
     shape = ([1e-5, -1e-5, -1e-5, 1e-5], [8.0], [1.0], [[3]], [[4]])
     *_, (master, slave) = session(PassivityConfig(), *shape)
     for role, side in ((Role.MASTER, master), (Role.SLAVE, slave)):
-        told = ledger_message(role, side, 1)
-        assert told.joints == 1
-        left = told.granted[0] + told.put_in[0] + told.heard[0]
-        left -= told.taken_out[0] + told.passed_on[0] + told.dissipated[0]
-        assert told.credit[0] == pytest.approx(left, abs=1e-12)
-        assert told.put_in[0] > 0.0
+        message = ledger_message(role, side, 1)
+        assert message.joints == 1
+        left = message.granted[0] + message.put_in[0] + message.heard[0]
+        left -= message.taken_out[0] + message.passed_on[0] + message.dissipated[0]
+        assert message.credit[0] == pytest.approx(left, abs=1e-12)
+        assert message.put_in[0] > 0.0
 
 
 WRONG = {
     "reserve": [0.0, 0.2, float("nan")],
     "credit_max": [1e-4, 2.0],
-    "give": [0.0, 0.1],
+    "step_tolerance": [0.0, 0.1],
     "catch_up": [0.0, 11.0],
-    "spend": [0.0, 1.0],
+    "discharge_time": [0.0, 1.0],
     "hand_damping": [-1.0, 101.0],
     "play": [0.0, 1.0],
     "impedance": [0.0, 1e5],
@@ -232,8 +348,64 @@ def test_bad_values_are_refused(kind):
 
 
 def test_a_side_that_was_started_anew_is_counted_from_its_first_word():
-    side = Side()
+    side = Side.new()
     for sender, energy in ((7, 5.0), (7, 6.0), (8, 3.0), (8, 3.5), (8, 3.2), (7, 9.0)):
-        side = coupling.hear(side, sender, (energy,) * MAX_JOINTS, NO_JOINTS)
+        coupling.hear(side, sender, np.full(MAX_JOINTS, energy), joints())
     assert side.ports[0].heard == pytest.approx(1.5)
     assert side.ports[0].credit == pytest.approx(1.5)
+
+
+def test_nonces_that_differ_in_their_lowest_bit_are_told_apart():
+    """Above 2^53 a number that went through a double would not be."""
+    side = Side.new()
+    for sender, energy in ((2**64 - 1, 5.0), (2**64 - 2, 3.0), (2**64 - 2, 3.5)):
+        coupling.hear(side, np.uint64(sender), np.full(MAX_JOINTS, energy), joints())
+    assert side.ports[0].heard == pytest.approx(0.5)
+    assert side.sender == 2**64 - 2
+
+
+class Heard(Record):
+    sender: U64
+    energy: Annotated[np.ndarray, Field("f8", MAX_JOINTS)]
+    wave: Annotated[np.ndarray, Field("f8", MAX_JOINTS)]
+
+
+class Memory(Record):
+    heard: Heard
+    near: Side
+    far: Side
+    rules: BilateralSettings
+
+
+@compiled
+def tick_of_memory(memories, place, speed, force):
+    """As a compiled tick has them: everything within one record, arrays of it too."""
+    memory = memories[0]
+    for side in (memory.near, memory.far):
+        coupling.hear(side, memory.heard.sender, memory.heard.energy, memory.heard.wave)
+    coupling.count_hand(memory.rules, memory.near, place, speed, force, 1, LEVER, True, DT)
+    coupling.render(memory.rules, memory.near, force, 1, force)
+    coupling.at_tip(memory.rules, memory.far, place, speed, force, 1, True, DT)
+    return coupling.differs(memory.rules, memory.near.sender)
+
+
+@pytest.mark.parametrize("config", [*ROBUST, DirectConfig()], ids=lambda c: f"{c.type}")
+def test_within_a_larger_record_a_side_is_the_same(config):
+    rules, memories = record_of(config), Memory.array()
+    memories["rules"] = bilateral_settings(Bilateral(coupling=config))
+    near, far = Side.new(), Side.new()
+    for tick in range(20):
+        place, speed, force = 3e-5 * tick, 0.03, 9.0 * (-1.0) ** tick
+        energy, wave = np.full(MAX_JOINTS, 1e-4 * tick), np.full(MAX_JOINTS, -1e-5 * tick)
+        heard = memories["heard"]
+        heard["sender"], heard["energy"], heard["wave"] = 2**64 - 1, energy, wave
+        arrays = joints(place), joints(speed), joints(force)
+        tick_of_memory(memories, *arrays)
+        for side in (near, far):
+            coupling.hear(side, np.uint64(2**64 - 1), energy, wave)
+        felt = at_hand(rules, near, place, speed, force, force)
+        gone, went = at_tip(rules, far, place, speed, felt)
+        assert (arrays[0][0], arrays[1][0], arrays[2][0]) == (gone, went, felt)
+        assert repr(memories[0]["near"].tolist()) == repr(near.tolist())
+        assert repr(memories[0]["far"].tolist()) == repr(far.tolist())
+    assert near.ports[0].heard > 0.0

@@ -7,10 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.link import NEVER_NS, Counts, Latest
+from teleop.link.inbox import Arrived
 from teleop.link.reception import DRIFT, Reception
 from teleop.messages import Command, SlaveState
 from teleop.topics import COMMAND
 from tests.teleop.link.bench import MS, packed
+
+
+def take(latest, data, now_ns):
+    """Take in messages that have all come at the same time."""
+    latest.take([Arrived(item, now_ns) for item in data])
 
 
 def total(counts: Counts) -> int:
@@ -76,7 +82,7 @@ def test_no_message_is_older_than_any_limit() -> None:
     latest = Latest(COMMAND, visit=lambda _: True)
     assert latest.age_ns(0) == NEVER_NS
     assert not latest.is_fresh(0, 10**18)
-    latest.take([], 5, overflowed=False)
+    take(latest, [], 5)
     assert not latest.new
 
 
@@ -98,7 +104,7 @@ def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
         arrived = sorted(m for m in in_flight if m[0] <= now)
         in_flight = [m for m in in_flight if m[0] > now]
         data = [packed(sent // MS + 1, stamp_ns=sent + offset_ns) for _, sent in arrived]
-        latest.take(sorted(data, key=lambda d: Command.unpack(d).sequence), now, overflowed=False)
+        take(latest, sorted(data, key=lambda d: Command.unpack(d).sequence), now)
         if arrived:
             newest_sent = max([newest_sent or 0, *(sent for _, sent in arrived)])
         if tick > 100 and newest_sent is not None:
@@ -111,21 +117,21 @@ def test_age_is_time_since_sent_less_the_quickest_way_whatever_the_clocks_say(
 def test_a_message_that_was_held_up_is_old_when_it_arrives() -> None:
     latest = Latest(COMMAND, visit=lambda _: True)
     for k in range(100):
-        latest.take([packed(k + 1, stamp_ns=k * MS)], k * MS, overflowed=False)
+        take(latest, [packed(k + 1, stamp_ns=k * MS)], k * MS)
     assert latest.is_fresh(99 * MS, 2 * MS)
-    latest.take([packed(101, stamp_ns=100 * MS)], 600 * MS, overflowed=False)
+    take(latest, [packed(101, stamp_ns=100 * MS)], 600 * MS)
     assert latest.new
     assert not latest.is_fresh(600 * MS, 400 * MS)
-    latest.take([packed(700, stamp_ns=601 * MS)], 601 * MS, overflowed=False)
+    take(latest, [packed(700, stamp_ns=601 * MS)], 601 * MS)
     assert latest.is_fresh(601 * MS, 2 * MS)
 
 
 def test_the_clocks_of_a_restarted_sender_are_learnt_anew() -> None:
     there = {7}
     latest = Latest(COMMAND, visit=lambda nonce: nonce in there)
-    latest.take([packed(1, sender=7, stamp_ns=10**15)], 0, overflowed=False)
+    take(latest, [packed(1, sender=7, stamp_ns=10**15)], 0)
     there.symmetric_difference_update({7, 9})
-    latest.take([packed(1, sender=9, stamp_ns=0)], 10 * MS, overflowed=False)
+    take(latest, [packed(1, sender=9, stamp_ns=0)], 10 * MS)
     assert latest.age_ns(10 * MS) == 0
 
 
@@ -136,7 +142,7 @@ def test_clocks_that_run_at_different_speeds_do_not_make_messages_old(gain: floa
     for k in range(60_000):
         now = k * 10 * MS
         data = packed(k + 1, stamp_ns=round(now * (1.0 - gain)))
-        latest.take([data], now, overflowed=False)
+        take(latest, [data], now)
         assert latest.is_fresh(now, 1 * MS)
 
 
@@ -144,14 +150,14 @@ def test_a_peer_that_slept_is_fresh_again_once_its_token_has_come_back() -> None
     visit = {7: 1}
     latest = Latest(COMMAND, visit=lambda nonce: visit[nonce])
     slept = 10_000 * MS
-    latest.take([packed(1, stamp_ns=0)], 0, overflowed=False)
+    take(latest, [packed(1, stamp_ns=0)], 0)
     visit[7] = 0
-    latest.take([packed(2, stamp_ns=MS)], slept, overflowed=False)
+    take(latest, [packed(2, stamp_ns=MS)], slept)
     assert not latest.is_fresh(slept, 9_000 * MS)  # until then it is taken for held up
     visit[7] = 2
     for k in range(3, 10):
         now = slept + k * MS
-        latest.take([packed(k, stamp_ns=k * MS)], now, overflowed=False)
+        take(latest, [packed(k, stamp_ns=k * MS)], now)
         assert latest.is_fresh(now, MS)
-    latest.take([packed(10, stamp_ns=10 * MS)], slept + 510 * MS, overflowed=False)
+    take(latest, [packed(10, stamp_ns=10 * MS)], slept + 510 * MS)
     assert not latest.is_fresh(slept + 510 * MS, 400 * MS)  # what is held up is old as before

@@ -17,25 +17,9 @@ import math
 from estimator import signals
 from estimator import tables as _tables
 from estimator.compiled import compiled
-from estimator.memory import (
-    ANCHOR_AGE,
-    ANCHOR_E,
-    ANCHOR_Q,
-    ANCHOR_T,
-    DRIVER,
-    HEADING,
-    HELD,
-    MEAN_Q,
-    MEMORY,
-    PLACE,
-    PLACE_HEADING,
-    SCALARS,
-    SIGMA_Q,
-    Array,
-    State,
-)
+from estimator.estimator_state import EstimatorState
+from estimator.prepared_tendon import PreparedTendon
 from estimator.profile import TIP, log_tension, push_proximal, slide
-from estimator.tables import Tables
 from estimator.transmission import read_out
 
 SURE = 8.0  # sigma of a displacement before it decides: a running extreme stands 3 to 4 off
@@ -47,58 +31,58 @@ _K, _ASYMMETRY = _tables.K, _tables.ASYMMETRY
 
 
 @compiled
-def anchor(table: Tables, state: State, T: float, q: float) -> None:
-    """Begin a new window of evidence at (T, q), with the profile as it is."""
-    profile = state[SCALARS:MEMORY]
-    state[ANCHOR_T], state[ANCHOR_Q], state[ANCHOR_AGE] = T, q, 0.0
-    _, _, state[ANCHOR_E], _, _ = read_out(table, profile)
-    state[MEMORY:] = profile
+def anchor(prepared: PreparedTendon, state: EstimatorState, T: float, q: float) -> None:
+    """Begin a new window of evidence at (T [N], q [m]), with the profile as it is."""
+    profile = state.profile[:]
+    state.anchor_tension, state.anchor_displacement, state.anchor_age = T, q, 0.0
+    state.anchor_elongation = read_out(prepared.tables[:], profile)[2]
+    state.anchor_profile[:] = profile
 
 
 @compiled
 def follow(
-    table: Tables, constants: Array, state: State, T: float, q: float, sure_T: float, dt: float
+    prepared: PreparedTendon, state: EstimatorState, T: float, q: float, sure_T: float, dt: float
 ) -> None:
-    """Move the profile to T_in = `T`, driven by whichever end the displacement tells."""
-    profile = state[SCALARS:MEMORY]
-    T_before, q_before = state[HELD], state[MEAN_Q]
-    sure_q = SURE * constants[SIGMA_Q]
-    turned = _turned(state, HEADING, T - T_before)
-    place = signals.play(state[PLACE], q, 0.5 * sure_q)
-    turned |= _turned(state, PLACE_HEADING, place - state[PLACE])
-    state[HELD], state[MEAN_Q], state[PLACE] = T, q, place
-    if turned:
-        state[DRIVER] = 0.0
-        anchor(table, state, T_before, q_before)
-    state[ANCHOR_AGE] += dt
+    """Move the profile to T_in = `T` [N], driven by whichever end the travel `q` [m] tells.
 
-    motor_driven = profile if state[DRIVER] == 0.0 else state[MEMORY:].copy()
+    A change of T_in by more than `sure_T` [N] is no noise.
+    """
+    table, profile = prepared.tables[:], state.profile[:]
+    T_before, q_before = state.held_tension, state.mean_displacement
+    sure_q = SURE * prepared.displacement_noise
+    heading = _direction(state.tension_direction, T - T_before)
+    place = signals.play(state.held_displacement, q, 0.5 * sure_q)
+    motor_heading = _direction(state.displacement_direction, place - state.held_displacement)
+    turned = heading != state.tension_direction or motor_heading != state.displacement_direction
+    state.tension_direction, state.displacement_direction = heading, motor_heading
+    state.held_tension, state.mean_displacement, state.held_displacement = T, q, place
+    if turned:
+        state.tip_drives = False
+        anchor(prepared, state, T_before, q_before)
+    state.anchor_age += dt
+
+    motor_driven = state.anchor_profile[:].copy() if state.tip_drives else profile
     push_proximal(table, motor_driven, T)
     _, _, e, _, _ = read_out(table, motor_driven)
-    expected = abs(e - state[ANCHOR_E])
-    dT, dq = T - state[ANCHOR_T], q - state[ANCHOR_Q]
+    expected = abs(e - state.anchor_elongation)
+    dT, dq = T - state.anchor_tension, q - state.anchor_displacement
     along = math.copysign(dq, dT * dq)  # of dq, what would change T_in the way it changed
     still = abs(dT) > sure_T and max(along, 0.0) + sure_q < STILL * expected
     driving = along > sure_q and along >= DRIVING * expected
-    tip = still or (state[DRIVER] != 0.0 and not driving)
+    tip = still or (state.tip_drives and not driving)
 
     if tip and dT != 0.0:
         K = table[_K]
         u = log_tension(table, T)
         slide(table, profile, u - K if dT < 0.0 else u + table[_ASYMMETRY] * K, TIP)
-    elif state[DRIVER] != 0.0 and not tip:
+    elif state.tip_drives and not tip:
         profile[:] = motor_driven  # since the anchor it was the motor after all
-    state[DRIVER] = 1.0 if tip else 0.0
-    if still or driving or state[ANCHOR_AGE] > PATIENCE:
-        anchor(table, state, T, q)
+    state.tip_drives = tip
+    if still or driving or state.anchor_age > PATIENCE:
+        anchor(prepared, state, T, q)
 
 
 @compiled
-def _turned(state: State, slot: int, change: float) -> bool:
-    """Note the direction of a change; return whether it is another one than before."""
-    if change == 0.0:
-        return False
-    heading = math.copysign(1.0, change)
-    turned: bool = heading != state[slot]
-    state[slot] = heading
-    return turned
+def _direction(before: float, change: float) -> float:
+    """Return the sign of a change, and the one of `before` where nothing changes."""
+    return before if change == 0.0 else math.copysign(1.0, change)

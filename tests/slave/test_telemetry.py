@@ -1,11 +1,11 @@
 """What the slave tells listeners: each state of the session once, with its place."""
 
 import pytest
+from slave.housekeeping import Housekeeping, calibrating
 
 from slave import housekeeping, loop
 from slave.calibration.memory import Phase
 from slave.calibration.run import Progress
-from slave.housekeeping import Housekeeping, calibrating
 from slave.tendon_config import TendonConfig
 from slave.watch import Finding
 from teleop.session import Reason, Session, State

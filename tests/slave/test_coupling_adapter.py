@@ -1,34 +1,53 @@
 """The slave's port: the same force as the master works out, and where the tips are sent."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator import online
+from estimator.records import as_record, one
+from estimator.tendon_estimate import INVALID_INPUT
 from master import feedback
-from slave import port
+from slave import coupling_adapter
 from slave.control import JointEstimate
-from teleop.confidence import ConfidenceConfig
 from teleop.coupling import Bilateral, PassivityConfig, Side
+from teleop.force_attenuation import ConfidenceConfig
 from teleop.messages import MAX_JOINTS, Command, SlaveState, padded
 
 FORCES = st.floats(-60.0, 60.0)
 RULE = ConfidenceConfig()
-INVALID = int(online.Status.INVALID_INPUT)
+NUMBERS = as_record(RULE)
+
+
+def estimates(*rows):
+    """Return estimates with these forces, ends of their intervals and status bits."""
+    records = JointEstimate.array(len(rows))
+    for k, (force, low, high, status) in enumerate(rows):
+        estimate = one(records, k)
+        estimate.position, estimate.status = 0.0, status
+        estimate.force, estimate.low, estimate.high = force, low, high
+    return records
+
+
+def slave_forces(most, *rows):
+    forces = np.full(MAX_JOINTS, 7.0)
+    coupling_adapter.rendered_forces(NUMBERS, estimates(*rows), len(rows), most, forces)
+    assert (forces[len(rows) :] == 7.0).all()
+    return forces[: len(rows)].tolist()
 
 
 @given(
     FORCES,
     st.floats(0.0, 80.0),
     st.floats(0.0, 80.0),
-    st.sampled_from([0, INVALID, 3]),
+    st.sampled_from([0, INVALID_INPUT, 3]),
     st.floats(0.0, 5.0),
 )
 def test_both_sides_know_the_same_port_force(force, below, above, status, scale):
     low, high = force - below, force + above
     config = feedback.FeedbackConfig(scale=scale)
     most = feedback.saturation(config)
-    (at_slave,) = port.felt(RULE, [JointEstimate(0.0, force, low, high, status)], most)
+    (at_slave,) = slave_forces(most, (force, low, high, status))
     state = SlaveState(
         joints=1,
         force=padded((force,), MAX_JOINTS),
@@ -41,14 +60,24 @@ def test_both_sides_know_the_same_port_force(force, below, above, status, scale)
     assert rendered == pytest.approx(-scale * at_slave, abs=1e-9)
 
 
+anything = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(anything, st.lists(st.tuples(anything, FORCES, FORCES, st.integers(0, 31)), max_size=8))
+def test_whatever_comes_in_no_more_is_rendered_than_the_most_and_each_joint_by_itself(most, rows):
+    forces = slave_forces(most, *rows)
+    assert all(abs(force) <= (most if most > 0.0 else 0.0) for force in forces)
+    assert forces == [force for row in rows for force in slave_forces(most, row)]
+
+
 def test_what_the_hand_never_paid_for_is_not_spent_on_a_wall():
     bilateral = Bilateral(coupling=PassivityConfig())
-    wall = [JointEstimate(0.0, 10.0, 10.0, 10.0, 0)]
+    wall = estimates((10.0, 10.0, 10.0, 0))
     command = Command(sender=7, force_max=50.0)
     side, place = Side(), 0.0
     for tick in range(200):
         asked = (1e-4 * tick,)
-        (place,), _, side = port.step(
+        (place,), _, side = coupling_adapter.step(
             bilateral, side, command, asked, (0.1,), wall, coupled=True, dt=1e-3
         )
     assert 10.0 * place <= bilateral.coupling.reserve + 1e-12
@@ -57,5 +86,8 @@ def test_what_the_hand_never_paid_for_is_not_spent_on_a_wall():
 
 
 def test_without_a_command_nothing_is_coupled():
-    where, speed, side = port.step(Bilateral(), Side(), None, (), (), [], coupled=False, dt=1e-3)
+    none = estimates()
+    where, speed, side = coupling_adapter.step(
+        Bilateral(), Side(), None, (), (), none, coupled=False, dt=1e-3
+    )
     assert (where, speed, side) == ((), (), Side())

@@ -6,8 +6,8 @@ from collections import Counter
 from typing import Any
 
 from teleop.impair import model
-from teleop.impair.config import WayConfig
-from teleop.impair.courier import Courier
+from teleop.impair.config import DirectionConfig
+from teleop.impair.delay_queue import DelayQueue
 from teleop.impair.model import Fate, Memory
 from teleop.link.bridge import Bank
 from teleop.topics import TOPICS, Topic
@@ -22,10 +22,10 @@ _COUNTED = {
 }
 
 
-class Way:
+class Direction:
     """Messages and announcements from the `near` bank to the `far` one.
 
-    Zenoh's thread calls `take`; everything else is called by whoever runs the courier.
+    Zenoh's thread calls `take`; everything else is called by whoever runs the delay queue.
 
     Attributes
     ----------
@@ -34,10 +34,16 @@ class Way:
     """
 
     def __init__(
-        self, name: str, config: WayConfig, seed: int, near: Bank, far: Bank, courier: Courier
+        self,
+        name: str,
+        config: DirectionConfig,
+        seed: int,
+        near: Bank,
+        far: Bank,
+        queue: DelayQueue,
     ) -> None:
         self.cut = False
-        self._near, self._far, self._courier = near, far, courier
+        self._near, self._far, self._queue = near, far, queue
         self._keys = {topic.name: model.key_of(seed, name, topic.name) for topic in TOPICS}
         self._puts = {topic.name: far.put(topic) for topic in TOPICS}
         self._memories = dict.fromkeys(self._keys, Memory())
@@ -47,12 +53,12 @@ class Way:
         self._lock = threading.Lock()
         self.configure(config)
 
-    def configure(self, config: WayConfig) -> None:
+    def configure(self, config: DirectionConfig) -> None:
         """Do as `config` says from the next message on."""
         self._configs = {True: config.of(live=True), False: config.of(live=False)}
 
     def take(self, topic: Topic[Any], data: bytes) -> None:
-        """Decide on a message that has just come, and hand it to the courier."""
+        """Decide on a message that has just come, and hand it to the delay queue."""
         now, name = time.monotonic_ns(), topic.name
         with self._lock:
             if topic.live and not self._start_ns:
@@ -69,10 +75,11 @@ class Way:
             counts["came"] += 1
             for flag in fate:
                 counts[_COUNTED[flag]] += 1
-            counts["sent"] += len(deliveries)
             start, put = self._start_ns or now, self._puts[name]
             for delivery in deliveries:
-                self._courier.send(start + round(delivery.due * 1e9), put, delivery.data)
+                due_ns = start + round(delivery.due * 1e9)
+                sent = self._queue.send(due_ns, put, delivery.data)
+                counts["sent" if sent else "overflowed"] += 1
 
     def mirror(self, presence_s: float) -> None:
         """Do on each bank as the other is: ask for what is wanted, announce who is there."""
@@ -91,7 +98,10 @@ class Way:
         """Return what became of the messages of each topic that any came of."""
         with self._lock:
             return {
-                topic: {name: counts[name] for name in ("came", "sent", *_COUNTED.values())}
+                topic: {
+                    name: counts[name]
+                    for name in ("came", "sent", *_COUNTED.values(), "overflowed")
+                }
                 for topic, counts in self._counts.items()
                 if counts["came"]
             }

@@ -14,29 +14,9 @@ import math
 
 from estimator import tables as _tables
 from estimator.compiled import compiled
-from estimator.driver import anchor
-from estimator.memory import (
-    BOUND,
-    DRIVER,
-    E_ERROR,
-    HELD,
-    K_ERROR,
-    MEMORY,
-    PROVED_HIGH,
-    PROVED_LOW,
-    RATE,
-    SCALARS,
-    SIGMA_Q,
-    SIGMA_T,
-    TENSION_FLOOR,
-    WINDOW_AGE,
-    WINDOW_Q,
-    WINDOW_T,
-    WINDOW_T_LEAST,
-    WINDOW_T_MOST,
-    Array,
-    State,
-)
+from estimator.driving_end import anchor
+from estimator.estimator_state import EstimatorState
+from estimator.prepared_tendon import BOUND, TENSION_FLOOR, PreparedTendon
 from estimator.profile import TIP, log_tension, slide, tension_of
 from estimator.tables import Tables, integral
 from estimator.transmission import read_out
@@ -65,17 +45,16 @@ def _depth(table: Tables, side: float, compliance: float) -> float:
 
 
 @compiled
-def open_window(state: State, T: float, q: float) -> None:
-    """Begin a window of proof at (T, q)."""
-    state[WINDOW_T] = state[WINDOW_T_LEAST] = state[WINDOW_T_MOST] = T
-    state[WINDOW_Q], state[WINDOW_AGE] = q, 0.0
+def open_window(state: EstimatorState, T: float, q: float) -> None:
+    """Begin a window of proof at (T [N], q [m])."""
+    state.window_tension = state.window_least = state.window_most = T
+    state.window_displacement, state.window_age = q, 0.0
 
 
 @compiled
-def prove(
-    table: Tables,
-    constants: Array,
-    state: State,
+def tighten(
+    prepared: PreparedTendon,
+    state: EstimatorState,
     T: float,
     q: float,
     sigma_mean: float,
@@ -83,49 +62,52 @@ def prove(
 ) -> None:
     """Cut the proved interval of T_out by how deep the motor end slides at least, in place.
 
+    `T` [N] and `q` [m] are averages, `sigma_mean` [N] the noise of `T`.
+
     Over a window in which T_in went one way, dq_p >= G(a) dT_in says that at some time the front
     was at a or deeper. What of dT_in the noise hides counts against it.
     """
-    state[WINDOW_AGE] += dt
-    dT, dq = T - state[WINDOW_T], q - state[WINDOW_Q]
-    margin_q = BOUND * math.sqrt(2.0) * constants[SIGMA_Q]
+    table = prepared.tables[:]
+    state.window_age += dt
+    dT, dq = T - state.window_tension, q - state.window_displacement
+    margin_q = BOUND * math.sqrt(2.0) * prepared.displacement_noise
     margin_T = BOUND * (math.sqrt(2.0) * sigma_mean + TENSION_FLOOR)
-    least = state[WINDOW_T_LEAST] = min(T, state[WINDOW_T_LEAST])
-    most = state[WINDOW_T_MOST] = max(T, state[WINDOW_T_MOST])
+    least = state.window_least = min(T, state.window_least)
+    most = state.window_most = max(T, state.window_most)
     turned = most - least - abs(dT)
     if turned > margin_T:
         open_window(state, T, q)
     elif abs(dq) > 2.0 * margin_q:
         side = -1.0 if dq > 0.0 else table[_ASYMMETRY]
-        sure_q = (abs(dq) - margin_q) * (1.0 - constants[E_ERROR])
+        sure_q = (abs(dq) - margin_q) * (1.0 - prepared.elongation_error)
         along = max(math.copysign(dT, dT * dq), 0.0)  # of dT, what slides the way the motor went
         sure_T = along + turned + 2.0 * margin_T
         compliance = sure_q / sure_T
         whole = sure_T * integral(table, table[_K], side) / table[_EA]
         full = sure_q >= whole
         precise = abs(dq) > PRECISE * margin_q and abs(dT) > PRECISE * margin_T
-        if not (full or precise or state[WINDOW_AGE] > WINDOW):
+        if not (full or precise or state.window_age > WINDOW):
             return
-        margin = BOUND * constants[SIGMA_T]
+        margin = BOUND * prepared.tension_noise
         least, most = max(least - margin, 0.0), most + margin
         depth = _depth(table, side, compliance)
-        slack_K = constants[K_ERROR] * table[_K]
+        slack_K = prepared.friction_error * table[_K]
         rest = table[_K] - depth + slack_K
         low = tension_of(table, log_tension(table, least) + side * depth - rest)
         high = tension_of(table, log_tension(table, most) + side * depth + table[_ASYMMETRY] * rest)
-        unheard = constants[RATE] * state[WINDOW_AGE] if state[WINDOW_AGE] > 0.0 else 0.0
-        state[PROVED_LOW] = max(state[PROVED_LOW], low - unheard)
-        state[PROVED_HIGH] = min(state[PROVED_HIGH], high + unheard)
-        profile = state[SCALARS:MEMORY]
+        unheard = prepared.tip_tension_rate * state.window_age if state.window_age > 0.0 else 0.0
+        state.proved_low = max(state.proved_low, low - unheard)
+        state.proved_high = min(state.proved_high, high + unheard)
+        profile = state.profile[:]
         T_out = read_out(table, profile)[1]
         if full and not low <= T_out <= high:
-            if sure_q < CORRECTS * whole and state[WINDOW_AGE] <= WINDOW:
+            if sure_q < CORRECTS * whole and state.window_age <= WINDOW:
                 return
             if sure_q >= CORRECTS * whole:
-                u = log_tension(table, state[HELD])
+                u = log_tension(table, state.held_tension)
                 slide(table, profile, u + side * table[_K], TIP)
-                state[DRIVER] = 0.0
-                anchor(table, state, state[HELD], q)
+                state.tip_drives = False
+                anchor(prepared, state, state.held_tension, q)
         open_window(state, T, q)
-    elif state[WINDOW_AGE] > WINDOW:
+    elif state.window_age > WINDOW:
         open_window(state, T, q)

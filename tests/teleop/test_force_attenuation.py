@@ -1,4 +1,4 @@
-"""How much of an estimate may be felt."""
+"""Attenuation of an estimate by its interval."""
 
 import math
 
@@ -6,15 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.confidence import ConfidenceConfig, attenuated, certain
+from estimator.records import as_record
+from teleop.force_attenuation import ConfidenceConfig, attenuated, certain
 
 FORCES = st.floats(-100.0, 100.0)
 RULES = st.builds(
-    lambda full, more: ConfidenceConfig(full, full + more),
+    lambda full, more: as_record(ConfidenceConfig(full, full + more)),
     st.floats(0.0, 5.0),
     st.floats(0.01, 5.0),
 )
-RULE = ConfidenceConfig()
+RULE = as_record(ConfidenceConfig())
 
 
 @given(RULES, FORCES, FORCES, FORCES)
@@ -51,7 +52,7 @@ def test_the_wider_the_interval_the_weaker(force, width):
 
 
 def test_the_rule_in_numbers():
-    rule = ConfidenceConfig(full=0.5, none=1.5)
+    rule = as_record(ConfidenceConfig(full=0.5, none=1.5))
     assert attenuated(rule, 10.0, 5.0, 15.0) == 10.0
     assert attenuated(rule, 10.0, 0.0, 20.0) == pytest.approx(5.0)
     assert attenuated(rule, 10.0, -5.0, 25.0) == 0.0

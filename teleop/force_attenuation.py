@@ -1,11 +1,11 @@
-"""How much of an estimated force may be felt: all of it, or only what is certain.
+"""Attenuation of an estimated force by its certified interval: all of it, or what is certain.
 
 An estimate f comes with a certified interval [low, high]. Certain is the force in it that is
 nearest to zero,
 
     c = max(low, 0) + min(high, 0)
 
-which is zero as long as the interval contains zero. What is felt lies between the two,
+which is zero as long as the interval contains zero. What is rendered lies between the two,
 
     f_port = c + w (f - c),   w = 1 for h <= full |f|,  0 for h >= none |f|,  straight in between
 
@@ -19,13 +19,15 @@ Both sides of a session use this rule with the same constants, so that both know
 import math
 from dataclasses import dataclass
 
+from estimator.compiled import compiled
+
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceConfig:
-    """Between which relative half-widths of the interval an estimate loses its credit."""
+    """Between which relative half-widths of the interval an estimate is attenuated."""
 
-    full: float = 0.5  # half-width over |force| up to which the estimate itself is felt
-    none: float = 1.5  # ... from which only what is certain is felt
+    full: float = 0.5  # half-width over |force| up to which the estimate itself is rendered
+    none: float = 1.5  # ... from which only what is certain is rendered
 
     def __post_init__(self) -> None:
         """Refuse a rule that is not continuous."""
@@ -35,18 +37,20 @@ class ConfidenceConfig:
             raise ValueError("none: must be above full, by 0.001 at least, and at most 1e6")
 
 
+@compiled
 def certain(low: float, high: float) -> float:
     """Return the force [N] in `low ... high` that is nearest to zero."""
     return max(low, 0.0) + min(high, 0.0)
 
 
+@compiled
 def attenuated(config: ConfidenceConfig, force: float, low: float, high: float) -> float:
-    """Return how much of an estimated `force` [N], certified to be in `low ... high`, is felt.
+    """Return how much of an estimated `force` [N], certified to be in `low ... high`, is rendered.
 
-    An estimate beyond its interval counts as the end of it, but is felt no stronger than it is, and
-    not at all if that end has the other sign. An interval that is none (an end is
-    NaN, or they are swapped) certifies nothing: 0. A force that is not finite is returned as it
-    is, for the gate to refuse.
+    An estimate beyond its interval counts as the end of it, but is rendered no stronger than it is,
+    and not at all if that end has the other sign. An interval that is none (an end is NaN, or they
+    are swapped) certifies nothing: 0. A force that is not finite is returned as it is, for the
+    gate to refuse.
     """
     if not math.isfinite(force):
         return force
@@ -60,5 +64,5 @@ def attenuated(config: ConfidenceConfig, force: float, low: float, high: float) 
     width = 0.5 * high / size - 0.5 * low / size
     weight = min(max((config.none - width) / (config.none - config.full), 0.0), 1.0)
     sure = certain(low, high)
-    felt = abs(sure + weight * (near - sure))
-    return math.copysign(min(felt, abs(force)), force)
+    rendered = abs(sure + weight * (near - sure))
+    return math.copysign(min(rendered, abs(force)), force)

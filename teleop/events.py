@@ -1,13 +1,13 @@
-"""Saying what has become of a side: to everyone on the link, and to whoever started the process."""
+"""Events: what has become of a side, for everyone on the link and for who started the process."""
 
 from teleop.link import Link
 from teleop.messages import Event, text_bytes
 from teleop.process import supervised
-from teleop.session import Session
+from teleop.session import SessionOutline
 from teleop.topics import EVENT, Role
 
 
-def tell(link: Link, role: Role, side: Session, text: str) -> None:
+def publish_event(link: Link, role: Role, side: SessionOutline, text: str) -> None:
     """Publish `text` as an event; print it too, unless a launcher does."""
     link.publish(
         EVENT, Event(role=role, state=side.state, reason=side.reason, text=text_bytes(text))

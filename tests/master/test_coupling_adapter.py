@@ -1,12 +1,17 @@
-"""The master's port: hand units outside, tip units inside."""
+"""The coupling at the master: hand units outside, tip units inside."""
+
+import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from master import port
+from estimator.records import one
+from master import coupling_adapter
+from master.coupling_adapter import Rendered
 from master.device import HandState
-from teleop.coupling import Bilateral, PassivityConfig, Side
+from teleop.coupling import Bilateral, PassivityConfig, Side, bilateral_settings
+from tests.master.records import eight, hand_record
 
 DT = 1e-3
 PASSIVITY = Bilateral(coupling=PassivityConfig(hand_damping=0.0))
@@ -16,18 +21,25 @@ def at(place, speed=0.0):
     return HandState((place / 0.25,), (speed / 0.25,), True)
 
 
-class Port:
-    """One axis at the master, tick by tick; places and ways in units of the tip."""
+class Axis:
+    """One axis at the master, tick by tick; places and travels in units of the tip."""
 
     def __init__(self, bilateral):
-        self.bilateral, self.side, self.before = bilateral, Side(), port.Rendered()
+        self.settings, self.side = one(bilateral_settings(bilateral)), Side.new()
+        self.rendered = Rendered.new()
 
     def step(self, place, scale, written, wanted, coupled=True, hand=None):
-        (force,), self.side, self.before = port.step(
-            self.bilateral, self.side, self.before, hand or at(place), scale, 0.25,
-            (written,), (wanted,), coupled, DT,
+        counted = coupled and math.isfinite(wanted)
+        coupling_adapter.count_hand(
+            self.settings, self.side, self.rendered, hand_record(hand or at(place)), scale, 0.25,
+            eight(written), 1, counted, DT,
         )  # fmt: skip
-        return force
+        out = eight()
+        coupling_adapter.render(self.settings, self.side, scale, eight(wanted), 1, counted, out)
+        if coupled:
+            coupling_adapter.remember(self.rendered, scale, out, 1)
+        assert not out[1:].any()
+        return out[0]
 
     @property
     def joint(self):
@@ -36,7 +48,7 @@ class Port:
 
 @given(st.floats(-3.0, 3.0), st.floats(0.01, 5.0))
 def test_direct_gives_what_is_wanted(wanted, scale):
-    axis = Port(Bilateral())
+    axis = Axis(Bilateral())
     force = axis.step(0.0, scale, 0.0, wanted)
     assert axis.step(1e-4, scale, force, wanted) == pytest.approx(wanted)
 
@@ -44,31 +56,31 @@ def test_direct_gives_what_is_wanted(wanted, scale):
 @given(st.floats(0.05, 1.0))
 def test_energy_is_counted_in_units_of_the_tip(scale):
     """10 N at the tip over 20 um, whatever the hand feels of it."""
-    axis = Port(PASSIVITY)
+    axis = Axis(PASSIVITY)
     force = axis.step(0.0, scale, 0.0, -10.0 * scale)
     axis.step(2e-5, scale, force, -10.0 * scale)
     assert axis.joint.put_in == pytest.approx(10.0 * 2e-5)
 
 
 def test_a_hand_that_is_given_no_force_does_no_work():
-    axis = Port(PASSIVITY)
+    axis = Axis(PASSIVITY)
     for k in range(10):
         assert axis.step(1e-4 * k, 0.0, 0.0, 0.0) == 0.0
     assert axis.joint.put_in == axis.joint.taken_out == 0.0
 
 
 def test_uncoupled_or_not_finite_goes_on_to_the_gate_as_it_is():
-    axis = Port(PASSIVITY)
+    axis = Axis(PASSIVITY)
     force = axis.step(0.0, 0.2, 0.0, float("nan"))
     assert force != force
-    assert axis.side.tip is None
-    assert Port(PASSIVITY).step(0.0, 0.2, 0.0, -1.0, coupled=False) == -1.0
+    assert not axis.side.coupled
+    assert Axis(PASSIVITY).step(0.0, 0.2, 0.0, -1.0, coupled=False) == -1.0
 
 
 @given(st.lists(st.sampled_from([0.0, 1e-17, 1e-9, 0.01, 0.2, 5.0]), min_size=2, max_size=20))
 def test_however_the_force_s_scale_changes_no_work_is_made_up(scales):
     """10 N at the tip over 0.1 mm a tick is the most that any scale can make of it."""
-    axis, written = Port(PASSIVITY), 0.0
+    axis, written = Axis(PASSIVITY), 0.0
     for k, scale in enumerate(scales):
         before = axis.joint.put_in
         written = axis.step(1e-4 * k, scale, written, -10.0 * scale)
@@ -77,7 +89,7 @@ def test_however_the_force_s_scale_changes_no_work_is_made_up(scales):
 
 def test_a_hand_that_the_tip_does_not_follow_takes_out_no_more_than_it_put_in():
     """A locked axis under load: the hand gives way, and work is that of its own motion."""
-    axis, written, out = Port(PASSIVITY), 0.0, 0.0
+    axis, written, out = Axis(PASSIVITY), 0.0, 0.0
     for k in range(2000):
         out += -written / 0.2 * 1e-5 if k else 0.0
         written = axis.step(-1e-5 * k, 0.2, written, -10.0 * 0.2)
@@ -87,7 +99,7 @@ def test_a_hand_that_the_tip_does_not_follow_takes_out_no_more_than_it_put_in():
 
 @given(st.floats(-5.0, 5.0), st.floats(0.0, 3.0))
 def test_a_force_that_the_coupling_did_not_ask_for_is_no_work_of_it(written, wanted):
-    axis = Port(Bilateral())
+    axis = Axis(Bilateral())
     axis.step(0.0, 0.2, 0.0, -wanted)
     axis.step(1e-3, 0.2, written, -wanted)
     assert axis.joint.put_in <= wanted / 0.2 * 1e-3 + 1e-12
@@ -97,7 +109,7 @@ def test_a_force_that_the_coupling_did_not_ask_for_is_no_work_of_it(written, wan
 def test_the_damping_of_a_hand_counts_on_the_device():
     """2 N s/m at 0.1 m/s for 1 s is 20 mJ on the device; 0.25 / 0.2 of it in a tip's units."""
     rule = PassivityConfig(hand_damping=2.0, credit_max=1.0)
-    axis = Port(Bilateral(coupling=rule))
+    axis = Axis(Bilateral(coupling=rule))
     for k in range(1001):
         axis.step(0.0, 0.2, 0.0, 0.0, hand=HandState((1e-4 * k,), (0.1,), True))
     assert axis.joint.granted == pytest.approx(0.020 * 0.25 / 0.2 + rule.reserve, rel=0.01)

@@ -1,4 +1,4 @@
-"""Where a loop hears what other processes ask of it; costs microseconds while nobody does."""
+"""Requests of other processes to a loop; costs microseconds while there are none."""
 
 from typing import NamedTuple
 
@@ -6,15 +6,15 @@ from teleop.link import Heard, Link
 from teleop.messages import STOP_ACTIONS, EmergencyStop, Setting, text_bytes, text_of
 from teleop.remote import watches
 from teleop.remote.watches import Armed, Beat
-from teleop.session import Reason, Session, State
+from teleop.session import Reason, SessionOutline, State
 from teleop.topics import SETTING, STOP, Role, role_name
 
 CALL, RESET, WATCH, LEAVE = range(len(STOP_ACTIONS))
 RELAYED = (Reason.EMERGENCY_STOP, Reason.STOP_CALLED, Reason.WATCH_LOST)
 
 
-class Wish(NamedTuple):
-    """A setting that somebody wants changed."""
+class SettingRequest(NamedTuple):
+    """A setting that another process asks to change."""
 
     asker: int  # nonce of the process
     asked: int  # sequence number of its message
@@ -22,28 +22,28 @@ class Wish(NamedTuple):
     value: str
 
 
-class Asked(NamedTuple):
+class Requests(NamedTuple):
     """What was asked since the last tick."""
 
     stop: Reason = Reason.NONE
     words: str = ""  # by whom, and why
     reset: bool = False
-    wishes: tuple[Wish, ...] = ()
+    settings: tuple[SettingRequest, ...] = ()
 
 
-_NOTHING = Asked()
+_NOTHING = Requests()
 
 
-class Door:
-    """Hears stops, resets, watches and settings; used from the loop's thread."""
+class RequestListener:
+    """Listens for stops, resets, watches and settings; used from the loop's thread."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
         self._listener = link.listen((STOP, SETTING))
         self._armed: tuple[Armed, ...] = ()
-        self._before = Session()
+        self._before = SessionOutline()
 
-    def __call__(self, now_ns: int, stops: int = 0) -> Asked:
+    def __call__(self, now_ns: int, stops: int = 0) -> Requests:
         """Return what was asked since the last call, at `now_ns` [ns].
 
         A reset counts if it names the newest of our `stops`, so that none takes back a stop that
@@ -60,7 +60,7 @@ class Door:
             if call.action in (WATCH, LEAVE)
         ]
         self._armed, lost = watches.step(self._armed, beats, self._is_watch, now_ns)
-        asked = Asked(
+        asked = Requests(
             stop=Reason.WATCH_LOST if lost else Reason.NONE,
             reset=any(
                 call.action == RESET
@@ -68,8 +68,8 @@ class Door:
                 and self._link.announced(item.sender)
                 for item, call in said
             ),
-            wishes=tuple(
-                _wish(item)
+            settings=tuple(
+                _setting_request(item)
                 for item in heard
                 if item.topic is SETTING and self._link.announced(item.sender)
             ),
@@ -80,7 +80,7 @@ class Door:
                 return asked._replace(stop=Reason.STOP_CALLED, words=words)
         return asked
 
-    def relay(self, role: Role, side: Session, words: str) -> None:
+    def relay(self, role: Role, side: SessionOutline, words: str) -> None:
         """Tell everybody of a stop that has just been obeyed.
 
         Whoever called for it may have reached this side only, and is not linked to the recorder.
@@ -107,6 +107,6 @@ def call_reset(link: Link, role: Role, words: str, side: Role, number: int) -> N
     )
 
 
-def _wish(item: Heard) -> Wish:
+def _setting_request(item: Heard) -> SettingRequest:
     setting = Setting.unpack(item.data)
-    return Wish(item.sender, item.sequence, text_of(setting.key), text_of(setting.value))
+    return SettingRequest(item.sender, item.sequence, text_of(setting.key), text_of(setting.value))

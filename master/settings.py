@@ -1,0 +1,58 @@
+"""The settings of a master's tick as one record, kept up to date with a config that may change."""
+
+from typing import Annotated
+
+from estimator.records import F64, Field, Record, Records, as_records, one, record_dtype
+from master.config import MasterConfig
+from master.feedback import FeedbackConfig
+from master.gate import GateConfig
+from master.operator import OperatorSettings, operator_settings
+from teleop.coupling import Bilateral, BilateralSettings, bilateral_settings
+
+
+class MasterSettings(Record):
+    """All constants of a tick of the master."""
+
+    operator: OperatorSettings
+    force: Annotated[FeedbackConfig, Field(record_dtype(FeedbackConfig))]
+    gate: Annotated[GateConfig, Field(record_dtype(GateConfig))]
+    freshness: F64  # [s]
+    delay_max: F64  # [s]
+    bilateral: BilateralSettings
+
+
+class SettingsRecord:
+    """The record of a config that may change: `update` costs nothing while it is the same.
+
+    Attributes
+    ----------
+    records : Records
+        An array of one `MasterSettings`, changed in place.
+    """
+
+    def __init__(self, config: MasterConfig, bilateral: Bilateral) -> None:
+        self._config = config
+        self.records = MasterSettings.array()
+        settings = one(self.records)
+        settings.freshness, settings.delay_max = config.freshness, config.delay_max
+        settings.bilateral = bilateral_settings(bilateral)[0]
+        settings.gate = as_records(config.gate)[0]
+        settings.operator = operator_settings(config.operator)[0]
+        settings.force = as_records(config.force)[0]
+
+    def update(self, config: MasterConfig) -> Records:
+        """Return the record of `config`, which may differ in `operator` and `force` (`live.KEYS`).
+
+        Only a part that is another object than before is written anew.
+        """
+        before, self._config = self._config, config
+        if config.operator is not before.operator:
+            self.records["operator"] = operator_settings(config.operator)
+        if config.force is not before.force:
+            self.records["force"] = as_records(config.force)
+        return self.records
+
+
+def master_settings(config: MasterConfig, bilateral: Bilateral) -> Records:
+    """Return the record of a config, as an array of one."""
+    return SettingsRecord(config, bilateral).records

@@ -1,0 +1,133 @@
+"""What the slave tells listeners now and then: events, tension profiles, sheath shapes."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from estimator import online
+from estimator.records import one
+from slave import state_messages
+from slave.calibration import monitor
+from slave.calibration.monitor import Advice
+from slave.calibration.refusals import tendon_name
+from slave.calibration.run import Progress
+from slave.loop import NOT_CALIBRATED, NOT_READY_TEXT, RigModel, Slave, SlaveMemory
+from slave.rig import Rig
+from teleop.events import publish_event
+from teleop.link import Link
+from teleop.messages import PROFILE_POINTS
+from teleop.meter import format_reason
+from teleop.session import Reason, SessionOutline, State, outline
+from teleop.topics import PROFILE, SHEATH, Role
+
+PROFILE_PERIOD_S = 0.02  # T(x) of one tendon after the other; the viewer shows no more of one
+PROFILE_LEAST_S = 0.005  # between two of them, however many tendons there are
+SHEATH_PERIOD_S = 1.0  # for listeners that come late
+PROGRESS_S = 2.0  # between two lines of a calibration
+
+
+class Telemetry:
+    """Publishes what is due, and what is new.
+
+    Attributes
+    ----------
+    detail : str
+        What the reason of the present session state is about; empty if nothing more is known.
+    stop_text : str
+        By whom the last emergency stop was called for.
+    """
+
+    def __init__(self, link: Link, model: RigModel, slave: Slave) -> None:
+        self._link, self._model, self._slave = link, model, slave
+        self._memory: SlaveMemory = one(slave.memory)
+        self._points = [np.linspace(0.0, m.sheath.length, PROFILE_POINTS) for m in model.models]
+        self._joint_of = {k: j for j, tendons in enumerate(model.joints) for k in tendons}
+        self._profile_s = max(PROFILE_PERIOD_S / len(model.models), PROFILE_LEAST_S)
+        self._next_profile_s = self._next_sheath_s = 0.0
+        self._tendon = 0
+        self.detail = self.stop_text = ""
+        self._published: tuple[SessionOutline, str] | None = None
+        self._advice = int(Advice.NONE)
+
+    def __call__(self, time_s: float) -> None:
+        """Publish what is due at session time `time_s` [s]."""
+        side = outline(self._memory.session)
+        before = self._published
+        lasting = side.state is State.FAULT and before is not None and before[0] == side
+        if not (lasting and self.detail):  # where a fault began, not where it shows by and by
+            self.detail = self._detail(side.reason)
+        now = side, self.detail
+        if now != before:
+            self._published = now
+            text = f"{side.state.name.lower()}: {format_reason(side.reason, self.detail)}"
+            publish_event(self._link, Role.SLAVE, side, text)
+        advice = int(self._memory.advice)
+        if advice != self._advice:
+            self._advice = advice
+            if advice == Advice.ADVISED:
+                text = f"calibrate again when there is time: {self._misfit()}"
+                publish_event(self._link, Role.SLAVE, side, text)
+        if time_s >= self._next_profile_s and self._memory.has_sample:
+            self._next_profile_s = time_s + self._profile_s
+            self._publish_profile()
+        if time_s >= self._next_sheath_s:
+            self._next_sheath_s = time_s + SHEATH_PERIOD_S
+            for k, model in enumerate(self._model.models):
+                message = state_messages.sheath(k, self._joint_of[k], model.sheath)
+                self._link.publish(SHEATH, message)
+
+    def _detail(self, reason: Reason) -> str:
+        """Return what the reason of a state is about: why it is not usable, which tendon it is."""
+        memory = self._memory
+        if reason is Reason.NOT_USABLE:
+            if memory.not_ready == NOT_CALIBRATED:
+                return self._model.not_ready_text
+            return NOT_READY_TEXT[memory.not_ready]
+        if reason is Reason.CALIBRATION_DUE:
+            return self._misfit()
+        if reason is Reason.STOP_CALLED:
+            return self.stop_text
+        if reason is not Reason.NONE and memory.found == reason:
+            return self._named(int(memory.found_tendon))
+        return ""
+
+    def _misfit(self) -> str:
+        tendons = range(len(self._model.models))
+        errors = [monitor.force_error(self._memory.monitors[k]) for k in tendons]
+        k = max(tendons, key=lambda k: abs(errors[k]))
+        return f"{self._named(k)}: the force is wrong by about {100.0 * errors[k]:+.0f} %"
+
+    def _named(self, tendon: int) -> str:
+        j = self._joint_of[tendon]
+        return f"joint {j + 1}, tendon {'ab'[self._model.joints[j].index(tendon)]}"
+
+    def _publish_profile(self) -> None:
+        k = self._tendon
+        self._tendon = (k + 1) % len(self._model.models)
+        x = self._points[k]
+        slave = self._slave
+        tension = online.profile_at(one(slave.prepared, k), one(slave.estimators, k), x)
+        front = float(self._memory.tendons[k].estimate.front)
+        message = state_messages.tension_profile(k, x[-1], front, tension.tolist())
+        self._link.publish(PROFILE, message)
+
+
+def calibrating(rig: Rig) -> Callable[[Progress], None]:
+    """Return what prints how far the calibration of a rig is, at each phase that lasts."""
+    due_s = 0.0
+
+    def show(progress: Progress) -> None:
+        nonlocal due_s
+        if progress.time_s < due_s:
+            return
+        due_s = progress.time_s + PROGRESS_S
+        count = len(rig.joints[progress.joint - 1])
+        where = tendon_name(progress.joint, count, progress.side % count)
+        tension = " and ".join(f"{t:z.1f}" for t in progress.tension)
+        print(
+            f"calibrating {rig.name}: {progress.done:.0%}, {where}: {progress.phase.text}, "
+            f"{tension} N",
+            flush=True,
+        )
+
+    return show

@@ -1,0 +1,38 @@
+"""Records for tests of the master: of messages, hands and arrays of eight."""
+
+from typing import Any
+
+import numpy as np
+
+from estimator.records import one
+from master.hand_input import HandInput, fill, fill_axes
+from teleop.messages import MAX_JOINTS, Message
+
+
+def message_records(cls: type[Message]) -> Any:
+    """Return an array of one blank record with the fields of a message class."""
+    wires = cls.schema.wires.items()
+    fields = [(n, (w.numpy, (w.count,)) if w.count > 1 else w.numpy) for n, w in wires]
+    return np.zeros(1, np.dtype(fields, align=True))
+
+
+def message_record(message: Message) -> Any:
+    """Return a message as a record."""
+    records = message_records(type(message))
+    for name in records.dtype.names:
+        records[name] = getattr(message, name)
+    return one(records)
+
+
+def hand_record(hand: Any) -> Any:
+    """Return a `HandState`, or None, as a record."""
+    record = HandInput.new()
+    fill(record, hand)
+    return record
+
+
+def eight(*values: float) -> Any:
+    """Return an array of `MAX_JOINTS` numbers that begins with `values`."""
+    array = np.empty(MAX_JOINTS)
+    fill_axes(array, values)
+    return array

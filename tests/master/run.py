@@ -1,0 +1,128 @@
+"""A master driven tick by tick, with a slave that does as it is told."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from estimator.records import one
+from master import loop
+from master.config import MasterConfig
+from master.device import HandState
+from master.feedback import FeedbackConfig
+from master.gate import GateConfig
+from master.hand_input import fill
+from master.settings import SettingsRecord
+from teleop import session
+from teleop.coupling import Bilateral
+from teleop.messages import MAX_JOINTS, Command, SlaveState, padded
+from teleop.session import Reason, State
+from tests.master.records import message_record, message_records
+
+MS = 1_000_000
+EPOCH = 1_700_000_000 * 10**9
+CONFIG = MasterConfig(force=FeedbackConfig(scale=0.2, slew=1e6), gate=GateConfig(slew_max=1e6))
+DIRECT = Bilateral()
+
+
+def hand(position=0.0, engage=True, velocity=0.0, **buttons):
+    return HandState((position,), (velocity,), engage, **buttons)
+
+
+def answer(now, state=State.ENGAGED, force=5.0, echo=None, sender=7, sample_age=0):
+    return SlaveState(
+        sender=sender,
+        stamp_ns=now,
+        state=state,
+        joints=1,
+        sample_age_ns=sample_age,
+        echo_stamp_ns=now - MS if echo is None else echo,
+        force=padded((force,), MAX_JOINTS),
+        force_low=padded((force - 1.0,), MAX_JOINTS),
+        force_high=padded((force + 1.0,), MAX_JOINTS),
+    )
+
+
+class Output(NamedTuple):
+    """What a tick asks of the world."""
+
+    command: Command
+    force: tuple[float, ...]
+    verdict: int
+    answer_ns: int
+
+
+class Run:
+    """A master and its records; `memory` is its `MasterState`."""
+
+    def __init__(self, config=CONFIG, bilateral=DIRECT, axes=1):
+        self.config, self.now, self.axes = config, EPOCH, axes
+        self._settings = SettingsRecord(config, bilateral)
+        self.memory = one(loop.start(axes, self.now))
+        self._input = one(loop.TickInput.array())
+        self._state = one(message_records(SlaveState))
+        self.output: Any = None
+
+    def tick(
+        self,
+        the_hand,
+        state=None,
+        age=0,
+        fault=Reason.NONE,
+        stop=Reason.NONE,
+        reset=False,
+        later=None,
+        later_age=0,
+        wait=0,
+        dt=1e-3,
+    ):
+        """Run both phases; the second one `wait` ns later, with the state `later` if there is."""
+        self.now += MS
+        settings = one(self._settings.update(self.config))
+        tick = self._input
+        fill(tick.hand, the_hand)
+        tick.dt, tick.fault, tick.stop, tick.reset = dt, fault, stop, reset
+        self._receive(state, age, self.now)
+        out, force = message_records(Command), np.zeros(MAX_JOINTS)
+        loop.command(settings, self.memory, tick, self._state, one(out))
+        if later is None:
+            self._receive(state, age + wait, self.now + wait)
+        else:
+            self._receive(later, later_age, self.now + wait)
+        verdict = loop.force(settings, self.memory, tick, self._state, later is not None, force)
+        assert not force[self.axes :].any()
+        self.output = Output(
+            Command(**{n: self._value(out[n][0]) for n in out.dtype.names}),
+            tuple(force[: self.axes].tolist()),
+            verdict,
+            int(self.memory.answer_ns),
+        )
+        return self.output
+
+    def answered(self, the_hand, state=State.ENGAGED, force=5.0, age=0, **more):
+        return self.tick(the_hand, answer(self.now + MS, state, force, **more), age)
+
+    def engaged(self):
+        for _ in range(3):
+            self.answered(hand(engage=False), State.READY)
+        self.answered(hand(), State.READY)
+        self.answered(hand())
+        assert session.may_render(self.memory.session)
+        return self
+
+    @property
+    def session(self):
+        return session.outline(self.memory.session)
+
+    @property
+    def state(self):
+        return self.session.state
+
+    def _receive(self, state, age, now):
+        self._input.has_state = state is not None
+        self._input.state_age_ns, self._input.now_ns = age, now
+        if state is not None:
+            self._state = message_record(state)
+
+    @staticmethod
+    def _value(value):
+        return tuple(value.tolist()) if value.ndim else value.item()
