@@ -10,6 +10,7 @@ whichever is worse. A spring loads the joint so that some 5 N at the housing hol
 import math
 import timeit
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,13 +20,14 @@ from estimator import online
 from estimator.compiled import compiled
 from estimator.records import Records, as_records
 from estimator.sheath import Sheath
-from slave import control, fault_detection
-from slave.control import Control, ControlConfig, TendonSeen
+from slave import control, fault_detection, gate
+from slave.control import Control, ControlConfig, JointEstimate
 from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks
+from slave.gate import GateConfig
 from slave.plant.sheath import SectionConfig
 from slave.rigs.simulated import JointConfig
 from slave.tendons import EstimatedTendon, RigLayout, rig_layout
-from teleop.messages import MAX_TENDONS
+from teleop.messages import MAX_JOINTS, MAX_TENDONS
 from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
@@ -119,23 +121,41 @@ def costs() -> None:
     prepared = [online.prepare(online.TendonModel(SHEATH))] * 8
     state = online.initial(prepared[0])
     estimate, state = online.step(prepared[0], state, 5.0, 0.0, 0.0)
-    tendons = [TendonSeen(5.0 + k, 0.0, estimate.elongation, True, estimate) for k in range(8)]
-    still, config = (0.0,) * 8, ControlConfig()
-    _, memory = control.step(
-        config, joints, Control(), still[:4], still, tendons, True, DT, still[:4]
+    layout, config, limits = (
+        rig_layout(joints)[0], as_records(ControlConfig())[0], as_records(GateConfig())[0],
+    )  # fmt: skip
+    memory, seen = Control.array()[0], EstimatedTendon.array(MAX_TENDONS)
+    seen["tension"][:8], seen["displacement"], seen["valid"] = 5.0 + np.arange(8), 0.0, True
+    seen["estimate"]["elongation"] = estimate.elongation
+    still, zeros, wanted = np.zeros(MAX_TENDONS), np.zeros(MAX_JOINTS), np.zeros(MAX_TENDONS)
+    known, reach = JointEstimate.array(MAX_JOINTS), gate.Reach.array(MAX_TENDONS)
+    drive = partial(
+        control.step, config, layout, memory, zeros, zeros, still, seen, True, DT, wanted
     )
+    drive()
     detection = detection_inputs(joints, [online.TendonModel(SHEATH)] * 8)
     calls = {
         "online.step, 8 tendons": lambda: [
             online.step(prepared[0], state, 5.0, 0.0, DT) for _ in range(8)
         ],
-        "control.step": lambda: control.step(
-            config, joints, memory, still[:4], still, tendons, True, DT, still[:4]
+        "control.step": drive,
+        "control.joint_estimates": lambda: control.joint_estimates(layout, seen, zeros, known),
+        "gate.reaches": lambda: gate.reaches(limits, layout, known, reach),
+        "gate.step": lambda: gate.step(
+            limits,
+            8,
+            still,
+            wanted,
+            seen["tension"].copy(),
+            0.0,
+            True,
+            DT,
+            reach,
+            True,
+            False,
+            wanted,
         ),
-        "control.joint_estimate": lambda: [
-            control.joint_estimate(tendons[k : k + 2]) for k in range(0, 8, 2)
-        ],
-        "fault detection, 1000 ticks": lambda: detect(*detection, 1000),
+        "fault detection, 1000 times": partial(detect, *detection, 1000),
     }
     print("\na tick of four joints [us]")
     for name, call in calls.items():
@@ -149,7 +169,9 @@ def main() -> None:
     for name, motion in MOTIONS.items():
         for K in (0.4, 0.8, 1.2, 1.8):
             compare(f"{name}, K = {K}", [loaded(K)], [motion])
-    compare("staircase, K = 1.8, loose at 0.15 N", [loaded(1.8)], [STAIRS], slack_side_tension=0.15)
+    compare(
+        "staircase, K = 1.8, slack side at 0.15 N", [loaded(1.8)], [STAIRS], slack_side_tension=0.15
+    )
     for name, sections in BENDS.items():
         bent = joint(1.0, 330.0, sections=sections, nodes=40)
         compare(f"staircase, {name}", [bent], [STAIRS])

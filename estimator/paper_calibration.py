@@ -6,8 +6,6 @@ It needs EA and L beforehand, holds for a uniformly curved sheath, and enlarges 
 
 import math
 
-from scipy.special import lambertw
-
 from estimator.measured import CalibrationError, Measured
 
 
@@ -37,6 +35,8 @@ def friction_from_elongation(M_e: float, axial_stiffness: float, length: float) 
             f"M_e EA/L is {m:.4g}, must lie between 0 and 1: EA is too large or L too short for an "
             f"elongation of {M_e:.4g} m/N; measure both, or calibrate from a loop without them"
         )
+    from scipy.special import lambertw  # here: the control processes import this module
+
     return float(1.0 / m + lambertw(-math.exp(-1.0 / m) / m).real)
 
 

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, nnls
 
 from estimator.blocked_loop import BlockedLoop
 from estimator.sheath import Section, Sheath
@@ -258,6 +257,8 @@ class Fitter:
         def residual(x: Array) -> Array:
             return self._solve(self._play.columns(shape._replace(ends=ends(x))))[0]
 
+        from scipy.optimize import least_squares
+
         found = least_squares(
             residual,
             free,
@@ -289,6 +290,8 @@ class Fitter:
             [_ENDS_ROOM, _TURNS_ROOM, _ZERO_ROOM * self._zero_uncertainty],
             [n, len(self._turns), 1],
         )
+        from scipy.optimize import least_squares
+
         found = least_squares(
             residual,
             start,
@@ -341,6 +344,8 @@ class Fitter:
     def _solve(self, columns: Array) -> tuple[Array, Array]:
         A = self._centred(columns * self._weight[:, None])
         scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+        from scipy.optimize import nnls
+
         x, _ = nnls(A / scale, self._target, maxiter=50 * A.shape[1])
         return self._target - (A / scale) @ x, x / scale
 

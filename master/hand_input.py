@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
-from estimator.records import I64, Field, Flag, Record
+from estimator.records import I64, Field, Flag, Record, Records, one
 from master.device import HandState
 from teleop.messages import MAX_JOINTS
 
@@ -46,6 +46,35 @@ def fill(record: HandInput, hand: HandState | None) -> None:
     record.engage = hand.engage
     record.clutch = hand.clutch
     record.stop = hand.stop
+
+
+class HandWriter:
+    """Writes what a device returns into records, with views that were made once.
+
+    Parameters
+    ----------
+    records : Records
+        `HandInput`, shape (1,).
+    """
+
+    def __init__(self, records: Records) -> None:
+        self._present, self._axes = records["present"], records["axes"]
+        self._position, self._velocity = records["position"][0], records["velocity"][0]
+        self._engage, self._clutch, self._stop = (
+            records[name] for name in ("engage", "clutch", "stop")
+        )
+        self._records = records
+
+    def __call__(self, hand: HandState | None) -> None:
+        """Take over what a device returned; None if it cannot be read. See `fill`."""
+        if hand is None:
+            fill(one(self._records), None)
+            return
+        axes = len(hand.position)
+        self._present[0], self._axes[0] = True, axes
+        self._position[:axes] = hand.position
+        self._velocity[:axes] = hand.velocity
+        self._engage[0], self._clutch[0], self._stop[0] = hand.engage, hand.clutch, hand.stop
 
 
 def fill_axes(field: NDArray[np.float64], values: Sequence[float]) -> None:

@@ -9,7 +9,7 @@ So a force can be rendered in the tick in which its command was sent. The caller
 one master in a `MasterState`, which both phases change in place.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,62 @@ class TickInput(Record):
     fault: I64 = Reason.NONE  # what is wrong on this side, as far as the caller knows
     stop: I64 = Reason.NONE  # why another process wants everything to stop, if one does
     reset: Flag = False  # whether one takes that back
+
+
+class Told(NamedTuple):
+    """What a loop is told before a phase, besides the hand and the slave's state."""
+
+    has_state: bool  # the slave has ever answered
+    state_age_ns: int  # age of its newest state
+    now_ns: int
+    dt: float  # [s] since the last tick
+    fault: int = int(Reason.NONE)
+    stop: int = int(Reason.NONE)
+    reset: bool = False
+
+
+@compiled
+def run_command(
+    settings: Records,
+    memories: Records,
+    ticks: Records,
+    states: Records,
+    told: Told,
+    commands: Records,
+) -> None:
+    """Run `command` on arrays of one record each: what a loop calls."""
+    _take(ticks[0], told)
+    command(settings[0], memories[0], ticks[0], states[0], commands[0])
+
+
+@compiled
+def run_force(
+    settings: Records,
+    memories: Records,
+    ticks: Records,
+    states: Records,
+    told: Told,
+    new_state: bool,
+    out: NDArray[np.float64],
+) -> int:
+    """Run `force` on arrays of one record each: what a loop calls."""
+    _take(ticks[0], told)
+    return force(settings[0], memories[0], ticks[0], states[0], new_state, out)
+
+
+@compiled
+def _take(tick: TickInput, told: Told) -> None:
+    tick.has_state, tick.state_age_ns = told.has_state, told.state_age_ns
+    tick.now_ns, tick.dt = told.now_ns, told.dt
+    tick.fault, tick.stop, tick.reset = told.fault, told.stop, told.reset
+
+
+@compiled
+def fill_hand_message(
+    memories: Records, ticks: Records, state_age_ns: int, round_trip_ns: int, messages: Records
+) -> None:
+    """Run `hand_message` on arrays of one record each."""
+    hand_message(memories[0], ticks[0].hand, state_age_ns, round_trip_ns, messages[0])
 
 
 def start(axes: int, now_ns: int) -> Records:

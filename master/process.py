@@ -17,29 +17,47 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import Any
 
+import numpy as np
+
+from estimator.records import Records, one
 from master import live, loop
 from master.config import MasterConfig
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
-from teleop.clock import STALL_NS, Grid, Tick, now_ns, quiet_garbage
+from master.gate import Verdict
+from master.hand_input import HandWriter
+from master.settings import SettingsRecord
+from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
 from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.events import publish_event
 from teleop.launch.summary import loop_lines, trouble
-from teleop.link import NEVER_NS, Counts, Link
-from teleop.messages import Answer, Command, text_bytes
-from teleop.meter import LoopMeter, in_words
-from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
-from teleop.remote.door import Asked, Door, Wish
+from teleop.link import NEVER_NS, Link
+from teleop.messages import MAX_JOINTS, Answer, Command, Hand, text_bytes
+from teleop.meter import LoopMeter, format_reason
+from teleop.packet import Packet
+from teleop.process import Stop, destination, seconds, supervised, write_summary
+from teleop.realtime import enter_loop, go_realtime
+from teleop.remote.requests import RequestListener, Requests, SettingRequest
 from teleop.run_config import RunConfig
-from teleop.session import Reason, Session, State
-from teleop.tell import tell
-from teleop.topics import ANSWER, COMMAND, HAND, LEDGER, REPORT, STATE, Role
+from teleop.session import OutlineReader, Reason, SessionOutline, State
+from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, LEDGER, REPORT, STATE, Role
+
+DIRECT = Bilateral()
+WAIT = 0.6  # of a period, from the reading of the device: longer is not waited for an answer
+LATE_ANSWERS = 20  # in a row, and the link is taken for one on which it is no use to wait
+TRY_EVERY = 100  # ticks, whether it still is one
 
 
 class Master:
-    """The world around `loop.step`: one device, one link, and the counts.
+    """The world around `loop.command` and `loop.force`: one device, one link, and the counts.
+
+    Parameters
+    ----------
+    commands_every : int
+        Ticks of the device for one command on the link.
 
     Attributes
     ----------
@@ -53,155 +71,254 @@ class Master:
         link: Link,
         device: Device,
         grid: Grid,
-        bilateral: Bilateral = loop.DIRECT,
+        bilateral: Bilateral = DIRECT,
+        commands_every: int = 1,
     ) -> None:
         self.error: TeleopError | None = None
-        self.memory = loop.start(device.axes, now_ns())
+        self._memory = loop.start(device.axes, now_ns())
+        self.memory: loop.MasterState = one(self._memory)
+        self._before, self._commanded = self._memory.copy(), self._memory.copy()
+        self._outline = OutlineReader(self._memory["session"])
+        self._answer_ns = self._memory["answer_ns"]
+        self._ticks = loop.TickInput.array()
+        self._write_hand = HandWriter(self._ticks["hand"])
         self._live, self._link, self._device = live.start(config), link, device
-        self._door = Door(link)
-        self._stop_words = ""  # who called for the last stop
-        self._bilateral = bilateral
+        self._settings = SettingsRecord(config, bilateral)
+        self._command, self._hand = Packet(Command), Packet(Hand)
+        self._force = np.zeros(MAX_JOINTS)  # [N] that the gate let through
+        self._requests = RequestListener(link)
+        self._stop_text = ""  # who called for the last stop
+        self._commands_every, self._index = commands_every, 0
+        self._wait_ns, self._late_answers = round(WAIT * grid.period_ns), 0
         self._ledger_due_ns = 0
-        self._meter = LoopMeter(Role.MASTER, grid)
-        self._verdicts: Counter[str] = Counter()
+        self._meter = LoopMeter(Role.MASTER, grid.stats)
+        self._verdicts: Counter[int] = Counter()
         self._start_ns = now_ns()
-        self._said = self.memory.session
+        self._published = self._outline()
         self._away = ""  # why the device cannot be read, while it is looked for
-        link.subscribe_latest(STATE, round(config.freshness * 1e9))
+        self._states = link.subscribe_latest(STATE, round(config.freshness * 1e9))
+        self._echo_ns = self._states.packet.records["echo_stamp_ns"]
+        self._answered_in_ns = self._states.packet.records["answer_ns"]
 
     def tick(self, tick: Tick) -> None:
-        """Read, step, write, publish."""
-        fault, hand, round_trip = Reason.NONE, None, 0
-        try:
-            hand = self._device.read((tick.stamp_ns - self._start_ns) * 1e-9)
-            away = ""
-        except DeviceLost as error:
-            fault, away = Reason.DEVICE_FAULT, str(error)
-        except DeviceFault as error:
-            fault, away = self._device_failed(error), ""
-        latest = self._link.latest(STATE)
-        state, now = latest.message, now_ns()
-        asked = self._asked(now)
-        self._live, words = live.press(live.step(self._live, tick.dt), hand)
-        if words:
-            tell(self._link, Role.MASTER, self._said, f"set: {words}")
-
-        def step(
-            hand: HandState | None, fault: Reason, late_s: float = 0.0
-        ) -> tuple[loop.Output, loop.Memory]:
-            then = now_ns()
-            return loop.step(
-                self._live.config,
-                self.memory,
-                hand,
-                state,
-                latest.age_ns(then),
-                then,
-                tick.dt + late_s,
-                fault,
-                self._bilateral,
-                asked.stop,
-                asked.reset,
-            )
-
-        output, memory = step(hand, fault)
-        late_ns = now_ns() - now
-        if late_ns > STALL_NS:
-            output, memory = step(hand, fault, late_ns * 1e-9)
-        try:
-            self._device.write(output.force)
-        except DeviceFault as error:
-            fault = self._device_failed(error)
-            output, memory = step(None, fault)
-        if output.answer_ns:
-            round_trip = now_ns() - output.answer_ns
-            self._meter.latency.add(round_trip)
-        self.memory = memory
-        self._link.publish(COMMAND, output.command)
-        self._door.relay(Role.MASTER, memory.session, asked.words)
-        if hand is not None:
-            age = latest.age_ns(now)
-            told = -1 if age == NEVER_NS else age
-            message = loop.hand_message(memory, hand, output.force, told, round_trip)
-            self._link.publish(HAND, message)
-        self._publish_ledger(tick.stamp_ns)
-        if memory.session != self._said:
-            self._tell(memory.session)
+        """Read, command, wait for the answer, render; then do what nobody waits for."""
+        fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
+        self._link.latest(STATE)
+        requests = self._listen(now_ns())
+        self._live, changed = live.press(live.step(self._live, tick.dt), hand)
+        settings = self._settings.update(self._live.config)
+        self._write_hand(hand)
+        self._find_command(settings, tick.dt, fault, requests)
+        known_ns = self._states.stamp_ns
+        sent_ns = 0
+        if self._index % self._commands_every == 0:
+            sent_ns = self._link.publish_packet(COMMAND, self._command)
+            self._await_answer(sent_ns, monotonic_ns(tick.stamp_ns) + self._wait_ns)
+        self._index += 1
+        verdict = self._render(settings, tick.dt, fault, requests, known_ns)
+        written_ns = now_ns()
+        self._before[:] = self._memory
+        self._verdicts[verdict] += 1
+        round_trip = self._measure(tick.stamp_ns, sent_ns, written_ns)
+        self._follow_up(tick, hand, requests, round_trip)
+        if changed:
+            publish_event(self._link, Role.MASTER, self._outline(), f"set: {changed}")
         if away != self._away:
-            self._tell_whereabouts(away)
-        self._verdicts[str(output.verdict.name)] += 1
-        self._report(tick.stamp_ns, latest.counts)
-        self._meter.tick(memory.session, now_ns() - tick.stamp_ns, self._detail(memory.session))
+            self._publish_device(away)
 
     def close(self) -> None:
         """Take the force off the hand and tell the others; whatever happened before."""
         with suppress(DeviceFault):
             self._device.write((0.0,) * self._device.axes)
         self._link.publish(COMMAND, Command())
-        tell(self._link, Role.MASTER, Session(), f"off: {self.error or 'ended'}")
+        off = SessionOutline()
+        publish_event(self._link, Role.MASTER, off, f"off: {self.error or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
-        return self._meter.summary(self.memory.session, self._link.counts(), self._verdicts)
+        verdicts = {str(Verdict(bits).name): n for bits, n in self._verdicts.items()}
+        return self._meter.summary(self._outline(), self._link.counts(), verdicts)
+
+    def _read(self, time_s: float) -> tuple[Reason, HandState | None, str]:
+        """Read the device; return what is wrong with it, the hand, and why the device is away."""
+        try:
+            return Reason.NONE, self._device.read(time_s), ""
+        except DeviceLost as error:
+            return Reason.DEVICE_FAULT, None, str(error)
+        except DeviceFault as error:
+            return self._device_failed(error), None, ""
+
+    def _told(self, dt: float, fault: Reason, requests: Requests) -> loop.Told:
+        states, now = self._states, now_ns()
+        age_ns = states.age_ns(now)
+        stop, reset = int(requests.stop), requests.reset
+        return loop.Told(states.is_there, age_ns, now, dt, int(fault), stop, reset)
+
+    def _find_command(
+        self, settings: Records, dt: float, fault: Reason, requests: Requests
+    ) -> None:
+        """Run the first phase; again, from where it began, if it stalled."""
+        told = self._told(dt, fault, requests)
+        for _ in range(2):
+            loop.run_command(
+                settings,
+                self._memory,
+                self._ticks,
+                self._states.packet.records,
+                told,
+                self._command.records,
+            )
+            late_ns = now_ns() - told.now_ns
+            if late_ns <= STALL_NS:
+                return
+            self._memory[:] = self._before
+            told = self._told(dt + late_ns * 1e-9, fault, requests)
+
+    def _await_answer(self, sent_ns: int, deadline_ns: int) -> None:
+        """Wait for the state that answers the command of `sent_ns`.
+
+        Not on a link that is so slow that no answer comes in time: that is tried now and then.
+        """
+        if self._late_answers > LATE_ANSWERS and self._index % TRY_EVERY:
+            return
+        while self._link.wait(STATE, deadline_ns):
+            self._link.latest(STATE)
+            if self._echo_ns[0] >= sent_ns:
+                self._late_answers = 0
+                return
+        self._late_answers += 1
+
+    def _render(
+        self, settings: Records, dt: float, fault: Reason, requests: Requests, known_ns: int
+    ) -> int:
+        """Find the force and write it to the device; return the gate's verdict."""
+        self._commanded[:] = self._memory
+        is_new = self._states.stamp_ns != known_ns
+        verdict = self._find_force(settings, dt, fault, requests, is_new)
+        try:
+            self._device.write(tuple(self._force[: self._device.axes].tolist()))
+        except DeviceFault as error:
+            self._memory[:] = self._commanded
+            self._write_hand(None)
+            failed = self._device_failed(error)
+            verdict = self._find_force(settings, dt, failed, requests, is_new=True)
+        return verdict
+
+    def _find_force(
+        self, settings: Records, dt: float, fault: Reason, requests: Requests, is_new: bool
+    ) -> int:
+        """Run the second phase; again, from where it began, if it stalled."""
+        verdict = 0
+        for _ in range(2):
+            told = self._told(dt, fault, requests)
+            verdict = loop.run_force(
+                settings,
+                self._memory,
+                self._ticks,
+                self._states.packet.records,
+                told,
+                is_new,
+                self._force,
+            )
+            if now_ns() - told.now_ns <= STALL_NS:
+                break
+            self._memory[:] = self._commanded
+        return verdict
+
+    def _measure(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
+        """Note how long the stages of an answered command took; return its round trip [ns]."""
+        answer_ns = int(self._answer_ns[0])
+        if not answer_ns:
+            return 0
+        round_trip = written_ns - answer_ns
+        self._meter.latency.add(round_trip)
+        answered_in_ns = int(self._answered_in_ns[0])
+        if answer_ns == sent_ns and answered_in_ns:
+            received_ns = self._states.received_ns
+            link_ns = received_ns - sent_ns - answered_in_ns
+            stages = (sent_ns - read_ns, link_ns, answered_in_ns, written_ns - received_ns)
+            self._meter.stages.add((*stages, written_ns - read_ns))
+        return round_trip
+
+    def _follow_up(
+        self, tick: Tick, hand: HandState | None, requests: Requests, round_trip: int
+    ) -> None:
+        """Do what nobody waits for, once the force is written."""
+        side = self._outline()
+        self._requests.relay(Role.MASTER, side, requests.words)
+        if hand is not None:
+            age = self._states.age_ns(tick.stamp_ns)
+            loop.fill_hand_message(
+                self._memory,
+                self._ticks,
+                -1 if age == NEVER_NS else age,
+                round_trip,
+                self._hand.records,
+            )
+            self._link.publish_packet(HAND, self._hand)
+        if tick.stamp_ns >= self._ledger_due_ns:
+            self._ledger_due_ns = tick.stamp_ns + LEDGER_PERIOD_NS
+            message = ledger_message(Role.MASTER, self.memory.coupling, self._device.axes)
+            self._link.publish(LEDGER, message)
+        if side != self._published:
+            self._publish_session(side)
+        self._report(tick.stamp_ns, side)
+        self._meter.tick(side, now_ns() - tick.stamp_ns, self._detail(side))
 
     def _device_failed(self, error: DeviceFault) -> Reason:
         self.error = self.error or TeleopError(f"haptic device: {error}")
         return Reason.DEVICE_FAULT
 
-    def _tell(self, side: Session) -> None:
-        self._said = side
-        words = in_words(side.reason, self._detail(side))
-        tell(self._link, Role.MASTER, side, f"{side.state.name.lower()}: {words}")
+    def _publish_session(self, side: SessionOutline) -> None:
+        self._published = side
+        text = format_reason(side.reason, self._detail(side))
+        publish_event(self._link, Role.MASTER, side, f"{side.state.name.lower()}: {text}")
 
-    def _detail(self, side: Session) -> str:
+    def _detail(self, side: SessionOutline) -> str:
         """Return what the reason of a state is about; empty if there is no more to say."""
         if side.reason is Reason.STOP_CALLED:
-            return self._stop_words
+            return self._stop_text
         return self._away if side.reason is Reason.DEVICE_FAULT else ""
 
-    def _asked(self, now: int) -> Asked:
+    def _listen(self, now: int) -> Requests:
         """Return what other processes ask for, having changed the settings that they want."""
-        asked = self._door(now, self.memory.session.stops)
-        if asked.words and self._said.state is not State.STOPPED:  # the first caller's
-            self._stop_words = asked.words
-        for wish in asked.wishes:
-            self._grant(wish)
-        return asked
+        requests = self._requests(now, self._outline.stops)
+        if requests.words and self._published.state is not State.STOPPED:  # the first caller's
+            self._stop_text = requests.words
+        for request in requests.settings:
+            self._change(request)
+        return requests
 
-    def _grant(self, wish: Wish) -> None:
+    def _change(self, request: SettingRequest) -> None:
         """Change a setting, or say why not."""
         try:
-            self._live, words = live.change(self._live, wish.key, wish.value)
+            self._live, text = live.change(self._live, request.key, request.value)
         except UsageError as error:
-            words, accepted = str(error), False
+            text, accepted = str(error), False
         else:
             accepted = True
-            tell(self._link, Role.MASTER, self._said, f"set: {words}")
+            publish_event(self._link, Role.MASTER, self._outline(), f"set: {text}")
         answer = Answer(
             role=Role.MASTER,
-            asker=wish.asker,
-            asked=wish.asked,
+            asker=request.asker,
+            asked=request.asked,
             accepted=accepted,
-            text=text_bytes(words),
+            text=text_bytes(text),
         )
         self._link.publish(ANSWER, answer)
 
-    def _tell_whereabouts(self, away: str) -> None:
+    def _publish_device(self, away: str) -> None:
         self._away = away
         back = "it is back; let go of everything, then engage"
-        tell(self._link, Role.MASTER, self._said, f"haptic device: {away or back}")
+        text = f"haptic device: {away or back}"
+        publish_event(self._link, Role.MASTER, self._outline(), text)
 
-    def _publish_ledger(self, stamp_ns: int) -> None:
-        if stamp_ns >= self._ledger_due_ns:
-            self._ledger_due_ns = stamp_ns + LEDGER_PERIOD_NS
-            message = ledger_message(Role.MASTER, self.memory.port, self._device.axes)
-            self._link.publish(LEDGER, message)
-
-    def _report(self, stamp_ns: int, counts: Counts) -> None:
-        report = self._meter.report(stamp_ns, self.memory.session, counts)
+    def _report(self, stamp_ns: int, side: SessionOutline) -> None:
+        report = self._meter.report(stamp_ns, side, self._states.counts)
         if report is None:
             return
         self._link.publish(REPORT, report)
+        self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
         try:
             self._link.check_peers()
         except PeerError as error:
@@ -234,7 +351,8 @@ def main(args: argparse.Namespace) -> int:
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, MasterConfig, "master", args.overrides)
     stop = Stop(args.duration)
-    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+    # before the link: its threads inherit the priority
+    granted = go_realtime(shared.realtime)
     with ExitStack() as stack:
         # a master that is refused as the second one must not have touched the device
         link = stack.enter_context(Link(shared.link, shared.session, Role.MASTER))
@@ -242,6 +360,7 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(device.close)
         grid = Grid(shared.rate_hz, stop)
         master = Master(config, link, device, grid, shared.bilateral)
+        enter_loop(granted, shared.realtime)
         run(master, grid, stop.request)
         summary = master.summary()
     summary |= {"stopped": stop.reason, "realtime": granted}

@@ -260,6 +260,6 @@ def _hold(
 @compiled
 def _yield_speed(config: GateConfig, tension: float) -> float:
     """Return the speed [m/s] at which a tendon that holds is paid out."""
-    if not tension > config.tension_max:
-        return 0.0
+    if not tension > config.tension_max or config.yield_gain == 0.0:
+        return 0.0  # also of an infinite tension, which times zero is not a number
     return min(config.yield_gain * (tension - config.tension_max), config.speed_max)

@@ -625,11 +625,12 @@ def monitor_calibration(
 ) -> None:
     """Take note of whether the sheaths still have the shape they were calibrated in."""
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
+    constants: Any = watched
     for s in range(samples):
         memory.advice = monitor.step_rig(
             setting.monitor,
             layout,
-            watched,
+            constants,
             memory.monitors,
             rows[s].tendons,
             rows[s].elapsed,

@@ -6,8 +6,8 @@
 
 Without a master the motors hold, but for one thing: with `slave.initialise.at_start` the rig is
 calibrated first, and every motor moves, whoever is there. When commands stop coming for longer than
-`slave.command_timeout`, or anything else goes wrong, the motors hold too, until the operator lets go and
-engages again; after an emergency stop (`teleop stop`) that has to be reset first.
+`slave.command_timeout`, or anything else goes wrong, the motors hold too, until the operator lets
+go and engages again; after an emergency stop (`teleop stop`) that has to be reset first.
 """
 
 import argparse
@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
 from slave.gate import Verdict
 from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample
-from slave.rigs import open_rig
+from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
 from slave.rigs.effect_words import late
 from slave.rigs.simulated import SimulatedRigConfig
 from slave.score import Score
@@ -35,6 +36,7 @@ from slave.state_messages import fill_tendon_state
 from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
 from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns, quiet_garbage
+from teleop.compile_cache import announced
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
@@ -45,13 +47,16 @@ from teleop.link import Link
 from teleop.messages import MAX_JOINTS, PROFILE_POINTS, Command, SlaveState, TendonState
 from teleop.meter import LoopMeter, format_reason
 from teleop.packet import Packet
-from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
+from teleop.process import Stop, destination, seconds, supervised, write_summary
+from teleop.realtime import enter_loop, go_realtime
 from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.run_config import RunConfig
-from teleop.session import Reason, SessionOutline, State, outline
+from teleop.session import OutlineReader, Reason, SessionOutline, State
 from teleop.topics import COMMAND, LEDGER, REPORT, STATE, TENDONS, Role
 
 ROWS = 32  # samples that a tick takes at first; more are made room for
+
+COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
 
 
 class Past(NamedTuple):
@@ -89,12 +94,16 @@ class SlaveProcess:
         past = past or Past(now_ns(), ())
         self._slave = loop.start(model, config, bilateral, rig.starts_at_zero, past.samples)
         self.memory: SlaveMemory = one(self._slave.memory)
+        self._outline = OutlineReader(self._slave.memory["session"])
+        self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
+        self._has_motor = self._slave.memory["has_motor"]
         self._before = [part.copy() for part in self._changing()]
         self._rows = loop.EstimatedSample.array(ROWS)
         self._samples = 0
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
-        self._meter = LoopMeter(Role.SLAVE, clock)
+        self._answer_ns = self._state.records["answer_ns"]
+        self._meter = LoopMeter(Role.SLAVE, clock.stats)
         self._telemetry = Telemetry(link, model, self._slave)
         self._score = Score(max(model.tension_noise for model in model.models))
         self._verdicts = Counter[int]()
@@ -109,46 +118,46 @@ class SlaveProcess:
         fault = self._read(time_s)
         commands = self._link.latest(COMMAND)
         now = now_ns()
-        requests = self._requests(now, self.memory.session.stops)
+        requests = self._requests(now, self._outline.stops)
+        if requests.words and self._outline().state is not State.STOPPED:  # the first caller's
+            self._telemetry.stop_text = requests.words
         verdict = self._step(tick.dt, fault, requests)
         late_ns = now_ns() - now
         if late_ns > STALL_NS:
             self._take_back()
             verdict = self._step(tick.dt + late_ns * 1e-9, fault, requests)
-        if self.memory.has_motor and fault is Reason.NONE:
+        if self._has_motor[0] and fault is Reason.NONE:
             try:
-                self._rig.write(self.memory.motor[: self._rig.tendons].copy())
+                self._rig.write(self._motor[: self._rig.tendons].copy())
             except RigFault as error:
                 self._take_back()
                 verdict = self._step(tick.dt, self._failed(error), requests)
         if tick.answers:
-            self._state.record.answer_ns = now_ns() - commands.received_ns
+            self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
         answered_ns = now_ns()
         self._verdicts[verdict] += 1
         self._meter.answer.add(answered_ns - tick.stamp_ns)
         self._follow_up(tick, time_s, requests)
-        self._meter.tick(
-            outline(self.memory.session), now_ns() - tick.stamp_ns, self._telemetry.detail
-        )
+        self._meter.tick(self._outline(), now_ns() - tick.stamp_ns, self._telemetry.detail)
 
     def close(self) -> None:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
-        last = outline(self.memory.session)
+        last = self._outline()
         if last.state not in (State.OFF, State.FAULT, State.STOPPED):
             last = SessionOutline(State.OFF, Reason.NOT_USABLE)
-        state = self._state.record
-        state.state, state.reason, state.joints = last.state, last.reason, 0
-        for name in ("position", "force", "force_low", "force_high", "status"):
-            self._state.records[name] = 0
-        state.sample_age_ns = 0
+        state = self._state.records
+        state["state"], state["reason"] = last
+        for name in ("joints", "position", "force", "force_low", "force_high", "status"):
+            state[name] = 0
+        state["sample_age_ns"] = state["answer_ns"] = 0
         self._link.publish_packet(STATE, self._state)
         publish_event(self._link, Role.SLAVE, last, f"off: {self.ended or 'ended'}")
 
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
         verdicts = {str(Verdict(bits).name): n for bits, n in self._verdicts.items()}
-        side = outline(self.memory.session)
+        side = self._outline()
         numbers = self._meter.summary(side, self._link.counts(), verdicts)
         return numbers | {"force_error": self._score.summary(), "rig": self._rig.summary()}
 
@@ -220,9 +229,7 @@ class SlaveProcess:
         )
         for now, before in zip(self._changing(), self._before, strict=True):
             before[:] = now
-        side = outline(self.memory.session)
-        if requests.words and side.state is not State.STOPPED:  # the first caller's
-            self._telemetry.stop_text = requests.words
+        side = self._outline()
         for k in range(samples):
             fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
             self._link.publish_packet(TENDONS, self._tendon_state)
@@ -245,7 +252,7 @@ class SlaveProcess:
             self._link.publish(LEDGER, ledger_message(Role.SLAVE, self.memory.coupling, joints))
 
     def _report(self, stamp_ns: int) -> None:
-        side = outline(self.memory.session)
+        side = self._outline()
         report = self._meter.report(stamp_ns, side, self._commands.counts)
         if report is None:
             return
@@ -285,8 +292,9 @@ def main(args: argparse.Namespace) -> int:
     files = models.given(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
-    warm_up()
-    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+    prepare(config)
+    # before the link: its threads inherit the priority
+    granted = go_realtime(shared.realtime)
     with ExitStack() as stack:
         # a slave that is refused as the second one must not have touched the rig
         link = stack.enter_context(Link(shared.link, shared.session, Role.SLAVE))
@@ -301,6 +309,7 @@ def main(args: argparse.Namespace) -> int:
         model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
         slave = SlaveProcess(config, link, rig, model, clock, past, shared.bilateral, requests)
+        enter_loop(granted, shared.realtime)
         run(slave, clock, stop.request)
         summary = slave.summary()
     if isinstance(config.rig, SimulatedRigConfig):
@@ -387,6 +396,15 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
             line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"
             said[f"{line} taken for tension, and a stuck load cell may not be noticed"] = None
     return list(said)
+
+
+def prepare(config: SlaveConfig) -> None:
+    """Compile and import what the session calls, before it runs at real-time priority."""
+    with announced("the slave's loop", COMPILE_S + RIG_COMPILE_S[type(config.rig)]):
+        warm_up()
+        compile_rig(config.rig)
+    if config.initialise.at_start:
+        import_module("scipy.optimize")  # which the analysis of a calibration uses
 
 
 def warm_up() -> None:

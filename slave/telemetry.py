@@ -17,7 +17,7 @@ from teleop.events import publish_event
 from teleop.link import Link
 from teleop.messages import PROFILE_POINTS
 from teleop.meter import format_reason
-from teleop.session import Reason, SessionOutline, State, outline
+from teleop.session import OutlineReader, Reason, SessionOutline, State
 from teleop.topics import PROFILE, SHEATH, Role
 
 PROFILE_PERIOD_S = 0.02  # T(x) of one tendon after the other; the viewer shows no more of one
@@ -40,6 +40,8 @@ class Telemetry:
     def __init__(self, link: Link, model: RigModel, slave: Slave) -> None:
         self._link, self._model, self._slave = link, model, slave
         self._memory: SlaveMemory = one(slave.memory)
+        self._outline = OutlineReader(slave.memory["session"])
+        self._now = {name: slave.memory[name] for name in ("advice", "has_sample")}
         self._points = [np.linspace(0.0, m.sheath.length, PROFILE_POINTS) for m in model.models]
         self._joint_of = {k: j for j, tendons in enumerate(model.joints) for k in tendons}
         self._profile_s = max(PROFILE_PERIOD_S / len(model.models), PROFILE_LEAST_S)
@@ -51,7 +53,7 @@ class Telemetry:
 
     def __call__(self, time_s: float) -> None:
         """Publish what is due at session time `time_s` [s]."""
-        side = outline(self._memory.session)
+        side = self._outline()
         before = self._published
         lasting = side.state is State.FAULT and before is not None and before[0] == side
         if not (lasting and self.detail):  # where a fault began, not where it shows by and by
@@ -61,13 +63,13 @@ class Telemetry:
             self._published = now
             text = f"{side.state.name.lower()}: {format_reason(side.reason, self.detail)}"
             publish_event(self._link, Role.SLAVE, side, text)
-        advice = int(self._memory.advice)
+        advice = int(self._now["advice"][0])
         if advice != self._advice:
             self._advice = advice
             if advice == Advice.ADVISED:
                 text = f"calibrate again when there is time: {self._misfit()}"
                 publish_event(self._link, Role.SLAVE, side, text)
-        if time_s >= self._next_profile_s and self._memory.has_sample:
+        if time_s >= self._next_profile_s and self._now["has_sample"][0]:
             self._next_profile_s = time_s + self._profile_s
             self._publish_profile()
         if time_s >= self._next_sheath_s:

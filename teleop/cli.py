@@ -5,12 +5,12 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from typing import NoReturn
 
 from teleop import compile_cache
 from teleop.errors import TeleopError, UsageError
 from teleop.process import INTERRUPTED, die_with_launcher, interruption
+from teleop.realtime import limit_numeric_threads
 
 # name -> (module with add_arguments and main, what it does); only the one that runs is imported
 COMMANDS = {
@@ -52,6 +52,16 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{message} (see `{self.prog} --help`)")
 
 
+class _Version(argparse.Action):
+    """Prints the version; the module that finds it out is slow to import."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"teleop {version('tendon-teleop')}")
+        parser.exit()
+
+
 def build_parser(command: str | None) -> argparse.ArgumentParser:
     """Return the parser; the sub-parser of `command` is complete, the others are names only."""
     parser = Parser(
@@ -59,7 +69,7 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
         description="Haptic teleoperation for robots driven through tendon sheaths.",
         epilog="Start with: teleop run --config configs/demo.yaml",
     )
-    parser.add_argument("--version", action="version", version=f"teleop {version('tendon-teleop')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, (module, summary) in COMMANDS.items():
         sub = commands.add_parser(
@@ -79,6 +89,7 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
     `begin` is called when all is imported and understood, and the command is about to run.
     """
     open_missing_streams()
+    limit_numeric_threads()
     words = list(sys.argv[1:] if argv is None else argv)
     command = words[0] if words and words[0] in COMMANDS else None
     try:

@@ -19,6 +19,11 @@ def now_ns() -> int:
     return _ANCHOR_NS + time.monotonic_ns()
 
 
+def monotonic_ns(stamp_ns: int) -> int:
+    """Return the time of the machine's monotonic clock [ns] at which `now_ns` gives this stamp."""
+    return stamp_ns - _ANCHOR_NS
+
+
 @dataclass(frozen=True, slots=True)
 class Tick:
     """One point of the grid: its index, its time and the time since the last one that ran."""

@@ -42,6 +42,37 @@ def choose() -> Path | None:
     return None
 
 
+@contextlib.contextmanager
+def announced(what: str, about_s: float) -> Iterator[None]:
+    """Print one line if anything has to be compiled in this context; with a warm cache, nothing.
+
+    Parameters
+    ----------
+    what : str
+        What is compiled, for the line.
+    about_s : float
+        How long it takes [s] if nothing is in the cache.
+    """
+    from numba.core import event
+
+    class Announcement(event.Listener):
+        said = False
+
+        def on_start(self, _event: object) -> None:
+            if not self.said:
+                print(
+                    f"compiling {what} (once on this machine; about {about_s:.0f} s) ...",
+                    flush=True,
+                )
+            self.said = True
+
+        def on_end(self, _event: object) -> None:
+            """Do nothing; a listener must have it."""
+
+    with event.install_listener("numba:compile", Announcement()):
+        yield
+
+
 def _state() -> str:
     """Return a word that changes with the sources of what is compiled."""
     root = Path(__file__).parents[1]

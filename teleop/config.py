@@ -35,7 +35,8 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 from teleop import strict_yaml
 from teleop.errors import UsageError
 
-SHARED = ("session", "rate_hz", "link", "confidence", "coupling")  # teleop.run_config.RunConfig
+# of teleop.run_config.RunConfig
+SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "realtime")
 SECTIONS = ("record", "view", "master", "slave", "impair")
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 

@@ -39,6 +39,9 @@ PHASE_NAMES = ("slack", "virgin", "pull", "pull to release", "release", "release
 # The bits of SlaveState.status and TendonState.status, lowest first: estimator.online.Status
 STATUS_NAMES = ("tension only", "uninitialised", "tip moved", "slack", "invalid input")
 
+# The stages of a command's way to the hand, in Latency's arrays
+STAGE_NAMES = ("read to sent", "link both ways", "answered", "received to written", "all")
+
 # What EmergencyStop.action counts
 STOP_ACTIONS = ("stop", "reset", "watch", "leave")
 
@@ -90,6 +93,8 @@ Tendons = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", MAX_TENDONS)]
 Sections = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", MAX_SECTIONS)]
 ProfilePoints = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", PROFILE_POINTS)]
 
+Stages = Annotated[tuple[int, ...], Wire("q", "int64", "<i8", len(STAGE_NAMES))]
+
 TextBytes = Annotated[tuple[int, ...], Wire("B", "uint8", "u1", TEXT_BYTES)]
 
 # Field defaults, one for each array type
@@ -99,6 +104,7 @@ NO_TENDONS = (0.0,) * MAX_TENDONS
 NO_TENDON_FLAGS = (0,) * MAX_TENDONS
 NO_SECTIONS = (0.0,) * MAX_SECTIONS
 NO_PROFILE = (0.0,) * PROFILE_POINTS
+NO_STAGES = (0,) * len(STAGE_NAMES)
 NO_TEXT = (0,) * TEXT_BYTES
 
 
@@ -389,6 +395,22 @@ class LoopReport(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Latency(Message):
+    """Master to all, twice a second: how long the stages from hand to force took since the last.
+
+    Only of commands that were answered in their own tick. The link counts both ways together: no
+    clock of one side shows one way alone.
+    """
+
+    role: U32 = 0  # teleop.topics.Role of the sender
+    answered: U64 = 0  # commands that this is of
+    p50_ns: Stages = NO_STAGES  # of each of STAGE_NAMES
+    p99_ns: Stages = NO_STAGES
+    p99_9_ns: Stages = NO_STAGES
+    max_ns: Stages = NO_STAGES
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EmergencyStop(Message):
     """Any process to both sides, reliable: stop everything, or take a stop back."""
 
@@ -421,7 +443,7 @@ class Answer(Message):
 
 MESSAGES: tuple[type[Message], ...] = (
     Command, SlaveState, TendonState, Hand, TensionProfile, Sheath, Ledger, Event, LoopReport,
-    EmergencyStop, Setting, Answer,
+    Latency, EmergencyStop, Setting, Answer,
 )  # fmt: skip
 
 for _cls in MESSAGES:

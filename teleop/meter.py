@@ -4,10 +4,11 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from teleop.clock import Grid, now_ns
+from teleop.clock import TickStats, now_ns
 from teleop.link import Counts
 from teleop.messages import LoopReport
 from teleop.session import Reason, SessionOutline, State
+from teleop.stages import StageMeter
 from teleop.timing import Durations
 from teleop.topics import Role
 
@@ -17,10 +18,12 @@ REPORT_PERIOD_NS = 500_000_000
 class LoopMeter:
     """Watches one loop's grid, the work of its ticks and, on the master, its round trips."""
 
-    def __init__(self, role: Role, grid: Grid) -> None:
+    def __init__(self, role: Role, stats: TickStats) -> None:
         self.work = Durations()
         self.latency = Durations()
-        self._role, self._grid = role, grid
+        self.answer = Durations()  # from a tick's begin to its message on the link
+        self.stages = StageMeter()
+        self._role, self._stats = role, stats
         self._due_ns = now_ns() + REPORT_PERIOD_NS
         self._ticks = 0
         self._since_ns = now_ns()
@@ -54,11 +57,12 @@ class LoopMeter:
             return None
         periods = 1 + (stamp_ns - self._due_ns) // REPORT_PERIOD_NS  # several after a stall
         self._due_ns += periods * REPORT_PERIOD_NS
-        stats = self._grid.stats
+        stats = self._stats
         rate_hz = (stats.ticks - self._ticks) * 1e9 / (stamp_ns - self._since_ns)
         self._ticks, self._since_ns = stats.ticks, stamp_ns
-        p50, p99 = self.latency.take_span()
+        span = self.latency.take_span()
         self.work.take_span()
+        self.answer.take_span()
         return LoopReport(
             role=self._role,
             state=side.state,
@@ -78,15 +82,15 @@ class LoopMeter:
             restarts=counts.restarts,
             rate_hz=rate_hz,
             lateness_max_ns=stats.lateness_max_ns,
-            latency_p50_ns=p50,
-            latency_p99_ns=p99,
+            latency_p50_ns=span.p50,
+            latency_p99_ns=span.p99,
         )
 
     def summary(
         self, side: SessionOutline, counts: Counts, verdicts: Mapping[str, int]
     ) -> dict[str, Any]:
         """Return what the whole run was like."""
-        stats = self._grid.stats
+        stats = self._stats
         return {
             "role": self._role.name.lower(),
             "seconds": (stats.last_ns - stats.first_ns) * 1e-9,
@@ -94,8 +98,10 @@ class LoopMeter:
             "rate_hz": stats.rate_hz,
             "overruns": stats.overruns,
             "lateness_max_ms": stats.lateness_max_ns * 1e-6,
-            "work_us": percentiles(self.work, 1e-3),
-            "latency_ms": percentiles(self.latency, 1e-6),
+            "work_us": self.work.percentiles(1e-3),
+            "answer_us": self.answer.percentiles(1e-3),
+            "latency_ms": self.latency.percentiles(1e-6),
+            "stages_us": self.stages.summary(),
             "received": counts.received,
             "lost": counts.lost,
             "overwritten": counts.overwritten,
@@ -122,12 +128,3 @@ class LoopMeter:
 def format_reason(reason: Reason, detail: str) -> str:
     """Return a reason, and what it is about, in one line."""
     return f"{reason.text}: {detail}" if detail else reason.text
-
-
-def percentiles(durations: Durations, unit: float) -> dict[str, float | int | None]:
-    """Return p50, p99, p99.9 and the number of values; `unit` converts from nanoseconds."""
-    out: dict[str, float | int | None] = {"n": durations.count}
-    for name, percent in (("p50", 50.0), ("p99", 99.0), ("p99_9", 99.9)):
-        value = durations.percentile_ns(percent)
-        out[name] = None if value is None else value * unit
-    return out

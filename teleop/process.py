@@ -1,4 +1,4 @@
-"""What each of our processes does around its work: when to stop, real time, what it leaves."""
+"""What each of our processes does around its work: when to stop, and what it leaves."""
 
 import argparse
 import contextlib
@@ -16,8 +16,6 @@ from typing import Any
 from teleop.errors import TeleopError, UsageError
 
 _PR_SET_PDEATHSIG = 1
-_MCL_CURRENT_AND_FUTURE = 3
-
 
 INTERRUPTED = 128 + signal.SIGINT  # exit code of a command that was told to end before it began
 SUPERVISED = "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
@@ -89,20 +87,6 @@ def die_with_launcher() -> None:
     """End this process when the launcher that started it dies, if one did."""
     if supervised():
         die_with_parent(int(os.environ[SUPERVISED]))
-
-
-def go_realtime(priority: int = 20) -> list[str]:
-    """Take real-time scheduling and lock memory where the user may; return what was granted."""
-    granted = []
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        granted.append("SCHED_FIFO")
-    except (AttributeError, PermissionError, OSError):
-        granted.append("no SCHED_FIFO (see `teleop doctor`)")
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "mlockall") and libc.mlockall(_MCL_CURRENT_AND_FUTURE) == 0:
-        granted.append("memory locked")
-    return granted
 
 
 def has_display() -> bool:

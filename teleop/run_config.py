@@ -7,6 +7,7 @@ from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.force_attenuation import ConfidenceConfig
 from teleop.link.config import LinkConfig
+from teleop.realtime import RealtimeConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,6 +19,7 @@ class RunConfig:
     link: LinkConfig = field(default_factory=LinkConfig)
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
     coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip
+    realtime: RealtimeConfig = field(default_factory=RealtimeConfig)  # of both loops
 
     @property
     def bilateral(self) -> Bilateral:

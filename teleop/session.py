@@ -47,7 +47,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from estimator.compiled import compiled
-from estimator.records import F64, I64, U64, Flag, Record
+from estimator.records import F64, I64, U64, Flag, Record, Records
 
 FOLLOW_LIMIT_S = 0.1  # [s] within which the peer must be engaged too: 100 ticks of 1 kHz
 HOLD_LIMIT_S = 2.0  # [s] of silence after which nobody counts on the peer any more
@@ -176,6 +176,36 @@ def outline(session: Session) -> SessionOutline:
 
 _LAST_STATE = int(max(State))
 _FAULT = int(State.FAULT)
+
+
+class OutlineReader:
+    """Reads the outline of a session that a loop keeps; costs little while it stays the same.
+
+    Parameters
+    ----------
+    sessions : Records
+        `Session`, shape (1,).
+    """
+
+    def __init__(self, sessions: Records) -> None:
+        self._state, self._reason, self._stops = (
+            sessions[name] for name in ("state", "reason", "stops")
+        )
+        self._sessions, self._numbers = sessions, (-1, -1)
+        self._outline = SessionOutline()
+
+    def __call__(self) -> SessionOutline:
+        """Return state and reason as they are now."""
+        numbers = (int(self._state[0]), int(self._reason[0]))
+        if numbers != self._numbers:
+            self._numbers = numbers
+            self._outline = outline(one(self._sessions))
+        return self._outline
+
+    @property
+    def stops(self) -> int:
+        """How many calls for a stop began or ended so far."""
+        return int(self._stops[0])
 
 
 @compiled

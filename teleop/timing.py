@@ -1,10 +1,21 @@
 """Durations of a whole run and of its newest span, in memory that does not grow with the run."""
 
 from array import array
+from typing import NamedTuple
 
 _FINE_NS, _FINE = 1_000, 100_000  # bins up to 0.1 s
 _COARSE_NS, _COARSE = 100_000, 19_000  # and on to 2 s; what is longer is counted in the last one
 _TURN_NS = _FINE_NS * _FINE
+
+
+class Span(NamedTuple):
+    """Durations [ns] since the last report."""
+
+    values: int = 0
+    p50: int = 0
+    p99: int = 0
+    p99_9: int = 0
+    largest: int = 0
 
 
 class Durations:
@@ -21,12 +32,14 @@ class Durations:
 
     def __init__(self) -> None:
         self.count = 0
+        self._largest = 0
         self._bins = array("Q", bytes(8 * (_FINE + _COARSE + 1)))
         self._span: list[int] = []
 
     def add(self, duration_ns: int) -> None:
         """Count one duration [ns]."""
         self.count += 1
+        self._largest = max(self._largest, duration_ns)
         if duration_ns < _TURN_NS:
             index = max(duration_ns // _FINE_NS, 0)
         else:
@@ -44,10 +57,21 @@ class Durations:
             seen += self._bins[index]
         return min(index, _FINE) * _FINE_NS + max(index - _FINE, 0) * _COARSE_NS
 
-    def take_span(self) -> tuple[int, int]:
-        """Return median and 99th percentile [ns] since the last call, and begin a new span."""
+    def percentiles(self, unit: float) -> dict[str, float | int | None]:
+        """Return the count, p50, p99, p99.9 and largest; `unit` converts from nanoseconds."""
+        out: dict[str, float | int | None] = {"n": self.count}
+        for name, percent in (("p50", 50.0), ("p99", 99.0), ("p99_9", 99.9)):
+            value = self.percentile_ns(percent)
+            out[name] = None if value is None else value * unit
+        out["max"] = self._largest * unit if self.count else None
+        return out
+
+    def take_span(self) -> Span:
+        """Return what came since the last call, and begin a new span."""
         values = sorted(self._span)
         self._span.clear()
         if not values:
-            return 0, 0
-        return values[len(values) // 2], values[int(0.99 * (len(values) - 1))]
+            return Span()
+        last = len(values) - 1
+        p50, p99, p99_9 = (values[int(rank * last + 0.5)] for rank in (0.5, 0.99, 0.999))
+        return Span(len(values), p50, p99, p99_9, values[-1])

@@ -14,6 +14,7 @@ from teleop.messages import (
     EmergencyStop,
     Event,
     Hand,
+    Latency,
     Ledger,
     LoopReport,
     Message,
@@ -68,10 +69,12 @@ SHEATH = Topic("sheath", Sheath, Role.SLAVE, 1, live=False)
 LEDGER = Topic("ledger", Ledger, None, 100, live=True)
 EVENT = Topic("event", Event, None, 0, live=False)
 REPORT = Topic("report", LoopReport, None, 2, live=False)
+LATENCY = Topic("latency", Latency, Role.MASTER, 2, live=False)
 STOP = Topic("stop", EmergencyStop, None, 0, live=False)
 SETTING = Topic("setting", Setting, None, 0, live=False)
 ANSWER = Topic("answer", Answer, Role.MASTER, 0, live=False)
 
 TOPICS: tuple[Topic[Any], ...] = (
-    COMMAND, STATE, TENDONS, HAND, PROFILE, SHEATH, LEDGER, EVENT, REPORT, STOP, SETTING, ANSWER,
+    COMMAND, STATE, TENDONS, HAND, PROFILE, SHEATH, LEDGER, EVENT, REPORT, LATENCY,
+    STOP, SETTING, ANSWER,
 )  # fmt: skip

@@ -14,8 +14,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.optimize import isotonic_regression
 
 from estimator.effects.effect import (
     CHANNELS,
@@ -258,6 +256,8 @@ def thin(record: Record, most: int) -> Record:
 
 def monotone(signal: Array, band: float) -> Array:
     """Return a signal made monotone between turning points that are more than `band` apart."""
+    from scipy.optimize import isotonic_regression  # here: the control processes import this module
+
     if band <= 0.0:
         return signal
     turns = _turning_points(signal, band)
@@ -367,6 +367,8 @@ def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Tr
 
 def _without_spikes(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:
     """Return which samples are no single-sample spikes, and what is said of those that are."""
+    from scipy.ndimage import median_filter  # here: the control processes import this module
+
     off = np.zeros_like(signal)
     off[1:-1] = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
     across = np.zeros_like(signal)

@@ -33,7 +33,8 @@ from teleop.clock import Grid, Tick, now_ns
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import UsageError
-from teleop.process import Stop, destination, go_realtime
+from teleop.process import Stop, destination
+from teleop.realtime import go_realtime
 from teleop.run_config import RunConfig
 
 BAR = 24  # characters
@@ -92,7 +93,7 @@ def main(args: argparse.Namespace) -> int:
         replaced = replaceable(out, args.config)
         require_other(args.figure, (out, args.config))
         earlier = replaced or earlier_file(config, needed=bool(joints))
-        start_ns, ticks = pace(config, shared.rate_hz)
+        start_ns, ticks = pace(config, shared)
         found = initialise(
             rig,
             config,
@@ -162,12 +163,12 @@ def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
         return None
 
 
-def pace(config: SlaveConfig, rate_hz: float) -> tuple[int, Iterator[Tick]]:
+def pace(config: SlaveConfig, shared: RunConfig) -> tuple[int, Iterator[Tick]]:
     """Return where session time begins [ns] and the ticks: real time, but for simulated rigs."""
     if isinstance(config.rig, SimulatedRigConfig):
-        return 0, fast_ticks(rate_hz)
-    go_realtime()
-    return now_ns(), iter(Grid(rate_hz, lambda: False))
+        return 0, fast_ticks(shared.rate_hz)
+    go_realtime(shared.realtime)
+    return now_ns(), iter(Grid(shared.rate_hz, lambda: False))
 
 
 def shown(rig: Rig) -> Callable[[Progress], None]:

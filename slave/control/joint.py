@@ -76,7 +76,8 @@ def offset(joint: JointTendons, tendons: EstimatedTendons) -> float:
     if joint.count == 1:
         return 0.0
     a, b = tendons[joint.tendon[0]], tendons[joint.tendon[1]]
-    return 0.5 * (a.estimate.distal_displacement + b.estimate.distal_displacement)
+    both: float = a.estimate.distal_displacement + b.estimate.distal_displacement
+    return 0.5 * both
 
 
 @compiled

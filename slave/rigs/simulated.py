@@ -183,6 +183,7 @@ class SimulatedRig:
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
         self._joints = joined(joints)
+        replace(self._joints, 0, joints[0])  # compiles what an effect will need
         self._states = joined([joint_at_rest(joint, -config.period) for joint in joints])
         self._truth = self._advance(0, config.period)  # compiles what the loop will need
 

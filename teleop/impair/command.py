@@ -30,8 +30,8 @@ from teleop.impair.delay_queue import WAIT_S, DelayQueue
 from teleop.impair.direction import Direction
 from teleop.launch.summary import impair_lines
 from teleop.link.bridge import Bank, ask
-from teleop.meter import percentiles
-from teleop.process import Stop, destination, go_realtime, seconds, supervised, write_summary
+from teleop.process import Stop, destination, seconds, supervised, write_summary
+from teleop.realtime import go_realtime, limit_computing
 from teleop.run_config import RunConfig
 
 DIRECTIONS = ("to_slave", "to_master")
@@ -107,7 +107,7 @@ class Proxy:
         counts = {name: direction.counts() for name, direction in self._directions.items()}
         return counts | {
             "waiting": len(self._queue),
-            "lateness_us": percentiles(self._queue.lateness, 1e-3),
+            "lateness_us": self._queue.lateness.percentiles(1e-3),
         }
 
     def _look_soon(self) -> None:
@@ -166,9 +166,11 @@ def main(args: argparse.Namespace) -> int:
         print(json.dumps(answer, indent=2))
         return 0
     stop = Stop(args.duration)
-    granted = go_realtime()  # before the link: its threads are as urgent, and inherit it
+    # before the link: its threads inherit the priority
+    granted = go_realtime(shared.realtime)
     sys.setswitchinterval(_SWITCH_S)
     proxy = Proxy(shared, read)
+    limit_computing(granted)
     try:
         if not supervised():
             print(f"the master finds the slave at {config.endpoint} now", flush=True)

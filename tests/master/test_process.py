@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 
 import pytest
+from teleop.remote.door import CALL, RESET, Door
 
 from master import devices, loop, process
 from master.config import MasterConfig
@@ -31,7 +32,6 @@ from teleop.messages import (
     text_bytes,
     text_of,
 )
-from teleop.remote.door import CALL, RESET, Door
 from teleop.session import Reason, Session, State
 from teleop.topics import (
     ANSWER,
@@ -382,7 +382,8 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
 def quiet_process(monkeypatch):
     """Let a command run inside the test process without leaving its traces there."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setattr(process, "go_realtime", lambda: ["a test"])
+    monkeypatch.setattr(process, "go_realtime", lambda _: ["a test"])
+    monkeypatch.setattr(process, "enter_loop", lambda *_: None)
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -102,8 +102,7 @@ def estimated(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> 
         if sample.proximal_displacement is not None:
             tendon.displacement = sample.proximal_displacement[k]
         tendon.valid = not estimate.status & online.Status.INVALID_INPUT
-        for name, value in estimate._asdict().items():
-            setattr(tendon.estimate, name, value)
+        tendon.estimate = estimate
     return tendons
 
 

@@ -41,11 +41,6 @@ def slow_hand(time_s):
     return hand(time_s, 0.016)
 
 
-def record(estimate):
-    """Return an estimate as a record."""
-    return TendonEstimate.new(**{name: getattr(estimate, name) for name in estimate._fields})
-
-
 class Use:
     """A joint in use: what the monitor says at each moment."""
 
@@ -71,7 +66,7 @@ class Use:
                         CONFIG,
                         constants[i],
                         monitors[i],
-                        record(estimates[i]),
+                        estimates[i],
                         T[i],
                         q[i],
                         against,
@@ -172,7 +167,7 @@ def test_what_the_estimator_does_not_trust_does_not_count():
     tendon = known(0.1)
     tendon.pulled, tendon.reached, tendon.transition.points = True, 4.0, 3
     constants = monitor.prepare([model])[0]
-    monitor.step(CONFIG, constants, tendon, record(estimate), 5.0, 0.0, 0.0, 0.001)
+    monitor.step(CONFIG, constants, tendon, estimate, 5.0, 0.0, 0.0, 0.001)
     assert tendon.tobytes() == known(0.1).tobytes()
 
 

@@ -208,6 +208,13 @@ def test_what_holds_gives_way_to_too_large_a_tension_only(start, tension, age, d
     assert held == ((start,), Verdict.HELD)
 
 
+@given(start=anywhere, tension=anything, age=anything, dt=anything)
+def test_without_a_gain_nothing_gives_way_whatever_the_tension(start, tension, age, dt):
+    stiff = GateConfig(yield_gain=0.0)
+    held = step(stiff, (start,), (0.05,), (tension,), age, False, dt, may_yield=True)
+    assert held == ((start,), Verdict.HELD)
+
+
 def test_giving_way_brings_a_tension_back_to_its_limit():
     stiffness, motor, tension = 5000.0, 0.02, 40.0
     for _ in range(1000):

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from teleop.remote.door import CALL, RESET, Door
 
 from slave import loop, process, rigs
 from slave.calibration.config import InitialiseConfig
@@ -19,7 +20,6 @@ from teleop.clock import Grid, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
 from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
-from teleop.remote.door import CALL, RESET, Door
 from teleop.session import Reason, Session, State
 from teleop.topics import (
     COMMAND,
@@ -360,7 +360,8 @@ def test_what_goes_out_is_what_the_table_says():
 def quiet_process(monkeypatch):
     """Let a command run inside the test process without leaving its traces there."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setattr(process, "go_realtime", lambda: ["a test"])
+    monkeypatch.setattr(process, "go_realtime", lambda _: ["a test"])
+    monkeypatch.setattr(process, "enter_loop", lambda *_: None)
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

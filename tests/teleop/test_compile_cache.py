@@ -1,6 +1,8 @@
 """Compiled code is not taken for that of other sources, and finding a place for it never fails."""
 
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -78,3 +80,34 @@ def test_a_cache_folder_that_cannot_be_made_is_passed_over(unnamed, monkeypatch)
     (unnamed / "cache").write_text("a file")
     monkeypatch.setattr(Path, "home", no_home)
     assert compile_cache.choose().parent.name.startswith("tendon-teleop-")
+
+
+COMPILES = """
+import numba
+
+from teleop.compile_cache import announced
+
+@numba.njit(cache=True)
+def add(a, b):
+    return a + b
+
+with announced("a sum", 12.3):
+    add(1, 2)
+    add(1.0, 2.0)
+"""
+
+
+def test_compiling_is_announced_in_one_line_and_a_second_run_has_nothing_to_compile(tmp_path):
+    script = tmp_path / "compiles.py"
+    script.write_text(COMPILES)
+    root = Path(__file__).parents[2]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(root)}
+    runs = [
+        subprocess.run(
+            [sys.executable, script], capture_output=True, text=True, check=False, env=environment
+        )
+        for _ in range(2)
+    ]
+    assert [run.stderr for run in runs] == ["", ""]
+    line = "compiling a sum (once on this machine; about 12 s) ...\n"
+    assert [run.stdout for run in runs] == [line, ""]

@@ -1,0 +1,264 @@
+"""Real-time scheduling of a control process: priority, CPU limit, locked memory, cores.
+
+The order in a process is: import, compile, `go_realtime`, open the link and the devices,
+`enter_loop`, loop. What is compiled after `go_realtime` would hold a core at real-time priority for
+seconds; threads of the link that are started after it inherit the priority.
+
+A thread at SCHED_FIFO that never sleeps takes its core from everything else, a login shell too. Two
+limits apply: the kernel gives real-time threads 95 % of the time (`kernel.sched_rt_runtime_us`),
+from `limit_computing` on `RLIMIT_RTTIME` limits how long a thread may compute without sleeping. A
+loop sleeps in every period, so it never comes near.
+"""
+
+import ctypes
+import gc
+import os
+import re
+import resource
+import signal
+import socket
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Literal
+
+FEWEST_CORES = 4  # with fewer, a core of its own for a loop leaves too little for the others
+FEWEST_OTHERS = 2  # cores that are left to the threads of the links and to other programs
+
+SOFT_LIMIT_US = 1_000_000  # [us] of computing without sleep: back to ordinary scheduling
+HARD_LIMIT_US = 3_000_000  # [us] the kernel ends the process: it is in code that no handler enters
+
+CLAIM = "tendon-teleop-core-{core}"  # name of the abstract socket that a loop holds
+
+HEAP_RESERVE = 8 << 20  # [B] touched beforehand, and kept by malloc
+
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+_MADV_DONTNEED = 4
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_LARGEST_IN_HEAP = 32 << 20  # [B] the highest threshold that glibc takes
+
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_COMPILER = "libllvmlite"
+
+
+@dataclass(frozen=True, slots=True)
+class RealtimeConfig:
+    """Scheduling of the control processes of this machine."""
+
+    priority: int = 20  # SCHED_FIFO, 1 to 49 (interrupt threads of the kernel have 50); 0: ordinary
+    # cores of which each loop takes one for itself; auto: the upper half; []: none. From 4 cores on
+    cores: Literal["auto"] | tuple[int, ...] = "auto"
+
+    def __post_init__(self) -> None:
+        """Refuse a priority above that of the kernel's interrupt threads, and no cores."""
+        if not 0 <= self.priority <= 49:
+            raise ValueError("priority: must be 0 to 49")
+        if self.cores != "auto" and any(core < 0 for core in self.cores):
+            raise ValueError("cores: must not be negative")
+
+
+_DEFAULT = RealtimeConfig()
+
+
+def limit_numeric_threads() -> None:
+    """Let numeric libraries compute in one thread, unless the environment says otherwise.
+
+    To be called before numpy is imported. Arrays here are small: a second thread costs more than it
+    gives, and the pool of every library would hold a locked stack.
+    """
+    for name in _THREAD_COUNTS:
+        os.environ.setdefault(name, "1")
+
+
+def go_realtime(config: RealtimeConfig = _DEFAULT) -> list[str]:
+    """Take real-time scheduling and lock memory where the user may; return what was granted."""
+    granted: list[str] = []
+    if config.priority:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority))
+            granted.append("SCHED_FIFO")
+        except (AttributeError, PermissionError, OSError):
+            granted.append("no SCHED_FIFO (see `teleop doctor`)")
+    _release_compiler()
+    _reserve_heap()
+    if _lock_memory():
+        granted.append("memory locked")
+    return granted
+
+
+def enter_loop(granted: list[str], config: RealtimeConfig = _DEFAULT) -> None:
+    """Prepare the calling thread for its loop: `limit_computing`, then `pin_loop`."""
+    limit_computing(granted)
+    pin_loop(granted, config)
+
+
+def limit_computing(granted: list[str]) -> None:
+    """Limit how long a thread at real-time priority may compute without sleeping.
+
+    Beyond `SOFT_LIMIT_US` the whole process goes back to ordinary scheduling, says so on standard
+    error and in `granted`. In compiled code that never returns no handler can run: beyond
+    `HARD_LIMIT_US` the kernel ends the process.
+    """
+    if not hasattr(resource, "RLIMIT_RTTIME"):
+        return
+    signal.signal(signal.SIGXCPU, _back_to_ordinary(granted))
+    present = resource.getrlimit(resource.RLIMIT_RTTIME)
+    resource.setrlimit(resource.RLIMIT_RTTIME, computing_limits(*present))
+
+
+def pin_loop(granted: list[str], config: RealtimeConfig = _DEFAULT) -> None:
+    """Move the calling thread to a free core of the loops; add to `granted` which one it got.
+
+    The other threads that the process has by then, and those that they start, keep off the cores of
+    the loops. Does nothing where `divide_cores` gives none or every one of them is taken.
+    """
+    if not hasattr(os, "sched_getaffinity"):
+        return
+    loops, others = divide_cores(os.sched_getaffinity(0), config.cores)
+    own = next((core for core in loops if _claim(core)), None)
+    if own is None:
+        return
+    for thread in os.listdir("/proc/self/task"):
+        with suppress(ProcessLookupError):  # it has ended
+            os.sched_setaffinity(int(thread), others)
+    os.sched_setaffinity(0, {own})
+    granted.append(f"core {own} for the loop")
+
+
+def divide_cores(
+    allowed: Collection[int], wanted: Literal["auto"] | Collection[int]
+) -> tuple[list[int], set[int]]:
+    """Divide the cores that a process may use between loops and other threads.
+
+    Parameters
+    ----------
+    allowed : collection of int
+        The cores that the process may use.
+    wanted : "auto" or collection of int
+        The cores for loops, of which each takes one; "auto" is the upper half of `allowed`.
+
+    Returns
+    -------
+    loops : list of int
+        In the order in which they are to be taken.
+    others : set of int
+        Both are empty where nothing is to be divided: with fewer than `FEWEST_CORES` cores, or if
+        fewer than `FEWEST_OTHERS` would be left.
+    """
+    cores = sorted(set(allowed), reverse=True)
+    if len(cores) < FEWEST_CORES:
+        return [], set()
+    if wanted == "auto":
+        loops = cores[: len(cores) // 2]
+    else:
+        loops = [core for core in dict.fromkeys(wanted) if core in cores]
+    others = set(cores).difference(loops)
+    if not loops or len(others) < FEWEST_OTHERS:
+        return [], set()
+    return loops, others
+
+
+def computing_limits(soft: int, hard: int) -> tuple[int, int]:
+    """Return the limits of RLIMIT_RTTIME [us] to set where `soft` and `hard` apply; never higher.
+
+    The soft one stays below the hard one, so that it is reached first.
+    """
+    highest = HARD_LIMIT_US if hard == resource.RLIM_INFINITY else min(hard, HARD_LIMIT_US)
+    lower = SOFT_LIMIT_US if soft == resource.RLIM_INFINITY else min(soft, SOFT_LIMIT_US)
+    return min(lower, highest // 2), highest
+
+
+def _back_to_ordinary(granted: list[str]) -> Callable[[int, FrameType | None], None]:
+    """Return the handler of SIGXCPU: it takes real-time scheduling from all threads."""
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        for thread in os.listdir("/proc/self/task"):
+            with suppress(ProcessLookupError):  # it has ended
+                os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
+        said = f"SCHED_FIFO given up: computed for {SOFT_LIMIT_US / 1e6:g} s without sleeping"
+        granted.append(said)
+        os.write(2, f"WARNING: {said}\n".encode())  # print may be where this interrupts
+
+    return handle
+
+
+def _lock_memory() -> bool:
+    """Lock the pages in use, and others as they come into use.
+
+    Without MCL_ONFAULT every mapped page becomes resident: the heaps that malloc reserves for each
+    thread, stacks of 8 MB, libraries as a whole: 600 MB in the slave, of which 170 MB are used.
+    """
+    libc = ctypes.CDLL(None)
+    if not hasattr(libc, "mlockall"):
+        return False
+    everything = _MCL_CURRENT | _MCL_FUTURE
+    return any(libc.mlockall(flags) == 0 for flags in (everything | _MCL_ONFAULT, everything))
+
+
+def _reserve_heap() -> None:
+    """Touch memory that malloc then keeps, so that the loop finds it resident."""
+    libc = ctypes.CDLL(None)
+    if not hasattr(libc, "mallopt"):
+        return
+    libc.malloc.restype = ctypes.c_void_p
+    libc.malloc.argtypes = [ctypes.c_size_t]
+    libc.free.argtypes = [ctypes.c_void_p]
+    libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST_IN_HEAP)
+    libc.mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
+    block = libc.malloc(HEAP_RESERVE)
+    if block:
+        ctypes.memset(block, 0, HEAP_RESERVE)
+        libc.free(block)
+
+
+def _release_compiler() -> None:
+    """Give back what compiling took and the loop does not need; locked, it would stay resident.
+
+    That is free heap, and the compiler's code (50 MB): clean pages of a file, which are read again
+    if they are needed after all.
+    """
+    gc.collect()
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "malloc_trim"):
+        libc.malloc_trim(0)
+    if not hasattr(libc, "madvise"):
+        return
+    libc.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+    with suppress(OSError):
+        for begin, size in unmodified_code(Path("/proc/self/smaps").read_text(), _COMPILER):
+            libc.madvise(begin, size, _MADV_DONTNEED)
+
+
+def unmodified_code(smaps: str, library: str) -> list[tuple[int, int]]:
+    """Return address and size [B] of the code of `library` that is as it is in the file.
+
+    `smaps` is the text of /proc/PID/smaps. A mapping with pages of its own (anonymous ones, such as
+    relocations) is left out: they cannot be read again.
+    """
+    found = []
+    parts = re.split(r"^(?=[0-9a-f]+-[0-9a-f]+ )", smaps, flags=re.MULTILINE)
+    for part in parts[1:]:
+        head = part.split("\n", 1)[0].split(maxsplit=5)
+        if len(head) < 6 or library not in head[5] or head[1] != "r-xp":
+            continue
+        if re.search(r"^Anonymous: +0 kB", part, flags=re.MULTILINE):
+            begin, end = (int(address, 16) for address in head[0].split("-"))
+            found.append((begin, end - begin))
+    return found
+
+
+def _claim(core: int) -> bool:
+    """Reserve a core among the loops of this machine; whether it was free.
+
+    By an abstract socket name, which vanishes with the process however that ends.
+    """
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind("\0" + CLAIM.format(core=core))
+    except OSError:
+        claim.close()
+        return False
+    claim.detach()  # open until the process ends
+    return True

@@ -1,0 +1,39 @@
+"""How long each stage of a command's way to the hand takes, at all times."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from teleop.messages import STAGE_NAMES, Latency
+from teleop.timing import Durations
+from teleop.topics import Role
+
+
+class StageMeter:
+    """Durations of the stages of `STAGE_NAMES`, of the whole run and of its newest span."""
+
+    def __init__(self) -> None:
+        self._stages = tuple(Durations() for _ in STAGE_NAMES)
+
+    def add(self, durations_ns: Sequence[int]) -> None:
+        """Count one command; a duration [ns] for each stage."""
+        for stage, duration in zip(self._stages, durations_ns, strict=True):
+            stage.add(duration)
+
+    def message(self, role: Role) -> Latency:
+        """Return what listeners are told, and begin a new span."""
+        spans = [stage.take_span() for stage in self._stages]
+        return Latency(
+            role=role,
+            answered=spans[0].values,
+            p50_ns=tuple(span.p50 for span in spans),
+            p99_ns=tuple(span.p99 for span in spans),
+            p99_9_ns=tuple(span.p99_9 for span in spans),
+            max_ns=tuple(span.largest for span in spans),
+        )
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """Return percentiles [us] of the whole run, by the stages' names."""
+        return {
+            name: stage.percentiles(1e-3)
+            for name, stage in zip(STAGE_NAMES, self._stages, strict=True)
+        }
