@@ -9,24 +9,28 @@ whichever is worse. A spring loads the joint so that some 5 N at the housing hol
 
 import math
 import timeit
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from slave.watch import WatchConfig
+from numpy.typing import NDArray
 
 from estimator import online
-from estimator.records import as_records
+from estimator.compiled import compiled
+from estimator.records import Records, as_records
 from estimator.sheath import Sheath
-from slave import control, gate, watch
-from slave.control import Control, ControlConfig, JointEstimate, TendonSeen
+from slave import control, fault_detection, gate
+from slave.control import Control, ControlConfig, JointEstimate
+from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks
 from slave.gate import GateConfig
 from slave.plant.sheath import SectionConfig
 from slave.rigs.simulated import JointConfig
-from slave.tendons import EstimatedTendon, rig_layout
+from slave.tendons import EstimatedTendon, RigLayout, rig_layout
 from teleop.messages import MAX_JOINTS, MAX_TENDONS
 from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase
 
+SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
 STEPS = (0.004, 0.002, 0.006, 0.0, -0.006, 0.0)  # [m]
 
 
@@ -82,14 +86,41 @@ def vary(title: str, name: str, values: tuple[float, ...], motion: Motion) -> No
         print(f"{value:>10}{rms * 1e6:8.0f}{most * 1e6:7.0f}", flush=True)
 
 
+@compiled
+def detect(
+    config: Sequence[FaultDetectionConfig],
+    layout: Sequence[RigLayout],
+    detector: Sequence[FaultDetector],
+    motors: Sequence[MotorChecks],
+    tendons: Sequence[EstimatedTendon],
+    sent: NDArray[np.float64],
+    ticks: int,
+) -> None:
+    """Do what fault detection does in a tick with one sample, so many times."""
+    for k in range(ticks):
+        for i in range(layout[0].tendons):
+            tendons[i].tension = 5.0 + 0.001 * (k % 7)
+        fault_detection.step(config[0], layout[0], detector[0], tendons, DT)
+        fault_detection.take_motor_readings(motors[0], layout[0], tendons, sent)
+        fault_detection.check_motors(config[0], motors[0], layout[0], sent, True, True, DT)
+
+
+def detection_inputs(
+    joints: tuple[tuple[int, int], ...], models: list[online.TendonModel]
+) -> tuple[Records, Records, Records, Records, Records, NDArray[np.float64]]:
+    tendons = EstimatedTendon.array(MAX_TENDONS)
+    tendons["tension"], tendons["displacement"], tendons["valid"] = 5.0, 0.0, True
+    settings = as_records(FaultDetectionConfig())
+    detector, motors = fault_detection.start(models), MotorChecks.array()
+    return settings, rig_layout(joints), detector, motors, tendons, np.zeros(MAX_TENDONS)
+
+
 def costs() -> None:
     """Print what a tick of four joints costs, beside the estimators that it needs anyway."""
     joints = tuple((k, k + 1) for k in range(0, 8, 2))
-    prepared = [online.prepare(online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0)))] * 8
+    prepared = [online.prepare(online.TendonModel(SHEATH))] * 8
     state = online.initial(prepared[0])
     estimate, state = online.step(prepared[0], state, 5.0, 0.0, 0.0)
-    tendons = [TendonSeen(5.0 + k, 0.0, estimate.elongation, True, estimate) for k in range(8)]
-    watch_config = WatchConfig()
     layout, config, limits = (
         rig_layout(joints)[0], as_records(ControlConfig())[0], as_records(GateConfig())[0],
     )  # fmt: skip
@@ -102,7 +133,7 @@ def costs() -> None:
         control.step, config, layout, memory, zeros, zeros, still, seen, True, DT, wanted
     )
     drive()
-    watched = watch.start(joints, prepared)
+    detection = detection_inputs(joints, [online.TendonModel(SHEATH)] * 8)
     calls = {
         "online.step, 8 tendons": lambda: [
             online.step(prepared[0], state, 5.0, 0.0, DT) for _ in range(8)
@@ -124,7 +155,7 @@ def costs() -> None:
             False,
             wanted,
         ),
-        "watch.step": lambda: watch.step(watch_config, joints, watched, tendons, DT),
+        "fault detection, 1000 times": partial(detect, *detection, 1000),
     }
     print("\na tick of four joints [us]")
     for name, call in calls.items():

@@ -1,4 +1,4 @@
-"""Joints under tendon control on the simulated rig: estimator, control, gate and watch, no link."""
+"""Joints under tendon control on the simulated rig: all but the link and the session."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from slave.watch import Finding, WatchConfig
 
 from estimator import online
 from estimator.records import Records, as_record, one
 from estimator.sheath import Sheath
-from slave import control, gate, watch
+from slave import control, fault_detection, gate
 from slave.control import Control, ControlConfig, JointEstimate
+from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.plant.body import BodyConfig
 from slave.plant.environment import EnvironmentConfig, FreeConfig
@@ -27,9 +27,11 @@ from slave.rigs.simulated import (
 )
 from slave.tendons import EstimatedTendon, rig_layout
 from teleop.messages import MAX_JOINTS, MAX_TENDONS
+from teleop.session import Reason
 
 Array = NDArray[np.float64]
 Command = Callable[[float], tuple[float, float]]  # [s] to travel [m] and its velocity [m/s]
+Fault = tuple[Reason, int]  # and which tendon it is
 
 DT = 0.001  # [s]
 BEGIN = 0.02  # [s] at which the session engages
@@ -46,7 +48,7 @@ class Record(NamedTuple):
     tension: Array  # [N] measured at the housing, shape (n, tendons)
     motor: Array  # [m] what the gate let through, shape (n, tendons)
     position: Array  # [m] of the joints, estimated, shape (n, joints)
-    found: tuple[tuple[float, Finding], ...]  # [s] since the rig's start, and each new finding
+    found: tuple[tuple[float, Fault], ...]  # [s] since the rig's start, and each new fault
 
     def error(self, joint: int = 0) -> tuple[float, float]:
         """Return the RMS and the largest tracking error of a joint [m]."""
@@ -100,8 +102,7 @@ def estimated(sample: RigSample, estimates: Sequence[online.TendonEstimate]) -> 
         if sample.proximal_displacement is not None:
             tendon.displacement = sample.proximal_displacement[k]
         tendon.valid = not estimate.status & online.Status.INVALID_INPUT
-        for name, value in estimate._asdict().items():
-            setattr(tendon.estimate, name, value)
+        tendon.estimate = estimate
     return tendons
 
 
@@ -123,14 +124,12 @@ def follow(
 ) -> Record:
     """Let joints follow commands, which begin as the session engages."""
     rig = SimulatedRig(SimulatedRigConfig(joints=tuple(joints), effects=tuple(effects), seed=seed))
-    prepared = [
-        online.prepare(model(tendon, j.body.pretension, *errors))
-        for j in joints
-        for tendon in j.tendons
-    ]
+    models = [model(tendon, j.body.pretension, *errors) for j in joints for tendon in j.tendons]
+    prepared = [online.prepare(m) for m in models]
     states = [online.initial(p) for p in prepared]
     layout, settings, limits = one(rig_layout(rig.joints)), as_record(config), as_record(LIMITS)
-    memory, watched = Control.new(), watch.start(rig.joints, prepared)
+    memory, detector = Control.new(), one(fault_detection.start(models))
+    detection = as_record(FaultDetectionConfig())
     motor, wanted, offsets = np.zeros(MAX_TENDONS), np.zeros(MAX_TENDONS), np.zeros(MAX_JOINTS)
     told, no_reach = JointEstimate.array(MAX_JOINTS), gate.Reach.array(0)
     rows, found = [], []
@@ -151,10 +150,9 @@ def follow(
         tendons = estimated(sample, estimates)
         if k == 0:
             control.joint_offsets(layout, tendons, offsets)
-        seen = control.seen(sample, estimates)
-        finding, watched = watch.step(WatchConfig(), rig.joints, watched, seen, DT if k else 0.0)
-        if finding is not None and (not found or found[-1][1] != finding):
-            found.append((time, finding))
+        fault = fault_detection.step(detection, layout, detector, tendons, DT if k else 0.0)
+        if fault[0] is not Reason.NONE and (not found or found[-1][1] != fault):
+            found.append((time, fault))
             if until_found:
                 break
         if time < BEGIN:

@@ -199,7 +199,7 @@ def test_a_broken_tendon_is_a_fault_that_names_it_and_holds_the_motors():
     assert memory.session == Session(State.FAULT, Reason.TENDON_BROKEN)
     assert memory.found.tendon == 0
     assert memory.motor == held
-    assert CONFIG.watch.take_up <= reeled < CONFIG.watch.take_up + 0.002
+    assert CONFIG.fault_detection.take_up <= reeled < CONFIG.fault_detection.take_up + 0.002
 
 
 def test_samples_from_before_the_loop_tell_where_the_tendon_and_the_motor_are():

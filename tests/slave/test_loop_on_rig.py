@@ -140,7 +140,8 @@ def test_a_motor_that_does_not_go_where_it_is_sent_is_a_fault_that_names_it():
     session = run(free, to(0.020, 0.02), 2.0, spoiled)
     assert session.memory.session.reason is Reason.MOTOR_ASTRAY
     assert session.memory.found.tendon == 1
-    assert free.watch.motor_lag < np.abs(session.behind[-1, 1]) < free.watch.motor_lag + 0.002
+    lag = free.fault_detection.motor_lag
+    assert lag < np.abs(session.behind[-1, 1]) < lag + 0.002
 
 
 def configured(name):
@@ -157,7 +158,7 @@ def test_motors_at_their_limits_stay_well_within_what_they_may_be_behind(name):
     config = configured(name)
     session = run(config, dashes(0.02), 2.5)
     assert session.memory.session.state is State.ENGAGED
-    assert np.abs(session.behind).max() < 0.4 * config.watch.motor_lag
+    assert np.abs(session.behind).max() < 0.4 * config.fault_detection.motor_lag
     assert np.abs(np.diff(session.behind, axis=0)).max() > 0.0
 
 

@@ -1,0 +1,128 @@
+"""Joints on the simulated rig: each fault is found in time, by its name; healthy ones have none."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slave.plant.effects import BrokenTendon, JammedTendon, RepeatedSamples, Saturation, StuckCell
+from slave.plant.environment import LoadMotorConfig, TissueConfig, WallConfig
+from teleop.session import Reason
+from tests.slave.control_bench import follow, joint, sine
+
+BROKEN, JAMMED = Reason.TENDON_BROKEN, Reason.TENDON_JAMMED
+SATURATED, STUCK = Reason.CELL_SATURATED, Reason.CELL_STUCK
+LOADED = joint(0.8, spring=300.0)
+SWING = sine(0.006, 0.5)
+
+
+def first_found(effect, joints=(LOADED,), seconds=4.0, command=SWING):
+    """Return how long after its start a fault is found [s], and what is."""
+    record = follow(joints, [command] * len(joints), seconds, effects=[effect], until_found=True)
+    assert record.found
+    time, finding = record.found[0]
+    return time - effect.start, finding
+
+
+@pytest.mark.parametrize("start_at", [0.5, 1.5])  # as it drives, and as it is loose
+@pytest.mark.parametrize("share", [0.05, 0.95])
+def test_a_broken_tendon_is_found_in_a_fifth_of_a_second(share, start_at):
+    effect = BrokenTendon(start=start_at, tendon="a", share=share)
+    after, finding = first_found(effect)
+    assert finding == (BROKEN, 0)
+    assert after < 0.2
+
+
+def test_the_tendon_that_broke_is_named_among_those_of_all_joints():
+    effect = BrokenTendon(start=0.5, joint=2, tendon="b", share=0.5)
+    _, finding = first_found(effect, (LOADED, LOADED))
+    assert finding == (BROKEN, 3)
+
+
+def test_a_broken_tendon_of_a_joint_that_has_but_one_is_found_once_it_is_reeled_in():
+    alone = joint(0.4, spring=300.0, tendons=1, pretension=2.0)
+    effect = BrokenTendon(start=0.5, tendon="a")
+    after, finding = first_found(effect, (alone,), 6.0, lambda _: (0.002, 0.0))
+    assert finding == (BROKEN, 0)
+    assert after < 5.0
+
+
+@pytest.mark.parametrize(("share", "within"), [(0.0, 0.1), (0.25, 0.2), (0.5, 0.3)])
+def test_a_jammed_tendon_is_found_as_soon_as_it_is_pulled(share, within):
+    after, finding = first_found(JammedTendon(start=2.15, tendon="a", share=share))
+    assert finding == (JAMMED, 0)
+    assert after < within
+
+
+@pytest.mark.parametrize("tendon", ["a", "b"])
+def test_a_stuck_cell_is_found_in_an_eighth_of_a_second(tendon):
+    after, finding = first_found(StuckCell(start=1.85, tendon=tendon))
+    assert finding == (STUCK, "ab".index(tendon))
+    assert after < 0.125
+
+
+def test_a_saturated_cell_is_found_while_the_motor_pulls():
+    record = follow([LOADED], [SWING], 2.0, until_found=True)
+    assert record.tension[:, 0].max() > 3.0
+    after, finding = first_found(Saturation(tendon="a", limit=2.0))
+    assert finding == (SATURATED, 0)
+    assert after < 0.5
+
+
+def wanderings(rng, extent, seconds):
+    """Return a random profile of a load motor."""
+    times = np.cumsum(rng.choice([0.05, 0.2, 0.5], 200))
+    times = times[times < seconds].tolist()
+    return tuple((time, float(rng.uniform(-extent, extent))) for time in times)
+
+
+def random_command(rng, extent, seconds):
+    """Return reaches between random places, some fast, some after a rest."""
+    times, places = [0.0], [0.0]
+    while times[-1] < seconds:
+        place = rng.uniform(-extent, extent)
+        times.append(times[-1] + max(abs(place - places[-1]) / rng.uniform(0.003, 0.03), 0.05))
+        places.append(place)
+        times.append(times[-1] + rng.choice([1e-3, 0.1, 0.4]))
+        places.append(place)
+
+    def at(time):
+        k = int(np.searchsorted(times, time, side="right")) - 1
+        span, way = times[k + 1] - times[k], places[k + 1] - places[k]
+        u = (time - times[k]) / span
+        return places[k] + way * u * u * (3.0 - 2.0 * u), way * 6.0 * u * (1.0 - u) / span
+
+    return at
+
+
+HEALTHY = ("free", "wall", "tissue", "pushed", "dragged", "stops", "coarse", "noiseless", "repeats")
+
+
+@pytest.mark.parametrize("what", HEALTHY)
+def test_a_healthy_joint_raises_no_alarm(what):
+    rng, seconds = np.random.default_rng(HEALTHY.index(what)), 4.0
+    K = rng.uniform(0.4, 1.8)
+    settings = {
+        "noise": rng.uniform(0.01, 0.03),
+        "spring": 600.0 * math.exp(-K) * rng.integers(2),
+        "friction": 0.1 * rng.integers(3),
+    } | {
+        "wall": {"environment": WallConfig(position=0.002, stiffness=5e4)},
+        "tissue": {"environment": TissueConfig(position=0.001)},
+        "pushed": {"environment": LoadMotorConfig(profile=wanderings(rng, 1.5, seconds))},
+        "dragged": {
+            "environment": LoadMotorConfig(
+                mode="position", profile=wanderings(rng, 0.004, seconds), stiffness=1000.0
+            )
+        },
+        "stops": {"stops": (-0.003, 0.004)},
+        "coarse": {"resolution": 0.1, "noise": 0.0},
+        "noiseless": {"resolution": 0.0, "noise": 0.0},
+    }.get(what, {})
+    effects = [RepeatedSamples(share=0.3, burst=20.0)] if what == "repeats" else []
+    errors = rng.uniform(0.98, 1.02), rng.uniform(0.97, 1.03)
+    command = random_command(rng, 0.006, seconds)
+    record = follow(
+        [joint(K, **settings)], [command], seconds, errors=errors, effects=effects, seed=7
+    )
+    assert record.found == ()
