@@ -9,7 +9,7 @@ the calibration, is `monitor_calibration`, called when the answer is out.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -95,7 +95,6 @@ class SlaveMemory(Record):
     has_offsets: Flag = False
     has_motor: Flag = False  # engaged at least once
     sample_time: F64 = 0.0  # [s] of the newest sample
-    elapsed: F64 = 0.0  # [s] between it and the one before
     silence: F64 = 0.0  # [s] since the last sample that was new and could be used
     overload: F64 = 0.0  # [s] for which a tension has been far over its limit, engaged
     found: I64 = Reason.NONE  # Reason that the fault detection gave last
@@ -149,6 +148,17 @@ class Slave(NamedTuple):
     memory: Records
     scratch: Records
     watched: Records
+    estimate: Callable[..., None]  # `estimate`, or what models with effects need
+
+    @property
+    def estimated(self) -> tuple[Records, Records, Records, Records]:
+        """What `estimate` takes first."""
+        return self.layout, self.prepared, self.estimators, self.memory
+
+    @property
+    def ticked(self) -> tuple[Records, Records, Records, Records]:
+        """What `tick` takes first."""
+        return self.settings, self.layout, self.memory, self.scratch
 
 
 def rig_model(
@@ -202,11 +212,13 @@ def start(
         memory,
         Scratch.array(),
         model.watched,
+        estimate_with_dynamics if model.prepared["has_dynamics"].any() else estimate,
     )
     row = EstimatedSample.array()
     for sample in samples:
         fill_sample(row, 0, sample)
-        take_past_sample(*slave[1:6], row)
+        slave.estimate(*slave.estimated, row, 1)
+        locate(slave.layout, memory, slave.scratch, row)
     return slave
 
 
@@ -230,8 +242,6 @@ def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
 def tick(
     settings_records: Records,
     layouts: Records,
-    prepared: Records,
-    estimators: Records,
     memories: Records,
     scratches: Records,
     rows: Records,
@@ -247,11 +257,10 @@ def tick(
 
     Parameters
     ----------
-    settings_records, layouts, prepared, estimators, memories, scratches : Records
-        Of a `Slave`; estimators and memories are changed.
+    settings_records, layouts, memories, scratches : Records
+        Of a `Slave`; its memory is changed.
     rows : Records
-        `EstimatedSample`, the first `samples` of which are new, oldest first; their estimates are
-        filled in.
+        `EstimatedSample`, the first `samples` of which are new, oldest first, after `estimate`.
     given : TickInput
         What else is told.
     commands : Records
@@ -261,9 +270,7 @@ def tick(
     """
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
     work, command = scratches[0], commands[0]
-    found, tendon = _take_samples(
-        setting, layout, prepared, estimators, memory, work, rows, samples, given.dt
-    )
+    found, tendon = _take_samples(setting, layout, memory, work, rows, samples, given.dt)
     _update_faults(setting, layout, memory, rows, samples, found, tendon, given.dt)
     _update_readiness(setting, memory, work)
     asks = _take_command(layout, work, command, given)
@@ -281,26 +288,89 @@ def tick(
 
 
 @compiled
-def take_past_sample(
+def estimate(
     layouts: Records,
     prepared: Records,
     estimators: Records,
     memories: Records,
-    scratches: Records,
     rows: Records,
+    samples: int,
 ) -> None:
-    """Take in the first of `rows`, measured before the first tick: no fault is looked for in it."""
-    layout, memory, row = layouts[0], memories[0], rows[0]
-    _update_estimators(layout, prepared, estimators, memory, row)
-    _locate(layout, memory, scratches[0], row)
+    """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates."""
+    layout, memory = layouts[0], memories[0]
+    for s in range(samples):
+        row = rows[s]
+        _begin_sample(memory, row)
+        for i in range(layout.tendons):
+            tendon = row.tendons[i]
+            tendon.corrected_tension, tendon.corrected_displacement = online.advance_law(
+                prepared[i],
+                estimators[i],
+                tendon.tension,
+                tendon.displacement,
+                row.elapsed,
+                tendon.estimate,
+            )
+        _end_sample(layout, memory, row)
+
+
+@compiled
+def estimate_with_dynamics(
+    layouts: Records,
+    prepared: Records,
+    estimators: Records,
+    memories: Records,
+    rows: Records,
+    samples: int,
+) -> None:
+    """Do what `estimate` does, for models with effects beside the law; takes longer to compile."""
+    layout, memory = layouts[0], memories[0]
+    for s in range(samples):
+        row = rows[s]
+        _begin_sample(memory, row)
+        for i in range(layout.tendons):
+            tendon = row.tendons[i]
+            tendon.corrected_tension, tendon.corrected_displacement = online.advance(
+                prepared[i],
+                estimators[i],
+                tendon.tension,
+                tendon.displacement,
+                row.elapsed,
+                tendon.estimate,
+            )
+        _end_sample(layout, memory, row)
+
+
+@compiled
+def _begin_sample(memory: SlaveMemory, row: EstimatedSample) -> None:
+    row.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
+    memory.sample_time = row.time_s
+    memory.has_sample = True
+
+
+@compiled
+def _end_sample(layout: RigLayout, memory: SlaveMemory, row: EstimatedSample) -> None:
+    usable = True
+    newest: Any = memory.tendons
+    for i in range(layout.tendons):
+        tendon = row.tendons[i]
+        tendon.valid = tendon.estimate.status & INVALID_INPUT == 0
+        usable = usable and tendon.valid
+        newest[i] = tendon
+    if usable and not memory.has_offsets:
+        memory.has_offsets = control.joint_offsets(layout, row.tendons, memory.offsets)
+
+
+@compiled
+def locate(layouts: Records, memories: Records, scratches: Records, rows: Records) -> None:
+    """Take in where the first of `rows`, measured before the first tick, has the motors."""
+    _locate(layouts[0], memories[0], scratches[0], rows[0])
 
 
 @compiled
 def _take_samples(
     setting: SlaveSettings,
     layout: RigLayout,
-    prepared: Records,
-    estimators: Records,
     memory: SlaveMemory,
     work: Scratch,
     rows: Records,
@@ -312,9 +382,8 @@ def _take_samples(
     initial_position.age(memory.initial_position, dt)
     for i in range(samples):
         row = rows[i]
-        _update_estimators(layout, prepared, estimators, memory, row)
         reason, where = fault_detection.step(
-            setting.fault_detection, layout, memory.detector, row.tendons, memory.elapsed
+            setting.fault_detection, layout, memory.detector, row.tendons, row.elapsed
         )
         if reason != Reason.NONE:
             found, tendon = reason, where
@@ -332,37 +401,6 @@ def _locate(layout: RigLayout, memory: SlaveMemory, work: Scratch, row: Estimate
     initial_position.take(
         memory.initial_position, layout.tendons, work.displacement, row.has_displacement
     )
-
-
-@compiled
-def _update_estimators(
-    layout: RigLayout,
-    prepared: Records,
-    estimators: Records,
-    memory: SlaveMemory,
-    row: EstimatedSample,
-) -> None:
-    memory.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
-    row.elapsed = memory.elapsed
-    memory.sample_time = row.time_s
-    memory.has_sample = True
-    usable = True
-    newest: Any = memory.tendons
-    for i in range(layout.tendons):
-        tendon = row.tendons[i]
-        tendon.corrected_tension, tendon.corrected_displacement = online.advance(
-            prepared[i],
-            estimators[i],
-            tendon.tension,
-            tendon.displacement,
-            memory.elapsed,
-            tendon.estimate,
-        )
-        tendon.valid = tendon.estimate.status & INVALID_INPUT == 0
-        usable = usable and tendon.valid
-        newest[i] = tendon
-    if usable and not memory.has_offsets:
-        memory.has_offsets = control.joint_offsets(layout, row.tendons, memory.offsets)
 
 
 @compiled

@@ -97,6 +97,7 @@ class SlaveProcess:
         self._outline = OutlineReader(self._slave.memory["session"])
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
         self._has_motor = self._slave.memory["has_motor"]
+        self._estimated, self._ticked = self._slave.estimated, self._slave.ticked
         self._before = [part.copy() for part in self._changing()]
         self._rows = loop.EstimatedSample.array(ROWS)
         self._samples = 0
@@ -179,19 +180,10 @@ class SlaveProcess:
             int(requests.stop),
             requests.reset,
         )
-        slave = self._slave
+        slave, rows, samples = self._slave, self._rows, self._samples
+        slave.estimate(*self._estimated, rows, samples)
         return loop.tick(
-            slave.settings,
-            slave.layout,
-            slave.prepared,
-            slave.estimators,
-            slave.memory,
-            slave.scratch,
-            self._rows,
-            self._samples,
-            given,
-            commands.packet.records,
-            self._state.records,
+            *self._ticked, rows, samples, given, commands.packet.records, self._state.records
         )
 
     def _read(self, time_s: float) -> Reason:
@@ -414,9 +406,9 @@ def warm_up() -> None:
     rows, state = loop.EstimatedSample.array(ROWS), Packet(SlaveState)
     loop.fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
     given, command = TickInput(1e-3, True, False), Packet(Command)
-    parts = (slave.settings, slave.layout, slave.prepared, slave.estimators, slave.memory)
-    loop.tick(*parts, slave.scratch, rows, 1, given, command.records, state.records)
-    loop.monitor_calibration(*parts[:2], slave.watched, slave.memory, rows, 1)
+    slave.estimate(*slave.estimated, rows, 1)
+    loop.tick(*slave.ticked, rows, 1, given, command.records, state.records)
+    loop.monitor_calibration(slave.settings, slave.layout, slave.watched, slave.memory, rows, 1)
     fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
     Score().add_rows(slave.layout, rows, 1)
     online.profile_at(one(slave.prepared), one(slave.estimators), np.zeros(PROFILE_POINTS))
