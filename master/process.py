@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.records import Records, one
+from estimator.records import Records, as_bytes, one
 from master import hand_input, live, loop
 from master.config import MasterConfig
 from master.device import Device, DeviceFault, DeviceLost, HandState
@@ -30,7 +30,7 @@ from master.settings import SettingsRecord
 from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns, quiet_garbage
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
-from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
+from teleop.coupling import Bilateral, LedgerPublisher
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.launch.summary import loop_lines, trouble
@@ -77,7 +77,8 @@ class Master:
         self.error: TeleopError | None = None
         self._memory = loop.start(device.axes, now_ns())
         self.memory: loop.MasterState = one(self._memory)
-        self._before, self._commanded = self._memory.copy(), self._memory.copy()
+        self._now = as_bytes(self._memory)
+        self._before, self._commanded = self._now.copy(), self._now.copy()
         self._outline = OutlineReader(self._memory["session"])
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
@@ -90,7 +91,7 @@ class Master:
         self._stop_text = ""  # who called for the last stop
         self._commands_every, self._index = commands_every, 0
         self._wait_ns, self._late_answers = round(WAIT * grid.period_ns), 0
-        self._ledger_due_ns = 0
+        self._ledger = LedgerPublisher(Role.MASTER, self._memory["coupling"], device.axes)
         self._meter = LoopMeter(Role.MASTER, grid.stats)
         self._verdicts: Counter[int] = Counter()
         self._start_ns = now_ns()
@@ -117,7 +118,7 @@ class Master:
         self._index += 1
         verdict = self._render(settings, tick.dt, fault, requests, known_ns)
         written_ns = now_ns()
-        self._before[:] = self._memory
+        self._before[:] = self._now
         self._verdicts[verdict] += 1
         round_trip = self._measure(tick.stamp_ns, sent_ns, written_ns)
         self._follow_up(tick, hand, requests, round_trip)
@@ -171,7 +172,7 @@ class Master:
             late_ns = now_ns() - told.now_ns
             if late_ns <= STALL_NS:
                 return
-            self._memory[:] = self._before
+            self._now[:] = self._before
             told = self._told(dt + late_ns * 1e-9, fault, requests)
 
     def _await_answer(self, sent_ns: int, deadline_ns: int) -> None:
@@ -192,13 +193,13 @@ class Master:
         self, settings: Records, dt: float, fault: Reason, requests: Requests, known_ns: int
     ) -> int:
         """Find the force and write it to the device; return the gate's verdict."""
-        self._commanded[:] = self._memory
+        self._commanded[:] = self._now
         is_new = self._states.stamp_ns != known_ns
         verdict = self._find_force(settings, dt, fault, requests, is_new)
         try:
             self._device.write(tuple(self._force[: self._device.axes].tolist()))
         except DeviceFault as error:
-            self._memory[:] = self._commanded
+            self._now[:] = self._commanded
             self._write_hand(None)
             failed = self._device_failed(error)
             verdict = self._find_force(settings, dt, failed, requests, is_new=True)
@@ -222,7 +223,7 @@ class Master:
             )
             if now_ns() - told.now_ns <= STALL_NS:
                 break
-            self._memory[:] = self._commanded
+            self._now[:] = self._commanded
         return verdict
 
     def _measure(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
@@ -256,10 +257,8 @@ class Master:
                 self._hand.records,
             )
             self._link.publish_packet(HAND, self._hand)
-        if tick.stamp_ns >= self._ledger_due_ns:
-            self._ledger_due_ns = tick.stamp_ns + LEDGER_PERIOD_NS
-            message = ledger_message(Role.MASTER, self.memory.coupling, self._device.axes)
-            self._link.publish(LEDGER, message)
+        if self._ledger.is_due(tick.stamp_ns):
+            self._link.publish_packet(LEDGER, self._ledger.packet)
         if side != self._published:
             self._publish_session(side)
         self._report(tick.stamp_ns, side)
