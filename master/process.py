@@ -28,6 +28,7 @@ from master.devices import open_device
 from master.gate import Verdict
 from master.settings import SettingsRecord
 from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns, quiet_garbage
+from teleop.compile_cache import announced
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.coupling import Bilateral, LedgerPublisher
@@ -35,7 +36,7 @@ from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.launch.summary import loop_lines, trouble
 from teleop.link import NEVER_NS, Link
-from teleop.messages import MAX_JOINTS, Answer, Command, Hand, text_bytes
+from teleop.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
 from teleop.meter import LoopMeter, format_reason
 from teleop.packet import Packet
 from teleop.process import Stop, destination, seconds, supervised, write_summary
@@ -46,6 +47,7 @@ from teleop.session import OutlineReader, Reason, SessionOutline, State
 from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, LEDGER, REPORT, STATE, Role
 
 DIRECT = Bilateral()
+COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
 WAIT = 0.6  # of a period, from the reading of the device: longer is not waited for an answer
 LATE_ANSWERS = 20  # in a row, and the link is taken for one on which it is no use to wait
 TRY_EVERY = 100  # ticks, whether it still is one
@@ -349,6 +351,8 @@ def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, MasterConfig, "master", args.overrides)
+    with announced("the master's loop", COMPILE_S):
+        warm_up()
     stop = Stop(args.duration)
     # before the link: its threads inherit the priority
     granted = go_realtime(shared.realtime)
@@ -371,3 +375,16 @@ def main(args: argparse.Namespace) -> int:
     if not supervised() and (ended := trouble({"master": summary})):
         raise TeleopError(ended)
     return 0
+
+
+def warm_up() -> None:
+    """Compile what the loop calls, before it has to be on time."""
+    memory, ticks = loop.start(1, 0), loop.TickInput.array()
+    settings = SettingsRecord(MasterConfig(), DIRECT).records
+    state, command, hand = Packet(SlaveState), Packet(Command), Packet(Hand)
+    hand_input.fill(ticks["hand"], HandState((0.0,), (0.0,), engage=False))
+    told = loop.Told(False, NEVER_NS, 0, 1e-3)
+    loop.run_command(settings, memory, ticks, state.records, told, command.records)
+    loop.run_force(settings, memory, ticks, state.records, told, False, np.zeros(MAX_JOINTS))
+    loop.fill_hand_message(memory, ticks, -1, 0, hand.records)
+    command.seal(0, 0, 0)
