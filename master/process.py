@@ -108,7 +108,7 @@ class Master:
         fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
         requests = self._listen(now_ns())
-        self._live, changed = live.press(live.step(self._live, tick.dt), hand)
+        self._live, changed = live.follow(self._live, hand, tick.dt)
         settings = self._settings.update(self._live.config)
         self._write_hand(hand)
         self._find_command(settings, tick.dt, fault, requests)

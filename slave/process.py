@@ -124,17 +124,17 @@ class SlaveProcess:
         requests = self._requests(now, self._outline.stops)
         if requests.words and self._outline().state is not State.STOPPED:  # the first caller's
             self._telemetry.stop_text = requests.words
-        verdict = self._step(tick.dt, fault, requests)
+        verdict = self._step(now, tick.dt, fault, requests)
         late_ns = now_ns() - now
         if late_ns > STALL_NS:
             self._take_back()
-            verdict = self._step(tick.dt + late_ns * 1e-9, fault, requests)
+            verdict = self._step(now + late_ns, tick.dt + late_ns * 1e-9, fault, requests)
         if self._has_motor[0] and fault is Reason.NONE:
             try:
                 self._rig.write(self._motor[: self._rig.tendons].copy())
             except RigFault as error:
                 self._take_back()
-                verdict = self._step(tick.dt, self._failed(error), requests)
+                verdict = self._step(now_ns(), tick.dt, self._failed(error), requests)
         if tick.answers:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
@@ -169,12 +169,12 @@ class SlaveProcess:
         for now, before in zip(self._changing, self._before, strict=True):
             now[:] = before
 
-    def _step(self, dt: float, fault: Reason, requests: Requests) -> int:
+    def _step(self, now: int, dt: float, fault: Reason, requests: Requests) -> int:
         commands = self._commands
         given = TickInput(
             dt,
             commands.is_there,
-            commands.is_fresh(now_ns(), self._timeout_ns),
+            commands.age_ns(now) <= self._timeout_ns,
             int(fault),
             int(requests.stop),
             requests.reset,
