@@ -238,6 +238,14 @@ def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
     row["bench_displacement"][:n] = math.nan if bench is None else bench
 
 
+def sample_rows(samples: Sequence[RigSample]) -> Records:
+    """Return these samples as the rows that `tick` takes, shape (samples,); see `fill_sample`."""
+    rows = EstimatedSample.array(len(samples))
+    for k, sample in enumerate(samples):
+        fill_sample(rows, k, sample)
+    return rows
+
+
 @compiled
 def tick(
     settings_records: Records,
