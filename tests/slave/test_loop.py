@@ -347,6 +347,79 @@ def test_each_sample_is_estimated_once_whatever_the_ticks_do():
         np.testing.assert_array_equal(*both)
 
 
+def test_the_answer_says_what_the_tick_found():
+    slave = start()
+    before = slave.tick([], command(State.READY)).state
+    assert (before.joints, before.sample_age_ns, before.echo_stamp_ns) == (0, 0, 0)
+    assert not any((*before.position, *before.force, *before.energy, *before.wave, *before.status))
+    for k, state in enumerate((State.READY, State.READY, State.ENGAGED)):
+        told = replace(command(state), sender=3, stamp_ns=1000 + k)
+        answer = slave.tick([sample(k * DT, 5.0)], told).state
+    joint = slave.memory.joints[0]
+    assert (answer.state, answer.reason) == slave.session == (State.ENGAGED, Reason.NONE)
+    assert (answer.joints, answer.sample_age_ns, answer.echo_stamp_ns) == (1, 0, 1002)
+    assert answer.coupling == loop.DIRECT.signature
+    assert answer.force[0] == joint.force > 0.0
+    assert answer.force_low[0] == joint.low < answer.force[0] < joint.high == answer.force_high[0]
+    assert answer.position[0] == joint.position
+    assert not any((*answer.position[1:], *answer.force[1:], *answer.force_high[1:]))
+    silent = slave.tick([], told).state
+    assert silent.sample_age_ns == DT * 1e9
+    assert silent.force == answer.force
+
+
+def test_a_tick_that_is_taken_back_leaves_nothing_behind():
+    pulls = [[sample(k * DT, 5.0 + 0.1 * k, 0.01)] for k in range(60)]
+
+    def drive(twice):
+        slave, _ = engaged()
+        changing = slave.slave.memory, slave.slave.estimators
+        for k, samples in enumerate(pulls):
+            message = command(State.ENGAGED, k * 5e-5)
+            if twice and k % 3 == 0:
+                before = [part.copy() for part in changing]
+                slave.tick([sample(9.0, 31.0)], command(State.FAULT, 1.0), fault=Reason.RIG_FAULT)
+                for now, then in zip(changing, before, strict=True):
+                    now[:] = then
+            output = slave.tick(samples, message)
+        return output.motor, output.state, slave.session
+
+    assert drive(twice=True) == drive(twice=False)
+
+
+def test_a_sample_without_encoders_keeps_nothing_of_the_row_before():
+    rows = loop.EstimatedSample.array()
+    full = RigSample(0.0, *(np.array([number]) for number in (1.0, 2.0, 3.0, 4.0)))
+    loop.fill_sample(rows, 0, full)
+    loop.fill_sample(rows, 0, sample(0.001, 5.0, None))
+    row = rows[0]
+    assert not row["has_displacement"]
+    gone = row["tendons"]["displacement"], row["bench_tension"], row["bench_displacement"]
+    assert all(math.isnan(column[0]) for column in gone)
+
+
+JOINT_AND_PAIR = ((0,), (1, 2))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2), st.lists(st.floats(0.0, 20.0), min_size=3, max_size=20))
+def test_what_happens_to_a_tendon_is_not_seen_in_another_ones_estimate(which, tensions):
+    model = loop.rig_model(JOINT_AND_PAIR, MODELS * 3)
+
+    def drive(varied):
+        slave = SlaveBench(model, CONFIG, True)
+        for k, tension in enumerate(tensions):
+            now = np.array([5.0 + 0.01 * k] * 3)
+            now[which] = tension if varied else now[which]
+            rows = slave.tick([RigSample(k * DT, now, np.full(3, 1e-4 * k))]).rows
+        return rows["tendons"][0]
+
+    here, there = drive(True), drive(False)
+    for name in ("distal_tension", "low", "high", "elongation", "front", "status"):
+        for i in {0, 1, 2} - {which}:
+            np.testing.assert_equal(here["estimate"][name][i], there["estimate"][name][i])
+
+
 anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
