@@ -22,13 +22,16 @@ BUTTONS = (  # that make a scale smaller and larger
 )
 
 
+RELEASED = (False, False)
+
+
 class Live(NamedTuple):
     """The config in force, and where its force scale is going."""
 
     config: MasterConfig
     force_scale: float
     rate: float = 0.0  # [1/s] at which it goes there
-    held: tuple[bool, ...] = (False, False)  # whether one of `BUTTONS` is, for each scale
+    held: tuple[bool, ...] = RELEASED  # whether one of `BUTTONS` is, for each scale
 
     @property
     def settled(self) -> bool:
@@ -83,6 +86,21 @@ def _axes(text: str) -> tuple[int, ...]:
     if not re.fullmatch(r"\s*(\[\s*(\d\s*(,\s*\d\s*)*)?\]|\d)\s*", text, re.ASCII):
         raise ValueError(f"lock: expected axes as in '[0, 2]', got {text!r}")
     return tuple(int(digit) for digit in re.findall(r"\d", text, re.ASCII))
+
+
+def follow(live: Live, hand: HandState | None, dt: float) -> tuple[Live, str]:
+    """Return the settings of a tick, `dt` [s] after the last, and what a button has changed.
+
+    One call while nothing changes, which is nearly always.
+    """
+    resting = live.config.force.scale == live.force_scale and live.held == RELEASED
+    if resting and (hand is None or not _is_pressed(hand)):
+        return live, ""
+    return press(step(live, dt), hand)
+
+
+def _is_pressed(hand: HandState) -> bool:
+    return hand.finer or hand.coarser or hand.weaker or hand.stronger
 
 
 def press(live: Live, hand: HandState | None) -> tuple[Live, str]:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.records import Records, one
+from estimator.records import Records, as_bytes, one
 from master import hand_input, live, loop
 from master.config import MasterConfig
 from master.device import Device, DeviceFault, DeviceLost, HandState
@@ -28,14 +28,15 @@ from master.devices import open_device
 from master.gate import Verdict
 from master.settings import SettingsRecord
 from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns, quiet_garbage
+from teleop.compile_cache import announced
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
-from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
+from teleop.coupling import Bilateral, LedgerPublisher
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.launch.summary import loop_lines, trouble
 from teleop.link import NEVER_NS, Link
-from teleop.messages import MAX_JOINTS, Answer, Command, Hand, text_bytes
+from teleop.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
 from teleop.meter import LoopMeter, format_reason
 from teleop.packet import Packet
 from teleop.process import Stop, destination, seconds, supervised, write_summary
@@ -46,6 +47,7 @@ from teleop.session import OutlineReader, Reason, SessionOutline, State
 from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, LEDGER, REPORT, STATE, Role
 
 DIRECT = Bilateral()
+COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
 WAIT = 0.6  # of a period, from the reading of the device: longer is not waited for an answer
 LATE_ANSWERS = 20  # in a row, and the link is taken for one on which it is no use to wait
 TRY_EVERY = 100  # ticks, whether it still is one
@@ -77,7 +79,8 @@ class Master:
         self.error: TeleopError | None = None
         self._memory = loop.start(device.axes, now_ns())
         self.memory: loop.MasterState = one(self._memory)
-        self._before, self._commanded = self._memory.copy(), self._memory.copy()
+        self._now = as_bytes(self._memory)
+        self._before, self._commanded = self._now.copy(), self._now.copy()
         self._outline = OutlineReader(self._memory["session"])
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
@@ -90,7 +93,7 @@ class Master:
         self._stop_text = ""  # who called for the last stop
         self._commands_every, self._index = commands_every, 0
         self._wait_ns, self._late_answers = round(WAIT * grid.period_ns), 0
-        self._ledger_due_ns = 0
+        self._ledger = LedgerPublisher(Role.MASTER, self._memory["coupling"], device.axes)
         self._meter = LoopMeter(Role.MASTER, grid.stats)
         self._verdicts: Counter[int] = Counter()
         self._start_ns = now_ns()
@@ -105,7 +108,7 @@ class Master:
         fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
         requests = self._listen(now_ns())
-        self._live, changed = live.press(live.step(self._live, tick.dt), hand)
+        self._live, changed = live.follow(self._live, hand, tick.dt)
         settings = self._settings.update(self._live.config)
         self._write_hand(hand)
         self._find_command(settings, tick.dt, fault, requests)
@@ -117,7 +120,7 @@ class Master:
         self._index += 1
         verdict = self._render(settings, tick.dt, fault, requests, known_ns)
         written_ns = now_ns()
-        self._before[:] = self._memory
+        self._before[:] = self._now
         self._verdicts[verdict] += 1
         round_trip = self._measure(tick.stamp_ns, sent_ns, written_ns)
         self._follow_up(tick, hand, requests, round_trip)
@@ -171,7 +174,7 @@ class Master:
             late_ns = now_ns() - told.now_ns
             if late_ns <= STALL_NS:
                 return
-            self._memory[:] = self._before
+            self._now[:] = self._before
             told = self._told(dt + late_ns * 1e-9, fault, requests)
 
     def _await_answer(self, sent_ns: int, deadline_ns: int) -> None:
@@ -192,13 +195,13 @@ class Master:
         self, settings: Records, dt: float, fault: Reason, requests: Requests, known_ns: int
     ) -> int:
         """Find the force and write it to the device; return the gate's verdict."""
-        self._commanded[:] = self._memory
+        self._commanded[:] = self._now
         is_new = self._states.stamp_ns != known_ns
         verdict = self._find_force(settings, dt, fault, requests, is_new)
         try:
             self._device.write(tuple(self._force[: self._device.axes].tolist()))
         except DeviceFault as error:
-            self._memory[:] = self._commanded
+            self._now[:] = self._commanded
             self._write_hand(None)
             failed = self._device_failed(error)
             verdict = self._find_force(settings, dt, failed, requests, is_new=True)
@@ -222,7 +225,7 @@ class Master:
             )
             if now_ns() - told.now_ns <= STALL_NS:
                 break
-            self._memory[:] = self._commanded
+            self._now[:] = self._commanded
         return verdict
 
     def _measure(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
@@ -256,10 +259,8 @@ class Master:
                 self._hand.records,
             )
             self._link.publish_packet(HAND, self._hand)
-        if tick.stamp_ns >= self._ledger_due_ns:
-            self._ledger_due_ns = tick.stamp_ns + LEDGER_PERIOD_NS
-            message = ledger_message(Role.MASTER, self.memory.coupling, self._device.axes)
-            self._link.publish(LEDGER, message)
+        if self._ledger.is_due(tick.stamp_ns):
+            self._link.publish_packet(LEDGER, self._ledger.packet)
         if side != self._published:
             self._publish_session(side)
         self._report(tick.stamp_ns, side)
@@ -350,6 +351,8 @@ def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, MasterConfig, "master", args.overrides)
+    with announced("the master's loop", COMPILE_S):
+        warm_up()
     stop = Stop(args.duration)
     # before the link: its threads inherit the priority
     granted = go_realtime(shared.realtime)
@@ -372,3 +375,16 @@ def main(args: argparse.Namespace) -> int:
     if not supervised() and (ended := trouble({"master": summary})):
         raise TeleopError(ended)
     return 0
+
+
+def warm_up() -> None:
+    """Compile what the loop calls, before it has to be on time."""
+    memory, ticks = loop.start(1, 0), loop.TickInput.array()
+    settings = SettingsRecord(MasterConfig(), DIRECT).records
+    state, command, hand = Packet(SlaveState), Packet(Command), Packet(Hand)
+    hand_input.fill(ticks["hand"], HandState((0.0,), (0.0,), engage=False))
+    told = loop.Told(False, NEVER_NS, 0, 1e-3)
+    loop.run_command(settings, memory, ticks, state.records, told, command.records)
+    loop.run_force(settings, memory, ticks, state.records, told, False, np.zeros(MAX_JOINTS))
+    loop.fill_hand_message(memory, ticks, -1, 0, hand.records)
+    command.seal(0, 0, 0)

@@ -224,18 +224,39 @@ def start(
 
 def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
     """Put a sample of the rig into one of the rows that `tick` takes."""
-    row = rows[index]
-    row["time_s"] = sample.time_s
-    tendons = row["tendons"]
-    n = len(sample.proximal_tension)
-    tendons["tension"][:n] = sample.proximal_tension
     travel = sample.proximal_displacement
-    row["has_displacement"] = travel is not None
-    tendons["displacement"][:n] = math.nan if travel is None else travel
-    bench = sample.bench_distal_tension
-    row["bench_tension"][:n] = math.nan if bench is None else bench
-    bench = sample.bench_distal_displacement
-    row["bench_displacement"][:n] = math.nan if bench is None else bench
+    tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
+    _fill_row(
+        rows,
+        index,
+        sample.time_s,
+        travel is not None,
+        sample.proximal_tension,
+        _MISSING if travel is None else travel,
+        _MISSING if tip_tension is None else tip_tension,
+        _MISSING if tip_travel is None else tip_travel,
+    )
+
+
+_MISSING = np.full(MAX_TENDONS, math.nan)
+
+
+@compiled
+def _fill_row(
+    rows: Records,
+    index: int,
+    time_s: float,
+    has_displacement: bool,
+    tension: Array,
+    displacement: Array,
+    bench_tension: Array,
+    bench_displacement: Array,
+) -> None:
+    row = rows[index]
+    row.time_s, row.has_displacement = time_s, has_displacement
+    for i in range(len(tension)):
+        row.tendons[i].tension, row.tendons[i].displacement = tension[i], displacement[i]
+        row.bench_tension[i], row.bench_displacement[i] = bench_tension[i], bench_displacement[i]
 
 
 def sample_rows(samples: Sequence[RigSample]) -> Records:

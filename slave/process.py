@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator import online
-from estimator.records import Records, one
+from estimator.records import as_bytes, one
 from slave import loop, models
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
@@ -39,7 +39,7 @@ from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns, quiet_garbage
 from teleop.compile_cache import announced
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
-from teleop.coupling import LEDGER_PERIOD_NS, Bilateral, ledger_message
+from teleop.coupling import Bilateral, LedgerPublisher
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.launch.summary import force_line, loop_lines, trouble
@@ -98,7 +98,8 @@ class SlaveProcess:
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
         self._has_motor = self._slave.memory["has_motor"]
         self._estimated, self._ticked = self._slave.estimated, self._slave.ticked
-        self._before = [part.copy() for part in self._changing()]
+        self._changing = [as_bytes(part) for part in (self._slave.memory, self._slave.estimators)]
+        self._before = [part.copy() for part in self._changing]
         self._rows = loop.EstimatedSample.array(ROWS)
         self._samples = 0
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
@@ -110,7 +111,8 @@ class SlaveProcess:
         self._verdicts = Counter[int]()
         self._timeout_ns = round(config.command_timeout * 1e9)
         self._start_ns = past.start_ns
-        self._ledger_due_ns = 0
+        sides = self._slave.memory["coupling"]
+        self._ledger = LedgerPublisher(Role.SLAVE, sides, len(model.joints))
         self._requests = requests or RequestListener(link)
 
     def tick(self, tick: Tick) -> None:
@@ -122,17 +124,17 @@ class SlaveProcess:
         requests = self._requests(now, self._outline.stops)
         if requests.words and self._outline().state is not State.STOPPED:  # the first caller's
             self._telemetry.stop_text = requests.words
-        verdict = self._step(tick.dt, fault, requests)
+        verdict = self._step(now, tick.dt, fault, requests)
         late_ns = now_ns() - now
         if late_ns > STALL_NS:
             self._take_back()
-            verdict = self._step(tick.dt + late_ns * 1e-9, fault, requests)
+            verdict = self._step(now + late_ns, tick.dt + late_ns * 1e-9, fault, requests)
         if self._has_motor[0] and fault is Reason.NONE:
             try:
                 self._rig.write(self._motor[: self._rig.tendons].copy())
             except RigFault as error:
                 self._take_back()
-                verdict = self._step(tick.dt, self._failed(error), requests)
+                verdict = self._step(now_ns(), tick.dt, self._failed(error), requests)
         if tick.answers:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
@@ -162,20 +164,17 @@ class SlaveProcess:
         numbers = self._meter.summary(side, self._link.counts(), verdicts)
         return numbers | {"force_error": self._score.summary(), "rig": self._rig.summary()}
 
-    def _changing(self) -> tuple[Records, Records]:
-        return self._slave.memory, self._slave.estimators
-
     def _take_back(self) -> None:
         """Forget the tick that was just stepped."""
-        for now, before in zip(self._changing(), self._before, strict=True):
+        for now, before in zip(self._changing, self._before, strict=True):
             now[:] = before
 
-    def _step(self, dt: float, fault: Reason, requests: Requests) -> int:
+    def _step(self, now: int, dt: float, fault: Reason, requests: Requests) -> int:
         commands = self._commands
         given = TickInput(
             dt,
             commands.is_there,
-            commands.is_fresh(now_ns(), self._timeout_ns),
+            commands.age_ns(now) <= self._timeout_ns,
             int(fault),
             int(requests.stop),
             requests.reset,
@@ -219,7 +218,7 @@ class SlaveProcess:
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
         )
-        for now, before in zip(self._changing(), self._before, strict=True):
+        for now, before in zip(self._changing, self._before, strict=True):
             before[:] = now
         side = self._outline()
         for k in range(samples):
@@ -227,7 +226,8 @@ class SlaveProcess:
             self._link.publish_packet(TENDONS, self._tendon_state)
         self._score.add_rows(slave.layout, rows, samples)
         self._requests.relay(Role.SLAVE, side, requests.words)
-        self._publish_ledger(tick.stamp_ns)
+        if self._ledger.is_due(tick.stamp_ns):
+            self._link.publish_packet(LEDGER, self._ledger.packet)
         self._telemetry(time_s)
         self._report(tick.stamp_ns)
 
@@ -236,12 +236,6 @@ class SlaveProcess:
             self._rig.advance()
         except RigFault as error:
             self._failed(error)
-
-    def _publish_ledger(self, stamp_ns: int) -> None:
-        if stamp_ns >= self._ledger_due_ns:
-            self._ledger_due_ns = stamp_ns + LEDGER_PERIOD_NS
-            joints = len(self._model.joints)
-            self._link.publish(LEDGER, ledger_message(Role.SLAVE, self.memory.coupling, joints))
 
     def _report(self, stamp_ns: int) -> None:
         side = self._outline()

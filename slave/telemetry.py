@@ -41,7 +41,9 @@ class Telemetry:
         self._link, self._model, self._slave = link, model, slave
         self._memory: SlaveMemory = one(slave.memory)
         self._outline = OutlineReader(slave.memory["session"])
-        self._now = {name: slave.memory[name] for name in ("advice", "has_sample")}
+        self._now = {
+            name: slave.memory[name] for name in ("advice", "has_sample", "not_ready", "found")
+        }
         self._points = [np.linspace(0.0, m.sheath.length, PROFILE_POINTS) for m in model.models]
         self._joint_of = {k: j for j, tendons in enumerate(model.joints) for k in tendons}
         self._profile_s = max(PROFILE_PERIOD_S / len(model.models), PROFILE_LEAST_S)
@@ -80,17 +82,19 @@ class Telemetry:
 
     def _detail(self, reason: Reason) -> str:
         """Return what the reason of a state is about: why it is not usable, which tendon it is."""
-        memory = self._memory
+        if reason is Reason.NONE:
+            return ""
         if reason is Reason.NOT_USABLE:
-            if memory.not_ready == NOT_CALIBRATED:
+            not_ready = int(self._now["not_ready"][0])
+            if not_ready == NOT_CALIBRATED:
                 return self._model.not_ready_text
-            return NOT_READY_TEXT[memory.not_ready]
+            return NOT_READY_TEXT[not_ready]
         if reason is Reason.CALIBRATION_DUE:
             return self._misfit()
         if reason is Reason.STOP_CALLED:
             return self.stop_text
-        if reason is not Reason.NONE and memory.found == reason:
-            return self._named(int(memory.found_tendon))
+        if self._now["found"][0] == reason:
+            return self._named(int(self._memory.found_tendon))
         return ""
 
     def _misfit(self) -> str:

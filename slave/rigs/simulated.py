@@ -210,6 +210,8 @@ class SimulatedRig:
             self._simulate(behind)
             self._step += behind
         time = self._step * self._period
+        if not self._effects:
+            return (RigSample(time, *self._sensed.reading),)
         reading = self._samples.passed(time, self._sensed.reading)
         return () if reading is None else (RigSample(time, *reading),)
 
@@ -221,10 +223,10 @@ class SimulatedRig:
 
     def write(self, proximal_displacement: Array) -> None:
         """Send the motors to these displacements [m], shape (tendons,)."""
-        targets = [float(target) for target in proximal_displacement]
+        targets = proximal_displacement.tolist()
         if len(targets) != self.tendons or not all(map(math.isfinite, targets)):
             raise RigFault(f"motors cannot follow {targets}: {self.tendons} finite values needed")
-        self._targets[self._paired] = targets
+        self._targets[self._paired] = proximal_displacement
 
     def summary(self) -> dict[str, int | float | str]:
         """Return how often the plant was not simulated in full."""

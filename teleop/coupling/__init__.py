@@ -12,14 +12,13 @@ from teleop.coupling.config import (
     differs,
 )
 from teleop.coupling.direct import DirectConfig
+from teleop.coupling.ledger_publisher import LEDGER_PERIOD_NS, LedgerPublisher
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.side import (
-    LEDGER_PERIOD_NS,
     Side,
     at_tip,
     count_hand,
     hear,
-    ledger_message,
     render,
 )
 from teleop.coupling.wave import WaveConfig
@@ -30,6 +29,7 @@ __all__ = [
     "BilateralSettings",
     "CouplingConfig",
     "DirectConfig",
+    "LedgerPublisher",
     "PassivityConfig",
     "Side",
     "WaveConfig",
@@ -38,6 +38,5 @@ __all__ = [
     "count_hand",
     "differs",
     "hear",
-    "ledger_message",
     "render",
 ]

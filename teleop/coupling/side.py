@@ -13,10 +13,7 @@ from teleop.coupling import port as ledger
 from teleop.coupling.config import PASSIVITY, WAVE, BilateralSettings
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.port import Port
-from teleop.messages import MAX_JOINTS, Ledger, padded
-from teleop.topics import Role
-
-LEDGER_PERIOD_NS = 10_000_000  # between two messages that tell listeners of the ledger
+from teleop.messages import MAX_JOINTS
 
 Array = NDArray[np.float64]
 
@@ -210,22 +207,3 @@ def _follow(settings: BilateralSettings, port: Port, tip: SlaveInput, dt: float)
     if settings.kind == WAVE:
         return wave.at_tip(settings.wave, port, tip, dt)
     return direct.at_tip(port, tip)
-
-
-def ledger_message(role: Role, side: Side, joints: int) -> Ledger:
-    """Return what listeners are told about the ledger of one side."""
-
-    def column(name: str) -> tuple[float, ...]:
-        return padded([float(getattr(side.ports[k], name)) for k in range(joints)], MAX_JOINTS)
-
-    return Ledger(
-        role=role,
-        joints=joints,
-        credit=column("credit"),
-        put_in=column("put_in"),
-        taken_out=column("taken_out"),
-        passed_on=column("passed_on"),
-        heard=column("heard"),
-        dissipated=column("dissipated"),
-        granted=column("granted"),
-    )

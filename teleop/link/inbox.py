@@ -8,18 +8,13 @@ has the latency of polling at the least processor time (docs/latency.md).
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 from teleop.clock import now_ns
 
-
-class Arrived(NamedTuple):
-    """One message as it came."""
-
-    data: bytes
-    received_ns: int  # when the loop first had it, on our clock
+Arrived: TypeAlias = tuple[bytes, int]
+"""One message as it came, and when the loop first had it, on our clock [ns]."""
 
 
 class Inbox:
@@ -51,7 +46,7 @@ class Inbox:
             sample = self._queue.get(timeout > 0.0, max(timeout, 0.0))
         except Empty:
             return False
-        self._taken.append(Arrived(sample.payload.to_bytes(), now_ns()))
+        self._taken.append((sample.payload.to_bytes(), now_ns()))
         return True
 
     def take(self) -> tuple[list[Arrived], bool]:
@@ -63,10 +58,10 @@ class Inbox:
         overflowed = len(arrived) + waiting > self._size
         if overflowed:
             arrived.clear()
-        with suppress(Empty):
-            for _ in range(waiting - self._size):
-                self._queue.get_nowait()
-            for _ in range(min(waiting, self._size)):
-                data = self._queue.get_nowait().payload.to_bytes()
-                arrived.append(Arrived(data, now_ns()))
+        get = self._queue.get_nowait  # nobody else takes from it: what was counted is there
+        for _ in range(waiting - self._size):
+            get()
+        received_ns = now_ns()
+        for _ in range(min(waiting, self._size)):
+            arrived.append((get().payload.to_bytes(), received_ns))
         return arrived, overflowed

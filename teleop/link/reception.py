@@ -143,7 +143,7 @@ class Latest(Generic[M]):
         self._message = topic.message
         self._object: M | None = None  # of `message`, made when it is asked for
         self._limit_ns = limit_ns
-        self._stamp_ns = 0  # of the message
+        self.stamp_ns = 0  # when it was sent, on its sender's clock
         self._least_ns = 0
         self._late_ns = 0
 
@@ -158,11 +158,6 @@ class Latest(Generic[M]):
         if self._object is None and self.is_there:
             self._object = self._message.unpack(self.packet.data.tobytes())
         return self._object
-
-    @property
-    def stamp_ns(self) -> int:
-        """When the newest message was sent, on its sender's clock; 0 if there is none."""
-        return self._stamp_ns
 
     def age_ns(self, now_ns: int) -> int:
         """Return the age [ns] of the message at `now_ns`; `NEVER_NS` if there is none."""
@@ -190,14 +185,14 @@ class Latest(Generic[M]):
         known, seen = self._seen_visit
         counts = self._reception.counts
         if sender == known and visit in (0, seen):  # 0: between two visits
-            set_back = newest_head.stamp_ns < self._stamp_ns
+            set_back = newest_head.stamp_ns < self.stamp_ns
             counts.clock_jumps += set_back or delay < self._least_ns - CLOCK_JUMP_NS
             risen = self._least_ns + max(0, now_ns - self.received_ns) // DRIFT
             self._least_ns = min(risen, delay)
         else:
             self._seen_visit = sender, visit
             self._least_ns = delay
-        self._stamp_ns = newest_head.stamp_ns
+        self.stamp_ns = newest_head.stamp_ns
         self._late_ns = delay - self._least_ns
         counts.delayed += self._late_ns > self._limit_ns
         self.received_ns = now_ns

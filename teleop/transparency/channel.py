@@ -4,7 +4,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from teleop.link.inbox import Arrived
 from teleop.link.reception import Latest
 from teleop.messages import Message
 from teleop.packet import Packet
@@ -58,5 +57,5 @@ class Channel(Generic[M]):
         """Return the live `Latest` at `now_ns`."""
         arrived = sorted(item for item in self._under_way if item[0] <= now_ns)
         self._under_way = [item for item in self._under_way if item[0] > now_ns]
-        self._latest.take([Arrived(data, now_ns) for *_, data in arrived])
+        self._latest.take([(data, now_ns) for *_, data in arrived])
         return self._latest

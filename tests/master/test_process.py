@@ -18,7 +18,6 @@ from teleop.clock import Grid, now_ns
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
-from teleop.link.inbox import Arrived
 from teleop.messages import (
     Command,
     EmergencyStop,
@@ -74,7 +73,7 @@ class Line:
                 force_high=padded((6.0,), 8),
             )
             data = state.pack(self.nonce, self.sequence, stamp)
-            self.latest_state.take([Arrived(data, now_ns())])
+            self.latest_state.take([(data, now_ns())])
         return stamp
 
     def subscribe_latest(self, topic, limit_ns):

@@ -8,7 +8,6 @@ from dataclasses import asdict
 
 import pytest
 
-from teleop.link.inbox import Arrived
 from teleop.link.reception import CLOCK_JUMP_NS, Latest
 from teleop.messages import Command, Hand, SlaveState
 from teleop.topics import COMMAND
@@ -34,7 +33,7 @@ class Line:
         return Command(state=state).pack(sender, sequence, stamp)
 
     def look(self, *arrived):
-        self.latest.take([Arrived(data, self.now) for data in arrived])
+        self.latest.take([(data, self.now) for data in arrived])
 
     def tick(self, *before):
         """Let a millisecond pass, in which `before` and then the next message arrive."""

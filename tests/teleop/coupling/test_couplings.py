@@ -16,11 +16,11 @@ from teleop.coupling import (
     BilateralSettings,
     CouplingConfig,
     DirectConfig,
+    LedgerPublisher,
     PassivityConfig,
     Side,
     WaveConfig,
     bilateral_settings,
-    ledger_message,
 )
 from teleop.coupling.config import KINDS
 from teleop.messages import MAX_JOINTS
@@ -318,8 +318,13 @@ def test_the_ledgers_message_balances():
     shape = ([1e-5, -1e-5, -1e-5, 1e-5], [8.0], [1.0], [[3]], [[4]])
     *_, (master, slave) = session(PassivityConfig(), *shape)
     for role, side in ((Role.MASTER, master), (Role.SLAVE, slave)):
-        message = ledger_message(role, side, 1)
-        assert message.joints == 1
+        sides = Side.array()
+        sides[0] = side
+        publisher = LedgerPublisher(role, sides, 1)
+        assert publisher.is_due(5)
+        assert not publisher.is_due(6)
+        message = publisher.packet.record
+        assert (message.role, message.joints) == (role, 1)
         left = message.granted[0] + message.put_in[0] + message.heard[0]
         left -= message.taken_out[0] + message.passed_on[0] + message.dissipated[0]
         assert message.credit[0] == pytest.approx(left, abs=1e-12)

@@ -16,7 +16,7 @@ def sample(number: int):
 
 
 def numbers(arrived) -> list[int]:
-    return [int.from_bytes(item.data, "little") for item in arrived]
+    return [int.from_bytes(data, "little") for data, _ in arrived]
 
 
 @given(st.integers(1, 8), st.lists(st.integers(0, 12), max_size=8))

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from teleop.link import NEVER_NS, Counts, Latest
-from teleop.link.inbox import Arrived
 from teleop.link.reception import DRIFT, Reception
 from teleop.messages import Command, SlaveState
 from teleop.topics import COMMAND
@@ -16,7 +15,7 @@ from tests.teleop.link.bench import MS, packed
 
 def take(latest, data, now_ns):
     """Take in messages that have all come at the same time."""
-    latest.take([Arrived(item, now_ns) for item in data])
+    latest.take([(item, now_ns) for item in data])
 
 
 def total(counts: Counts) -> int:

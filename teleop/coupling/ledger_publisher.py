@@ -1,0 +1,41 @@
+"""What listeners are told about the energy ledger of one side."""
+
+from typing import Any
+
+from estimator.records import Records
+from teleop.messages import Ledger
+from teleop.packet import Packet
+from teleop.topics import Role
+
+LEDGER_PERIOD_NS = 10_000_000  # between two messages
+_TOLD = ("credit", "put_in", "taken_out", "passed_on", "heard", "dissipated", "granted")
+
+
+class LedgerPublisher:
+    """Fills in the message about the ledger of one side, every `LEDGER_PERIOD_NS`.
+
+    Parameters
+    ----------
+    role : Role
+        Whose ledger it is.
+    sides : Records
+        `Side`, shape (1,), of a loop.
+    joints : int
+        How many of its ports are in use.
+    """
+
+    def __init__(self, role: Role, sides: Records, joints: int) -> None:
+        self.packet = Packet(Ledger)
+        self._fields: Any = self.packet.records
+        self._fields["role"], self._fields["joints"] = role, joints
+        self._ports, self._joints = sides["ports"], joints
+        self._due_ns = 0
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Return whether the packet was filled in anew, as it is at `stamp_ns` [ns]."""
+        if stamp_ns < self._due_ns:
+            return False
+        self._due_ns = stamp_ns + LEDGER_PERIOD_NS
+        for name in _TOLD:
+            self._fields[name][:, : self._joints] = self._ports[name][:, : self._joints]
+        return True
