@@ -259,6 +259,14 @@ def _fill_row(
         row.bench_tension[i], row.bench_displacement[i] = bench_tension[i], bench_displacement[i]
 
 
+def sample_rows(samples: Sequence[RigSample]) -> Records:
+    """Return these samples as the rows that `tick` takes, shape (samples,); see `fill_sample`."""
+    rows = EstimatedSample.array(len(samples))
+    for k, sample in enumerate(samples):
+        fill_sample(rows, k, sample)
+    return rows
+
+
 @compiled
 def tick(
     settings_records: Records,

@@ -6,6 +6,7 @@ import numpy as np
 
 from teleop.link.reception import Latest
 from teleop.messages import Message
+from teleop.packet import Packet
 from teleop.topics import Topic
 
 M = TypeVar("M", bound=Message)
@@ -43,10 +44,10 @@ class Channel(Generic[M]):
         self._latest = Latest(topic, lambda _nonce: 1)
         self._sent = 0
 
-    def send(self, message: M, now_ns: int) -> None:
-        """Send `message` at `now_ns`."""
+    def send(self, packet: Packet[M], now_ns: int) -> None:
+        """Fill in the head of a message and send it at `now_ns`."""
         self._sent += 1
-        data = message.pack(self._sender, self._sent, now_ns)
+        data = packet.seal(self._sender, self._sent, now_ns)
         late = self._delay + self._rng.uniform(-self._jitter, self._jitter)
         if self._rng.random() >= self._loss:
             arrives = now_ns + round(max(late, 0.0) * 1e9)

@@ -17,7 +17,7 @@ from teleop.transparency.hand import Device, HandModel
 from teleop.transparency.hybrid import Excitation, Hybrid
 from teleop.transparency.rig import Environment, Rig, free, wall
 from teleop.transparency.stiffness import Pressed
-from teleop.transparency.system import Network, Teleoperator, known, settings
+from teleop.transparency.system import Network, Teleoperator, rig_model, settings
 from teleop.transparency.zwidth import Width
 
 COUPLINGS = ("direct", "passivity", "wave")
@@ -76,7 +76,7 @@ class Study:
             Rig(environment, spring, load),
             network,
             settings(self.force_scale, self.position_scale, network),
-            known(FRICTION),
+            rig_model(FRICTION),
         )
 
 

@@ -3,21 +3,27 @@
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from estimator.online import TendonModel
+from estimator.records import one
 from estimator.sheath import Sheath
+from master import hand_input
 from master import loop as master_loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.operator import OperatorConfig
+from master.settings import master_settings
 from slave import loop as slave_loop
-from slave import outbox
 from slave.config import SlaveConfig
 from slave.gate import GateConfig
 from slave.rig import RigSample
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral
-from teleop.session import Reason, State
+from teleop.messages import MAX_JOINTS, Command, SlaveState
+from teleop.packet import Packet
+from teleop.session import State
 from teleop.topics import COMMAND, STATE
 from teleop.transparency.channel import Channel
 from teleop.transparency.hand import DT
@@ -36,7 +42,7 @@ class Answer(NamedTuple):
     tip: float  # [m] true
     load: float  # [N] true, on the tip
     asked: float = 0.0  # [m] of the tip by the master
-    followed: float = 0.0  # [m] where the slave sent it; NaN before it engaged
+    followed: float = 0.0  # [m] where the slave sent it; NaN while it is not engaged
     credit_hand: float = 0.0  # [J] of the master's port
     credit_tip: float = 0.0  # [J] of the slave's
     engaged: bool = True  # whether forces may be rendered
@@ -93,19 +99,20 @@ def settings(
     return Settings(master, slave)
 
 
-def known(friction: float = 0.02) -> slave_loop.Known:
+def rig_model(friction: float = 0.02) -> slave_loop.RigModel:
     """Return what the slave knows of `teleop.transparency.rig.Rig`.
 
     `friction` is the effective one, K, of the sheath that it believes in; the rig has none.
     """
     sheath = Sheath.uniform(friction, 1.5, 9000.0)
-    return slave_loop.know(((0,),), [TendonModel(sheath, tension_noise=0.01)])
+    return slave_loop.rig_model(((0,),), [TendonModel(sheath, tension_noise=0.01)])
 
 
 class Teleoperator:
     """Master, network, slave and rig, without clocks.
 
-    The slave's tick is half a tick after the master's.
+    The slave's tick is half a tick after the master's. The master waits for no answer: both phases
+    of its tick go by the state that has arrived when it begins.
 
     Parameters
     ----------
@@ -117,10 +124,17 @@ class Teleoperator:
         Between the two.
     configs : Settings
         Of both sides; by default those of `settings`.
-    rig_known : Known
-        What the slave knows of the rig; by default `known`.
+    model : RigModel
+        What the slave knows of the rig; by default `rig_model`.
     slave_bilateral : Bilateral
         The coupling of the slave if it is not the same.
+
+    Attributes
+    ----------
+    master : MasterState
+        What the master remembers, as it is now.
+    slave : SlaveMemory
+        What the slave remembers, as it is now.
     """
 
     def __init__(
@@ -129,14 +143,20 @@ class Teleoperator:
         rig: Bench,
         network: Network = AT_ONCE,
         configs: Settings | None = None,
-        rig_known: slave_loop.Known | None = None,
+        model: slave_loop.RigModel | None = None,
         slave_bilateral: Bilateral | None = None,
     ) -> None:
-        self._bilateral, self._slave_bilateral = bilateral, slave_bilateral or bilateral
-        self._rig, self._configs = rig, configs or settings()
-        self._known = rig_known or known()
-        self.master = master_loop.start(1, EPOCH)
-        self.slave = slave_loop.start(self._known, False)
+        self._rig, configs, model = rig, configs or settings(), model or rig_model()
+        self._tendons = len(model.models)
+        self._master_settings = master_settings(configs.master, bilateral)
+        self._master = master_loop.start(1, EPOCH)
+        self.master: master_loop.MasterState = one(self._master)
+        self._inputs = master_loop.TickInput.array()
+        self._force = np.zeros(MAX_JOINTS)  # [N]
+        self._slave = slave_loop.start(model, configs.slave, slave_bilateral or bilateral, False)
+        self.slave: slave_loop.SlaveMemory = one(self._slave.memory)
+        self._timeout_ns = round(configs.slave.command_timeout * 1e9)
+        self._command, self._state = Packet(Command), Packet(SlaveState)
         delay, jitter, loss, seed = network
         self._commands = Channel(COMMAND, MASTER, delay / 2, jitter / 2, loss, 2 * seed)
         self._states = Channel(STATE, SLAVE, delay / 2, jitter / 2, loss, 2 * seed + 1)
@@ -146,56 +166,43 @@ class Teleoperator:
         """See `System`."""
         now, half_tick = self._now, self._now + TICK_NS // 2
         self._now += TICK_NS
-        latest = self._states.newest(now)
-        age = latest.age_ns(now)
-        output, self.master = master_loop.step(
-            self._configs.master,
-            self.master,
-            hand,
-            latest.message,
-            age,
-            now,
-            DT,
-            Reason.NONE,
-            self._bilateral,
-        )
-        self._commands.send(output.command, now)
+        self._master_tick(hand, now)
         self._rig.advance(push)
         self._slave_tick(self._rig.read(), half_tick)
-        tip = self.slave.port.tip
+        master, slave = self.master, self.slave
+        followed = float(slave.coupling.tip[0]) if slave.coupling.coupled else float("nan")
         return Answer(
-            output.force[0],
+            float(self._force[0]),
             self._rig.tip,
             self._rig.load(),
-            output.command.position[0],
-            tip[0] if tip else float("nan"),
-            self.master.port.ports[0].credit,
-            self.slave.port.ports[0].credit,
-            self.master.session.state is self.slave.session.state is State.ENGAGED,
+            float(self._command.record.position[0]),
+            followed,
+            float(master.coupling.ports[0].credit),
+            float(slave.coupling.ports[0].credit),
+            bool(master.session.state == slave.session.state == State.ENGAGED),
         )
 
+    def _master_tick(self, hand: HandState, now: int) -> None:
+        latest = self._states.newest(now)
+        hand_input.fill(self._inputs["hand"], hand)
+        told = master_loop.Told(latest.is_there, latest.age_ns(now), now, DT)
+        known = (self._master_settings, self._master, self._inputs, latest.packet.records, told)
+        master_loop.run_command(*known, self._command.records)
+        master_loop.run_force(*known, False, self._force)
+        self._commands.send(self._command, now)
+
     def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:
-        config, bilateral = self._configs.slave, self._slave_bilateral
-        told = self._commands.newest(now)
-        moved, self.slave = slave_loop.step(
-            self._known,
-            config,
-            self.slave,
-            samples,
-            told.message,
-            told.is_fresh(now, round(config.command_timeout * 1e9)),
-            Reason.NONE,
-            DT,
-            bilateral,
+        slave, latest = self._slave, self._commands.newest(now)
+        rows = slave_loop.sample_rows(samples)
+        slave.estimate(*slave.estimated, rows, len(samples))
+        fresh = latest.is_fresh(now, self._timeout_ns)
+        given = slave_loop.TickInput(DT, latest.is_there, fresh)
+        slave_loop.tick(
+            *slave.ticked, rows, len(samples), given, latest.packet.records, self._state.records
         )
-        if moved.motor:
-            self._rig.wanted = moved.motor
-        state = outbox.slave_state(
-            self.slave.session,
-            told.message.stamp_ns if told.message else 0,
-            slave_loop.joint_estimates(self._known, self.slave),
-            self.slave.silence,
-            self.slave.port,
-            bilateral.signature,
+        slave_loop.monitor_calibration(
+            slave.settings, slave.layout, slave.watched, slave.memory, rows, len(samples)
         )
-        self._states.send(state, now)
+        if self.slave.has_motor:
+            self._rig.wanted = tuple(self.slave.motor[: self._tendons].tolist())
+        self._states.send(self._state, now)

@@ -21,15 +21,18 @@ from master.operator import OperatorConfig
 from slave import loop as slave_loop
 from slave.config import SlaveConfig
 from slave.gate import GateConfig
+from slave.loop import TickInput
 from slave.rig import RigSample
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
 from teleop.link import NEVER_NS, Latest
+from teleop.link.inbox import Arrived
 from teleop.messages import MAX_JOINTS, Command, SlaveState, Wire
-from teleop.session import Reason, State
+from teleop.session import State
 from teleop.topics import COMMAND, STATE
 from tests.anything import CASES, Anything
 from tests.master.run import EPOCH, MS, Run
+from tests.slave.slave_bench import SlaveBench
 
 DT = 0.001  # [s]
 COUPLINGS = [DirectConfig(), PassivityConfig(), WaveConfig()]
@@ -97,7 +100,8 @@ class Noise:
         return bytes(raw[: dice.choice([0, 3, len(raw) - 1, len(raw), len(raw)])])
 
     def tick(self, message, now):
-        self.latest.take(self.bytes(message, now), now, overflowed=self.draw.flag(0.001))
+        arrived = [Arrived(data, now) for data in self.bytes(message, now)]
+        self.latest.take(arrived, overflowed=self.draw.flag(0.001))
         return self.latest
 
 
@@ -166,7 +170,7 @@ def test_no_bytes_from_a_master_move_a_motor_beyond_its_limits(coupling):
         displacement_min=-0.002, displacement_max=0.02, speed_max=0.05, tension_max=25.0
     )
     config = SlaveConfig(tendons=(TendonConfig(effective_friction=0.8),), gate=limits)
-    known = slave_loop.know(
+    model = slave_loop.rig_model(
         ((0,),), [TendonModel(Sheath.uniform(0.8, 1.5, 9000.0), tension_noise=0.01)]
     )
     bilateral = Bilateral(coupling=coupling)
@@ -175,7 +179,7 @@ def test_no_bytes_from_a_master_move_a_motor_beyond_its_limits(coupling):
     for case in range(TICKS):
         if case % ATTEMPT == 0:
             line = Noise(COMMAND, case)
-            memory = slave_loop.start(known, False)
+            slave = SlaveBench(model, config, bilateral=bilateral)
             motor = 0.005
             reach = random.Random(case)  # noqa: S311
         now += MS
@@ -192,27 +196,19 @@ def test_no_bytes_from_a_master_move_a_motor_beyond_its_limits(coupling):
         tension = 2.0 + 1800.0 * max(motor, 0.0) + reach.gauss(0.0, 0.01)
         sample = RigSample(case * DT, np.array([tension]), np.array([motor]))
         dt = DT * reach.choice([1, 1, 1, 1, 1, 4, 50])
-        output, memory = slave_loop.step(
-            known,
-            config,
-            memory,
-            (sample,),
-            latest.message,
-            latest.is_fresh(now, 28 * MS),
-            Reason.NONE,
-            dt,
-            bilateral,
-        )
-        assert all(map(math.isfinite, (*memory.port.energy, *memory.port.wave)))
+        fresh = latest.is_fresh(now, 28 * MS)
+        given = TickInput(dt, latest.is_there, fresh)
+        output = slave.step((sample,), latest.packet.records, given)
+        assert all(map(math.isfinite, (*output.state.energy, *output.state.wave)))
         if not output.motor:
             continue
         (asked,) = output.motor
         assert math.isfinite(asked)
         assert min(limits.displacement_min, motor) <= asked <= max(limits.displacement_max, motor)
         assert abs(asked - motor) <= limits.speed_max * min(dt, 0.005) + 1e-12
-        if memory.session.state is State.HOLDING:
+        if slave.state is State.HOLDING:
             assert asked <= motor
-        elif memory.session.state is not State.ENGAGED:
+        elif slave.state is not State.ENGAGED:
             assert asked == motor
         if tension > limits.tension_max:
             assert asked <= motor

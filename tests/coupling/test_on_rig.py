@@ -21,7 +21,7 @@ class OnRig:
     def __init__(self, config):
         self._rig = SimulatedRig(config.rig)
         self.time, self.tip, self.wanted = 0.0, 0.0, None
-        self.known = slave_loop.know(
+        self.model = slave_loop.rig_model(
             self._rig.joints, [t.model() for t in tendon_configs(config, self._rig.tendons)]
         )
         self._last = self._rig.read(0.0)
@@ -56,7 +56,7 @@ def test_a_wall_behind_a_sheath(coupling, round_trip):
         rig,
         Network(round_trip, min(0.05, round_trip), 0.1),
         Settings(settings(0.5, 1.0).master, slave),
-        rig.known,
+        rig.model,
     )
     arm = Arm(reach(0.005, begin=0.8 + round_trip))
     record = run(system, arm, 3.4 + round_trip, engage=SETTLED + round_trip)

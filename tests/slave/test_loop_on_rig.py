@@ -1,4 +1,4 @@
-"""The slave's loop on the simulated rig: what its gate, watch and monitor do for a real session."""
+"""The slave on the simulated rig: what gate, fault detection and monitor do for a session."""
 
 import math
 from dataclasses import replace
@@ -20,8 +20,8 @@ from teleop.config import load
 from teleop.messages import MAX_JOINTS, Command
 from teleop.session import Reason, State
 from tests.slave.control_bench import joint
+from tests.slave.slave_bench import DT, SlaveBench
 
-DT = 0.001  # [s]
 GATE = GateConfig(displacement_min=-0.05, displacement_max=0.05)
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -29,19 +29,17 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 class Run(NamedTuple):
     """A session, a row a tick, until its end or its first fault."""
 
-    memory: loop.Memory
+    bench: SlaveBench
     time: float  # [s] when it ended
     tension: np.ndarray  # [N] true, at the housing, shape (n, tendons)
     behind: np.ndarray  # [m] of the motors, by their encoders, shape (n, tendons)
-    advice: list[Advice]
+    advice: list[Advice]  # that the tick went by
 
 
 def run(config, position, seconds, spoiled=lambda _time, _last, sample: sample):
     """Engage at 0.1 s and send all joints to `position(time)` [m]; return what came of it."""
-    rig = SimulatedRig(config.rig)
-    models = [tendon.model() for tendon in tendon_configs(config, rig.tendons)]
-    known = loop.know(rig.joints, models)
-    memory, last = loop.start(known, rig.starts_at_zero), None
+    rig, bench = on_rig(config)
+    last = None
     tension, behind, advice = [], [], []
     for k in range(round(seconds / DT)):
         time = k * DT
@@ -56,15 +54,22 @@ def run(config, position, seconds, spoiled=lambda _time, _last, sample: sample):
         nothing = (0.0,) * (MAX_JOINTS - len(rig.joints))
         state = State.ENGAGED if engaged else State.READY
         command = Command(state=state, position=asked + nothing, velocity=speed + nothing)
-        output, memory = loop.step(known, config, memory, samples, command, True, Reason.NONE, DT)
+        advice.append(Advice(bench.memory.advice))
+        output = bench.tick(samples, command)
         if output.motor:
             rig.write(np.array(output.motor))
         tension.append(rig._truth[0])
-        behind.append(np.array(memory.motor or (0.0,) * rig.tendons) - last.proximal_displacement)
-        advice.append(memory.advice)
-        if memory.session.state is State.FAULT:
+        behind.append(np.array(output.motor or (0.0,) * rig.tendons) - last.proximal_displacement)
+        if bench.state is State.FAULT:
             break
-    return Run(memory, time, np.array(tension), np.array(behind), advice)
+    return Run(bench, time, np.array(tension), np.array(behind), advice)
+
+
+def on_rig(config):
+    """Return a simulated rig and the slave that a config makes of it."""
+    rig = SimulatedRig(config.rig)
+    model = loop.rig_model(rig.joints, [t.model() for t in tendon_configs(config, rig.tendons)])
+    return rig, SlaveBench(model, config, rig.starts_at_zero)
 
 
 def wall(tendons=2, **settings):
@@ -108,24 +113,22 @@ def test_a_frame_that_is_given_again_and_again_pulls_no_tendon_over_the_gates_li
 
 def test_frames_that_stay_the_same_are_a_fault_by_name_and_an_older_command_is_none():
     session = run(slave(wall()), to(0.020, 0.02), 1.0, frozen(0.15))
-    assert session.memory.session.reason is Reason.SAMPLES_FROZEN
+    assert session.bench.session.reason is Reason.SAMPLES_FROZEN
     still = run(slave(wall()), to(0.0, 0.02), 1.0, frozen(0.15))
-    assert still.memory.session.state is State.ENGAGED
+    assert still.bench.state is State.ENGAGED
 
 
 def test_frames_that_stop_coming_are_no_frozen_ones():
     config = slave(wall())
-    rig = SimulatedRig(config.rig)
-    known = loop.know(rig.joints, [t.model() for t in tendon_configs(config, rig.tendons)])
-    memory = loop.start(known, rig.starts_at_zero)
+    rig, bench = on_rig(config)
     for k in range(500):
         samples = rig.read(k * DT) if k < 200 else ()
         state = State.ENGAGED if k > 50 else State.READY
         message = Command(state=state, position=(1e-5 * k,) + (0.0,) * (MAX_JOINTS - 1))
-        output, memory = loop.step(known, config, memory, samples, message, True, Reason.NONE, DT)
+        output = bench.tick(samples, message)
         if output.motor:
             rig.write(np.array(output.motor))
-    assert memory.session.reason is Reason.SAMPLES_STALE
+    assert bench.session.reason is Reason.SAMPLES_STALE
 
 
 def test_a_motor_that_does_not_go_where_it_is_sent_is_a_fault_that_names_it():
@@ -138,8 +141,8 @@ def test_a_motor_that_does_not_go_where_it_is_sent_is_a_fault_that_names_it():
 
     free = slave(joint(0.8, environment=FreeConfig()))
     session = run(free, to(0.020, 0.02), 2.0, spoiled)
-    assert session.memory.session.reason is Reason.MOTOR_ASTRAY
-    assert session.memory.found.tendon == 1
+    assert session.bench.session.reason is Reason.MOTOR_ASTRAY
+    assert session.bench.memory.found_tendon == 1
     lag = free.fault_detection.motor_lag
     assert lag < np.abs(session.behind[-1, 1]) < lag + 0.002
 
@@ -157,7 +160,7 @@ def dashes(reach):
 def test_motors_at_their_limits_stay_well_within_what_they_may_be_behind(name):
     config = configured(name)
     session = run(config, dashes(0.02), 2.5)
-    assert session.memory.session.state is State.ENGAGED
+    assert session.bench.state is State.ENGAGED
     assert np.abs(session.behind).max() < 0.4 * config.fault_detection.motor_lag
     assert np.abs(np.diff(session.behind, axis=0)).max() > 0.0
 
@@ -188,7 +191,7 @@ def test_a_sheath_that_changes_its_shape_is_advised_of_and_then_a_fault():
     first = {said: session.advice.index(said) * DT for said in session.advice}
     assert 0.5 < first[Advice.ADVISED] < 8.0 < first[Advice.DEMANDED]
     assert session.advice.count(Advice.DEMANDED) == 1  # it was engaged until then
-    assert session.memory.session.reason is Reason.CALIBRATION_DUE
+    assert session.bench.session.reason is Reason.CALIBRATION_DUE
 
 
 def test_a_joint_that_swings_in_from_a_stop_by_itself_is_no_change_of_shape():
@@ -203,7 +206,7 @@ def test_a_joint_that_swings_in_from_a_stop_by_itself_is_no_change_of_shape():
 
     session = run(configured("paper-joint"), reaches, 14.0)
     assert set(session.advice) == {Advice.NONE}
-    assert len(session.memory.monitors[0].errors) > 2
+    assert session.bench.memory.monitors[0].count > 2
 
 
 def by_hand(**settings):
@@ -218,18 +221,16 @@ def test_a_stuck_cell_is_found_where_the_model_was_written_without_its_noise(ten
     effects = (StuckCell(start=start, tendon="a"),)
     session = run(by_hand(tendons=tendons, effects=effects), to(0.020, 0.02), 3.0)
     reasons = {Reason.CELL_STUCK, Reason.CELL_SATURATED}
-    assert session.memory.session.reason in reasons
-    assert session.memory.found.tendon == 0
+    assert session.bench.session.reason in reasons
+    assert session.bench.memory.found_tendon == 0
     assert session.tension.max() < GATE.tension_max
 
 
-def test_what_the_watch_found_lasts_from_one_sample_to_the_next():
+def test_what_was_found_lasts_from_one_sample_to_the_next():
     """The fault is not over because a tick brings no sample."""
     config = by_hand(tendons=1, effects=(StuckCell(start=0.15),))
-    found = run(config, to(0.020, 0.02), 1.0).memory
-    known = loop.know(((0,),), [tendon.model() for tendon in config.tendons])
-    let_go = Command(state=State.READY)
+    bench = run(config, to(0.020, 0.02), 1.0).bench
     for _ in range(20):
-        _, found = loop.step(known, config, found, [], let_go, True, Reason.NONE, DT)
-        assert found.session.state is State.FAULT
-        assert found.session.reason in (Reason.CELL_STUCK, Reason.CELL_SATURATED)
+        bench.tick([], Command(state=State.READY))
+        assert bench.state is State.FAULT
+        assert bench.session.reason in (Reason.CELL_STUCK, Reason.CELL_SATURATED)

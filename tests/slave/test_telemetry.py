@@ -1,18 +1,18 @@
 """What the slave tells listeners: each state of the session once, with its place."""
 
 import pytest
-from slave.housekeeping import Housekeeping, calibrating
 
-from slave import housekeeping, loop
+from slave import loop, telemetry
 from slave.calibration.memory import Phase
 from slave.calibration.run import Progress
+from slave.config import SlaveConfig
+from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
-from slave.watch import Finding
-from teleop.session import Reason, Session, State
+from teleop.session import Reason, State
+from tests.slave.slave_bench import SlaveBench
 
 JOINTS = ((0, 1), (2,))
-KNOWN = loop.know(JOINTS, [TendonConfig(effective_friction=0.8).model()] * 3)
-BROKEN = Session(State.FAULT, Reason.TENDON_BROKEN)
+MODELS = [TendonConfig(effective_friction=0.8).model()] * 3
 NAMED = f"fault: {Reason.TENDON_BROKEN.text}: joint 1, tendon b"
 
 
@@ -24,38 +24,63 @@ class Silent:
 @pytest.fixture
 def said(monkeypatch):
     lines = []
-    monkeypatch.setattr(housekeeping, "tell", lambda *words: lines.append(words[-1]))
+    monkeypatch.setattr(telemetry, "publish_event", lambda *words: lines.append(words[-1]))
     return lines
 
 
-def found(tendon):
-    return Finding(Reason.TENDON_BROKEN, tendon)
+@pytest.fixture
+def memory_and_tell():
+    """Return what a slave remembers, to be set, and what tells of it."""
+    return started()
 
 
-def test_a_fault_keeps_the_place_where_it_began_and_is_told_once(said):
-    memory = loop.start(KNOWN, True)
-    tell = Housekeeping(Silent(), KNOWN)
-    for finding in (found(1), None, found(1), found(2), None):
-        tell(0.0, memory._replace(session=BROKEN, found=finding))
+def started(not_ready_text=""):
+    model = loop.rig_model(JOINTS, MODELS, not_ready_text)
+    bench = SlaveBench(model, SlaveConfig(tendons=(TendonConfig(effective_friction=0.8),)), True)
+    return bench.memory, Telemetry(Silent(), model, bench.slave)
+
+
+def enter(memory, state, reason):
+    memory.session.state, memory.session.reason = state, reason
+
+
+def find(memory, tendon):
+    """Let the fault detection find this tendon broken, or nothing if it is None."""
+    memory.found = Reason.NONE if tendon is None else Reason.TENDON_BROKEN
+    memory.found_tendon = -1 if tendon is None else tendon
+
+
+def test_a_fault_keeps_the_place_where_it_began_and_is_told_once(said, memory_and_tell):
+    memory, tell = memory_and_tell
+    enter(memory, State.FAULT, Reason.TENDON_BROKEN)
+    for tendon in (1, None, 1, 2, None):
+        find(memory, tendon)
+        tell(0.0)
         assert tell.detail == "joint 1, tendon b"
     assert said == [NAMED]
 
 
-def test_a_fault_that_comes_again_is_told_again_and_where(said):
-    memory = loop.start(KNOWN, True)
-    tell = Housekeeping(Silent(), KNOWN)
-    ready = Session(State.READY, Reason.RELEASED)
-    for side, finding in ((BROKEN, found(1)), (ready, None), (BROKEN, found(2))):
-        tell(0.0, memory._replace(session=side, found=finding))
+def test_a_fault_that_comes_again_is_told_again_and_where(said, memory_and_tell):
+    memory, tell = memory_and_tell
+    broken, ready = (State.FAULT, Reason.TENDON_BROKEN), (State.READY, Reason.RELEASED)
+    for side, tendon in ((broken, 1), (ready, None), (broken, 2)):
+        enter(memory, *side)
+        find(memory, tendon)
+        tell(0.0)
     assert said[0] == NAMED
     assert said[2] == f"fault: {Reason.TENDON_BROKEN.text}: joint 2, tendon a"
 
 
 def test_while_not_usable_every_new_reason_is_told(said):
-    tell = Housekeeping(Silent(), KNOWN)
-    for why in ("no sample yet", "no sample yet", "no calibration"):
-        tell(0.0, loop.start(KNOWN, True)._replace(hindrance=why))
-    assert [line.split(": ")[-1] for line in said] == ["no sample yet", "no calibration"]
+    memory, tell = started("its calibration is of another rig")
+    for why in (loop.NO_SAMPLE, loop.NO_SAMPLE, loop.NOT_CALIBRATED, loop.NO_POSITION):
+        memory.not_ready = why
+        tell(0.0)
+    assert [line.split(": ", 2)[-1] for line in said] == [
+        loop.NOT_READY_TEXT[loop.NO_SAMPLE],
+        "its calibration is of another rig",
+        loop.NOT_READY_TEXT[loop.NO_POSITION],
+    ]
 
 
 def test_a_calibration_says_where_it_is_now_and_then(capsys):

@@ -6,7 +6,7 @@ from teleop.coupling import Bilateral, DirectConfig
 from teleop.transparency.hand import Device
 from teleop.transparency.rig import Rig, wall
 from teleop.transparency.stiffness import press
-from teleop.transparency.system import Network, Teleoperator, known, settings
+from teleop.transparency.system import Network, Teleoperator, rig_model, settings
 from tests.transparency.two_ports import VirtualWall
 
 
@@ -24,7 +24,7 @@ def test_direct_renders_a_soft_spring_through_both_loops():
         Rig(wall(500.0, 0.0), spring=0.0),
         network,
         settings(0.3, 0.5, network),
-        known(1e-3),
+        rig_model(1e-3),
     )
     found = press(system, 500.0, (0.3, 0.5), 0.020, Device())
     # 95 % of the tendon's stretch is made up for: 500 N/m are in series with 6000/0.05

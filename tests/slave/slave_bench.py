@@ -1,0 +1,97 @@
+"""A slave driven tick by tick: samples and commands in, its answer and motor positions out."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.records import Records, one
+from slave import loop
+from slave.config import SlaveConfig
+from slave.gate import Verdict
+from slave.loop import RigModel, SlaveMemory, TickInput
+from slave.rig import RigSample
+from teleop import session
+from teleop.coupling import Bilateral
+from teleop.messages import Command, SlaveState
+from teleop.packet import Packet
+from teleop.session import Reason, SessionOutline, State
+
+DT = 0.001  # [s]
+
+
+class Output(NamedTuple):
+    """What a tick asks of the world."""
+
+    motor: tuple[float, ...]  # [m] to be written to the rig; empty = nothing yet
+    verdict: Verdict
+    state: SlaveState  # the answer, without a head
+    rows: Records  # `EstimatedSample` of the samples
+
+
+class SlaveBench:
+    """A slave and its records, without clock, link and rig.
+
+    Attributes
+    ----------
+    slave : Slave
+    memory : SlaveMemory
+        What it remembers, as it is now.
+    """
+
+    def __init__(
+        self,
+        model: RigModel,
+        config: SlaveConfig,
+        starts_at_zero: bool = False,
+        samples: Sequence[RigSample] = (),
+        bilateral: Bilateral = loop.DIRECT,
+    ) -> None:
+        self.slave = loop.start(model, config, bilateral, starts_at_zero, samples)
+        self.memory: SlaveMemory = one(self.slave.memory)
+        self._tendons = len(model.models)
+        self._command, self._state = Packet(Command), Packet(SlaveState)
+        self._state.data[4:] = b"\xff" * (len(self._state.data) - 4)  # a tick writes all of it
+
+    def tick(
+        self,
+        samples: Sequence[RigSample] = (),
+        command: Command | None = None,
+        fresh: bool = True,
+        fault: Reason = Reason.NONE,
+        dt: float = DT,
+        stop: Reason = Reason.NONE,
+        reset: bool = False,
+    ) -> Output:
+        """Go on by a tick, in which `command` is the newest that has come."""
+        if command is not None:
+            self._command.fill(command)
+        given = TickInput(dt, command is not None, fresh, int(fault), int(stop), reset)
+        return self.step(samples, self._command.records, given)
+
+    def step(self, samples: Sequence[RigSample], commands: Records, given: TickInput) -> Output:
+        """Go on by a tick, with the newest command as a record."""
+        slave, rows, count = self.slave, loop.sample_rows(samples), len(samples)
+        slave.estimate(*slave.estimated, rows, count)
+        verdict = loop.tick(*slave.ticked, rows, count, given, commands, self._state.records)
+        loop.monitor_calibration(
+            slave.settings, slave.layout, slave.watched, slave.memory, rows, count
+        )
+        state = SlaveState.unpack(self._state.seal(0, 0, 0))
+        return Output(self.motor, Verdict(verdict), state, rows)
+
+    @property
+    def motor(self) -> tuple[float, ...]:
+        """Where the gate let the motors go last [m]; empty = they were never sent anywhere."""
+        motor: np.ndarray = self.slave.memory["motor"][0, : self._tendons]
+        return tuple(motor.tolist()) if self.memory.has_motor else ()
+
+    @property
+    def session(self) -> SessionOutline:
+        """State and reason of the session."""
+        return session.outline(self.memory.session)
+
+    @property
+    def state(self) -> State:
+        """State of the session."""
+        return self.session.state
