@@ -123,9 +123,9 @@ def _answer(publisher: zenoh.Publisher, inbox: Inbox, size: int, k: int) -> tupl
     publisher.put(command)
     while inbox.wait(sent + round(PATIENCE_S * 1e9)):
         now = time.monotonic_ns()
-        for arrived in inbox.take()[0]:
-            if arrived.data.startswith(number):
-                stamp = int.from_bytes(arrived.data[_WORD : 2 * _WORD], "little")
+        for data, _ in inbox.take()[0]:
+            if data.startswith(number):
+                stamp = int.from_bytes(data[_WORD : 2 * _WORD], "little")
                 return now - sent, now - stamp
     return None
 
@@ -143,9 +143,9 @@ def _pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
             while not closed.is_set():
                 if not inbox.wait(time.monotonic_ns() + round(PATIENCE_S * 1e9)):
                     continue
-                for command in inbox.take()[0]:
+                for command, _ in inbox.take()[0]:
                     stamp = time.monotonic_ns().to_bytes(_WORD, "little")
-                    publisher.put((command.data[:_WORD] + stamp).ljust(size, b"\0"))
+                    publisher.put((command[:_WORD] + stamp).ljust(size, b"\0"))
 
 
 def _subscribe(session: zenoh.Session, name: str) -> Inbox:
