@@ -5,6 +5,7 @@ link, and a slave with its simulated rig in a process of its own.
 """
 
 import pytest
+from teleop.remote.door import call_reset
 
 from master.config import MasterConfig
 from master.devices.hid import search, signs
@@ -16,7 +17,6 @@ from master.process import Master
 from teleop.clock import Grid
 from teleop.config import load
 from teleop.link import Link
-from teleop.remote.door import call_reset
 from teleop.run_config import RunConfig
 from teleop.session import Reason, State
 from teleop.topics import STATE, Role
