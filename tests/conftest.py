@@ -23,6 +23,7 @@ REAL_TIME = (  # loops, sockets, clocks
     "master/hid/test_seeker.py",
     "master/hid/test_writer.py",
     "slave/test_process.py",
+    "teleop/test_benchmarks.py",
     "teleop/test_clock.py",
     "teleop/test_impair.py",
     "teleop/test_keys.py",

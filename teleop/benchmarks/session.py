@@ -57,7 +57,13 @@ def run_session(config: Path, seconds: float) -> Measured:
         time.sleep(max(seconds - 2 * _SETTLE_S, _SETTLE_S))
         after = cpu.sample(processes)
         heard.await_end(seconds)
-        return Measured(json.loads(out.read_text()), cpu.percent(processes, before, after))
+        summary = json.loads(out.read_text())
+        for side in SIDES:
+            if summary.get(side) is None:
+                raise TeleopError(
+                    f"the {side} of the session to measure was killed: {heard.last()}"
+                )
+        return Measured(summary, cpu.percent(processes, before, after))
 
 
 class _Heard:
@@ -74,7 +80,7 @@ class _Heard:
         """Wait until the hand feels forces."""
         in_time = self._engaged.wait(START_S)
         if not in_time or not any(line.startswith(_ENGAGED) for line in self._lines):
-            raise TeleopError(f"the session to measure did not engage: {self._last()}")
+            raise TeleopError(f"the session to measure did not engage: {self.last()}")
 
     def await_end(self, seconds: float) -> None:
         """Wait until the session has ended by itself."""
@@ -84,7 +90,7 @@ class _Heard:
             raise TeleopError("the session to measure did not end") from error
         self._reader.join()
         if code:
-            raise TeleopError(f"the session to measure failed: {self._last()}")
+            raise TeleopError(f"the session to measure failed: {self.last()}")
 
     def _read(self) -> None:
         for line in self._process.stdout or ():

@@ -137,7 +137,7 @@ def _pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
         inbox = _subscribe(session, "ping")
         publisher = declare_publisher(session, "teleop-ping-pong/pong", live=True, patient=False)
         closed = threading.Event()
-        threading.Thread(target=lambda: (sys.stdin.read(), closed.set()), daemon=True).start()
+        threading.Thread(target=_await_end, args=(closed,), daemon=True).start()
         enter_loop(granted, realtime)
         with quiet_garbage():
             while not closed.is_set():
@@ -146,6 +146,11 @@ def _pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
                 for command, _ in inbox.take()[0]:
                     stamp = time.monotonic_ns().to_bytes(_WORD, "little")
                     publisher.put((command[:_WORD] + stamp).ljust(size, b"\0"))
+
+
+def _await_end(closed: threading.Event) -> None:
+    sys.stdin.read()
+    closed.set()
 
 
 def _subscribe(session: zenoh.Session, name: str) -> Inbox:
