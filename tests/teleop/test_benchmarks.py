@@ -82,7 +82,8 @@ def test_processor_time_is_that_of_the_process():
 
 def test_bare_loops_tick_at_their_rate_and_do_nothing():
     for loop in run_bare(200.0, 0.5, RealtimeConfig(priority=0, cores=())):
-        assert 90 <= loop["work_us"]["n"] + loop["overruns"] <= 102
+        assert loop["work_us"]["n"] <= 102
+        assert loop["work_us"]["n"] + loop["overruns"] >= 95
         assert loop["work_us"]["p50"] < 100.0
 
 
