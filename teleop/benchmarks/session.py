@@ -99,7 +99,7 @@ class _Heard:
                 self._engaged.set()
         self._engaged.set()
 
-    def _last(self) -> str:
+    def last(self) -> str:
         said = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
         return said[-1].removeprefix(COMPLAINT) if said else "it said nothing"
 
