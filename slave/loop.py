@@ -223,7 +223,10 @@ def start(
 
 
 def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
-    """Put a sample of the rig into one of the rows that `tick` takes."""
+    """Put a sample of the rig into one of the rows that `tick` takes.
+
+    Numbers that are missing in an array that is too short are NaN, which the estimator refuses.
+    """
     travel = sample.proximal_displacement
     tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
     _fill_row(
@@ -254,9 +257,17 @@ def _fill_row(
 ) -> None:
     row = rows[index]
     row.time_s, row.has_displacement = time_s, has_displacement
-    for i in range(len(tension)):
-        row.tendons[i].tension, row.tendons[i].displacement = tension[i], displacement[i]
-        row.bench_tension[i], row.bench_displacement[i] = bench_tension[i], bench_displacement[i]
+    for i in range(MAX_TENDONS):
+        row.tendons[i].tension = _entry(tension, i)
+        row.tendons[i].displacement = _entry(displacement, i)
+        row.bench_tension[i] = _entry(bench_tension, i)
+        row.bench_displacement[i] = _entry(bench_displacement, i)
+
+
+@compiled
+def _entry(values: Array, i: int) -> float:
+    """Return an entry, NaN beyond the end, where compiled code would read any memory."""
+    return values[i] if i < len(values) else math.nan
 
 
 def sample_rows(samples: Sequence[RigSample]) -> Records:
