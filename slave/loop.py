@@ -232,15 +232,17 @@ def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
     _fill_row(
         rows,
         index,
-        sample.time_s,
+        float(sample.time_s),
         travel is not None,
-        sample.proximal_tension,
-        _MISSING if travel is None else travel,
-        _MISSING if tip_tension is None else tip_tension,
-        _MISSING if tip_travel is None else tip_travel,
+        np.array(sample.proximal_tension, np.float64, order="C"),
+        _MISSING if travel is None else np.array(travel, np.float64, order="C"),
+        _MISSING if tip_tension is None else np.array(tip_tension, np.float64, order="C"),
+        _MISSING if tip_travel is None else np.array(tip_travel, np.float64, order="C"),
     )
 
 
+# Copies of one kind, whatever a rig gives: for each other kind of array numba would compile anew,
+# in the middle of a session.
 _MISSING = np.full(MAX_TENDONS, math.nan)
 
 

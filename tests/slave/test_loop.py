@@ -475,3 +475,18 @@ def test_whatever_comes_in_the_motors_stay_within_their_limits(displacement, tic
                 assert output.motor[0] < was
                 assert tension >= limits.tension_max
                 assert session.may_yield(slave.memory.session)
+
+
+def test_arrays_of_any_kind_are_taken_without_compiling_anew():
+    rows = loop.EstimatedSample.array()
+    numbers = np.array([1.5, 2.5])
+    read_only = numbers.copy()
+    read_only.flags.writeable = False
+    kinds = [numbers, np.repeat(numbers, 3)[::3], read_only, numbers.astype(np.float32)]
+    loop.fill_sample(rows, 0, RigSample(0.0, numbers, numbers))
+    compiled_before = len(loop._fill_row.signatures)
+    for kind in kinds:
+        loop.fill_sample(rows, 0, RigSample(1, kind, kind, kind, kind))
+        assert rows["tendons"]["tension"][0, :2].tolist() == [1.5, 2.5]
+        assert rows["bench_displacement"][0, :2].tolist() == [1.5, 2.5]
+    assert len(loop._fill_row.signatures) == compiled_before
