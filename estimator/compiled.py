@@ -11,4 +11,4 @@ R = TypeVar("R")
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` with numba: IEEE arithmetic, no GIL, cached on disk between runs."""
-    return cast(Callable[P, R], numba.njit(function, cache=True, nogil=True))
+    return cast(Callable[P, R], numba.njit(function, cache=True, nogil=True, no_cfunc_wrapper=True))
