@@ -78,7 +78,7 @@ def creep_gain(knobs: Knobs, dt: float) -> float:
 
 
 @compiled
-def creep_after(chain: Chain, before: Array, tension: Array, dt: float) -> Array:
-    """Return the creep [N] of each spring after a step of `dt` [s] at `tension` [N]."""
+def creep_after(chain: Chain, before: float, tension: float, gain: float) -> float:
+    """Return the creep [N] of a spring after a step at `tension` [N], with the step's `gain`."""
     final = chain.knobs.creep_share * (tension - chain.pretension)
-    return before + creep_gain(chain.knobs, dt) * (final - before)
+    return before + gain * (final - before)

@@ -73,8 +73,8 @@ def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal:
     n, drag = len(contacts.pull), contacts.drag
     slack, held = np.empty(n), np.empty(n)
     housing, tip = empty_side(2 * n + 1), empty_side(2 * n + 1)
-    put(housing, 0, proximal, drag)
     bottom, top, out, ray = 0, 1, 0, 0.0  # housing's corners from bottom to top, and tip's
+    put(housing, bottom, proximal, drag)
     for i in range(n + 1):
         compliance, rest = springs.compliance[i], springs.rest[i] - springs.compliance[i] * drag
         shear(housing, compliance, rest)
@@ -129,7 +129,8 @@ def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal:
         place[j], tension[j] = corner(housing, bottom + j)
     for j in range(out):
         place[corners - 1 - j], tension[corners - 1 - j] = corner(tip, j)
-    tension -= drag
+    for j in range(1, corners):
+        tension[j] -= drag
     tension[0] = 0.0
     none = np.empty((0, 0))
     inner = Curves(none, none, np.empty(0, np.int64), np.empty(0))
