@@ -1,4 +1,4 @@
-"""What numpy does to short arrays, for compiled functions: numba compiles numpy's own for seconds."""
+"""What numpy does to short arrays, for compiled functions: its own take seconds to compile."""
 
 import math
 

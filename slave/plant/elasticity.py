@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from slave.plant.knobs import Knobs
 from slave.plant.tendon import CREEP, TENSION, Chain
 
@@ -34,7 +34,7 @@ class Springs(NamedTuple):
     rest: Array  # [m] shape (n + 1,)
 
 
-@compiled
+@compiled_in_caller
 def springs(chain: Chain, state: Array, dt: float) -> Springs:
     """Return the springs during a step of `dt` [s] from `state`."""
     knobs, pretension = chain.knobs, chain.pretension

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from slave.plant.elasticity import Springs
 from slave.plant.friction import Contacts
 from slave.plant.response import Curve, Curves, Response
@@ -67,7 +67,7 @@ def shear(side: Side, compliance: float, rest: float) -> None:
     side.map[R] += rest
 
 
-@compiled
+@compiled_in_caller
 def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal: float) -> Response:
     """Carry the response from the motor's end at `proximal` [m] to the tip."""
     n, drag = len(contacts.pull), contacts.drag
@@ -137,7 +137,7 @@ def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal:
     return Response(Curve(place, tension, ray), springs, contacts, slack, held, inner)
 
 
-@compiled
+@compiled_in_caller
 def place_gripping(response: Response, state: Array, after: Array) -> None:
     """Place the nodes backwards from the tip: fill their entries in the state after the step.
 
