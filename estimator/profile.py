@@ -35,7 +35,7 @@ CAPACITY = 128
 FLOOR = 1e-9
 """Least tension [N] inside a logarithm; slack is the floor."""
 
-HOUSING, TIP = 1, -1
+HOUSING, TIP = np.int64(1), np.int64(-1)  # of numpy: of Python's, each is a type of its own
 """The end that is driven, as the direction in which its front travels."""
 
 _MASK = CAPACITY - 1

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import online
+from estimator.arrays import copy
 from estimator.compiled import compiled
 from estimator.records import F64, I64, Field, Flag, Record, Records, as_records, one, record_dtype
 from estimator.tendon_estimate import INVALID_INPUT
@@ -509,9 +510,9 @@ def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch
         memory.initial_position, setting.sample_timeout
     )
     if memory.has_motor:
-        work.motor[:] = memory.motor
+        copy(memory.motor[:], work.motor[:])
     elif known:
-        work.motor[:] = memory.initial_position.position
+        copy(memory.initial_position.position[:], work.motor[:])
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
     elif not setting.calibrated:

@@ -386,24 +386,47 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
 
 def prepare(config: SlaveConfig) -> None:
     """Compile and import what the session calls, before it runs at real-time priority."""
-    with announced("the slave's loop", COMPILE_S + RIG_COMPILE_S[type(config.rig)]):
-        warm_up()
-        compile_rig(config.rig)
+    about_s = COMPILE_S + RIG_COMPILE_S[type(config.rig)]
+    # the collector would look in vain through a million objects of the compiler: 10 % of its time
+    with quiet_garbage(), announced("the slave's loop", about_s, partial(_compile_rest, config)):
+        _compile_tick()
     if config.initialise.at_start:
         import_module("scipy.optimize")  # which the analysis of a calibration uses
 
 
 def warm_up() -> None:
     """Compile what the loop calls, before it has to be on time."""
-    model = loop.rig_model(((0,),), [TendonConfig(effective_friction=1.0).model()])
-    slave = loop.start(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
-    rows, state = loop.EstimatedSample.array(ROWS), Packet(SlaveState)
-    loop.fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
+    _compile_tick()
+    _compile_follow_up()
+
+
+def _compile_rest(config: SlaveConfig) -> None:
+    """Compile what the session calls beside the tick: as much work again."""
+    compile_rig(config.rig)
+    _compile_follow_up()
+
+
+def _compile_tick() -> None:
+    slave, rows, state = _example()
     given, command = TickInput(1e-3, True, False), Packet(Command)
     slave.estimate(*slave.estimated, rows, 1)
     loop.tick(*slave.ticked, rows, 1, given, command.records, state.records)
+
+
+def _compile_follow_up() -> None:
+    """Compile what is called once the state is published."""
+    slave, rows, state = _example()
     loop.monitor_calibration(slave.settings, slave.layout, slave.watched, slave.memory, rows, 1)
     fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
     Score().add_rows(slave.layout, rows, 1)
     online.profile_at(one(slave.prepared), one(slave.estimators), np.zeros(PROFILE_POINTS))
     state.seal(0, 0, 0)
+
+
+def _example() -> tuple[loop.Slave, Records, Packet[SlaveState]]:
+    """Return a slave of one tendon, a sample of it, and room for its state."""
+    model = loop.rig_model(((0,),), [TendonConfig(effective_friction=1.0).model()])
+    slave = loop.start(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
+    rows, state = loop.EstimatedSample.array(ROWS), Packet(SlaveState)
+    loop.fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
+    return slave, rows, state
