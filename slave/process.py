@@ -135,7 +135,7 @@ class SlaveProcess:
             except RigFault as error:
                 self._take_back()
                 verdict = self._step(now_ns(), tick.dt, self._failed(error), requests)
-        if tick.answers:
+        if commands.new:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
         answered_ns = now_ns()
@@ -212,9 +212,9 @@ class SlaveProcess:
 
     def _follow_up(self, tick: Tick, time_s: float, requests: Requests) -> None:
         """Do what nobody waits for, once the answer is out."""
+        slave, rows, samples = self._slave, self._rows, self._samples
         if not self.error and not self.ended:
             self._advance_rig()
-        slave, rows, samples = self._slave, self._rows, self._samples
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
         )
@@ -234,8 +234,10 @@ class SlaveProcess:
     def _advance_rig(self) -> None:
         try:
             self._rig.advance()
-        except RigFault as error:
-            self._failed(error)
+        except RigFault as error:  # told at once: there is no next tick
+            self._samples = 0
+            self._step(now_ns(), 0.0, self._failed(error), Requests())
+            self._link.publish_packet(STATE, self._state)
 
     def _report(self, stamp_ns: int) -> None:
         side = self._outline()

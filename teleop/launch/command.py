@@ -40,7 +40,7 @@ from teleop.process import (
     write_summary,
 )
 from teleop.run_config import RunConfig
-from teleop.topics import EVENT, REPORT, Role
+from teleop.topics import EVENT, LATENCY, REPORT, Role
 
 # the sections of a config file and who checks them; imported by name, as the command line does
 SECTIONS = {
@@ -104,7 +104,7 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free(link)  # before anything is started that would leave a trace
-        listener, hearing = link.listen((EVENT, REPORT)), watch.Hearing()
+        listener, hearing = link.listen((EVENT, REPORT, LATENCY)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
         if impair is not None:
