@@ -275,6 +275,7 @@ def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
+    config.check_rate(shared.rate_hz)
     files = models.given(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
