@@ -374,6 +374,7 @@ def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, MasterConfig, "master", args.overrides)
+    config.check_rate(shared.rate_hz)
     with announced("the master's loop", COMPILE_S):
         warm_up()
     stop = Stop(args.duration)
@@ -384,8 +385,9 @@ def main(args: argparse.Namespace) -> int:
         link = stack.enter_context(Link(shared.link, shared.session, Role.MASTER))
         device = open_device(config.device)
         stack.callback(device.close)
-        grid = Grid(shared.rate_hz, stop)
-        master = Master(config, link, device, grid, shared.bilateral)
+        commands_every = config.commands_every(shared.rate_hz)
+        grid = Grid(shared.rate_hz * commands_every, stop)
+        master = Master(config, link, device, grid, shared.bilateral, commands_every)
         enter_loop(granted, shared.realtime)
         run(master, grid, stop.request)
         summary = master.summary()

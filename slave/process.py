@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator import online
-from estimator.records import as_bytes, one
+from estimator.records import Records, as_bytes, one
 from slave import loop, models
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
@@ -277,6 +277,7 @@ def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
+    config.check_rate(shared.rate_hz)
     files = models.given(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")

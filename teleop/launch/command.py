@@ -39,7 +39,7 @@ from teleop.process import (
     seconds,
     write_summary,
 )
-from teleop.run_config import RunConfig
+from teleop.run_config import RateChecked, RunConfig
 from teleop.topics import EVENT, LATENCY, REPORT, Role
 
 # the sections of a config file and who checks them; imported by name, as the command line does
@@ -89,7 +89,9 @@ def main(args: argparse.Namespace) -> int:
     overrides = [*args.overrides, *_rig_overrides(args)]
     config = load(args.config, RunConfig, None, overrides)
     for section, (module, name) in SECTIONS.items():
-        load(args.config, getattr(import_module(module), name), section, overrides)
+        part = load(args.config, getattr(import_module(module), name), section, overrides)
+        if isinstance(part, RateChecked):
+            part.check_rate(config.rate_hz)
     shared = [f"--set={text}" for text in overrides]
     if args.config:
         shared = ["--config", str(args.config), *shared]
