@@ -141,8 +141,10 @@ class SlaveProcess:
         answered_ns = now_ns()
         self._verdicts[verdict] += 1
         self._meter.answer.add(answered_ns - tick.stamp_ns)
-        self._follow_up(tick, time_s, requests)
-        self._meter.tick(self._outline(), now_ns() - tick.stamp_ns, self._telemetry.detail)
+        rig_ns = self._follow_up(tick, time_s, requests)
+        work_ns = now_ns() - tick.stamp_ns
+        self._meter.without_rig.add(work_ns - rig_ns)
+        self._meter.tick(self._outline(), work_ns, self._telemetry.detail)
 
     def close(self) -> None:
         """Tell the others that the slave moves nothing any more; whatever happened before."""
@@ -210,11 +212,13 @@ class SlaveProcess:
         self.error = self.error or error
         self.ended = str(self.error)
 
-    def _follow_up(self, tick: Tick, time_s: float, requests: Requests) -> None:
-        """Do what nobody waits for, once the answer is out."""
+    def _follow_up(self, tick: Tick, time_s: float, requests: Requests) -> int:
+        """Do what nobody waits for, once the answer is out; return how long the rig took [ns]."""
         slave, rows, samples = self._slave, self._rows, self._samples
+        begin_ns = now_ns()
         if not self.error and not self.ended:
             self._advance_rig()
+        rig_ns = now_ns() - begin_ns
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
         )
@@ -230,6 +234,7 @@ class SlaveProcess:
             self._link.publish_packet(LEDGER, self._ledger.packet)
         self._telemetry(time_s)
         self._report(tick.stamp_ns)
+        return rig_ns
 
     def _advance_rig(self) -> None:
         try:

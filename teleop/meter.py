@@ -22,6 +22,7 @@ class LoopMeter:
         self.work = Durations()
         self.latency = Durations()
         self.answer = Durations()  # from a tick's begin to its message on the link
+        self.without_rig = Durations()  # work, but for the computing of a simulated rig
         self.stages = StageMeter()
         self._role, self._stats = role, stats
         self._due_ns = now_ns() + REPORT_PERIOD_NS
@@ -63,6 +64,7 @@ class LoopMeter:
         span = self.latency.take_span()
         self.work.take_span()
         self.answer.take_span()
+        self.without_rig.take_span()
         return LoopReport(
             role=self._role,
             state=side.state,
@@ -100,6 +102,7 @@ class LoopMeter:
             "lateness_max_ms": stats.lateness_max_ns * 1e-6,
             "work_us": self.work.percentiles(1e-3),
             "answer_us": self.answer.percentiles(1e-3),
+            "without_rig_us": self.without_rig.percentiles(1e-3),
             "latency_ms": self.latency.percentiles(1e-6),
             "stages_us": self.stages.summary(),
             "received": counts.received,

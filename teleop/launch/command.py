@@ -39,6 +39,7 @@ from teleop.process import (
     seconds,
     write_summary,
 )
+from teleop.realtime import RealtimeConfig
 from teleop.run_config import RateChecked, RunConfig
 from teleop.topics import EVENT, LATENCY, REPORT, Role
 
@@ -129,14 +130,17 @@ def main(args: argparse.Namespace) -> int:
             status.clear()
             family.stop(ENDING)
         summary = _summary(family, ended, stop.reason)
-    return _conclude(summary, args.json)
+    return _conclude(summary, args.json, config.realtime)
 
 
-def _conclude(summary: dict[str, Any], path: Path | None) -> int:
+def _conclude(
+    summary: dict[str, Any], path: Path | None, realtime: RealtimeConfig | None = None
+) -> int:
     """Write and print the summary; return the exit code, or raise what ended the session."""
     began = summaries.ran(summary.get("master"))
     if began and not summary["exit_code"]:
-        summary["ping_pong"] = ping_pong(Command.schema.size, SlaveState.schema.size)
+        sizes = Command.schema.size, SlaveState.schema.size
+        summary["ping_pong"] = ping_pong(*sizes, realtime=realtime or RealtimeConfig())
     write_summary(path, summary)
     for line in summaries.lines(summary):
         print(line)

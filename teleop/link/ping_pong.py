@@ -1,9 +1,11 @@
-"""What Zenoh alone takes on this machine: the yardstick for the latency of a session.
+"""What Zenoh alone takes on this machine: the baseline for the latency of a session.
 
-Two processes on loopback throw raw bytes to and fro over the same kind of session and publisher as
-the link uses, without messages, checks or loops.
+Two processes on loopback send raw bytes to and fro, without messages, checks or loops. They have
+the same sessions, publishers, priority and way of waiting as the loops (`teleop.link.inbox`), so
+that what a session takes beyond them is the loops' own.
 """
 
+import json
 import os
 import socket
 import subprocess
@@ -16,46 +18,56 @@ from typing import Any
 import numpy as np
 import zenoh
 
+from teleop.clock import quiet_garbage
 from teleop.link.config import LinkConfig
+from teleop.link.inbox import Inbox
 from teleop.link.network import declare_publisher, open_session
+from teleop.process import SUPERVISED, die_with_launcher
+from teleop.realtime import RealtimeConfig, enter_loop, go_realtime
 
-PERIOD_S = 1e-3  # between two throws, as in a 1 kHz session
-PATIENCE_S = 0.05  # for an answer, before the next throw
+PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
+PATIENCE_S = 0.05  # for an answer, before the next command
 START_S = 5.0  # for the other process to come up
-_WORD = 8  # bytes: a ball begins with its number, an answer with that and its own stamp
+_WORD = 8  # bytes: a command begins with its number, an answer with that and its own stamp
+_RING = 16
+_DEFAULT = RealtimeConfig()
 
 
-def ping_pong(command_bytes: int, state_bytes: int, n: int = 1000) -> dict[str, Any]:
-    """Measure `n` round trips between this process and one that it starts and ends.
+def ping_pong(
+    command_bytes: int, state_bytes: int, n: int = 1000, realtime: RealtimeConfig = _DEFAULT
+) -> dict[str, Any]:
+    """Measure `n` round trips between two processes that are started and ended here.
 
     Parameters
     ----------
     command_bytes, state_bytes : int
-        Size of what is thrown, and of what comes back.
+        Size of what is sent, and of what comes back.
     n : int
-        How many throws, one a millisecond.
+        How many commands, one a millisecond.
+    realtime : RealtimeConfig
+        Scheduling of both processes.
 
     Returns
     -------
     dict
         `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip; the same with `one_way_` in
-        front of the way back. Empty if the other process did not answer.
+        front of the way back; `realtime`, what the processes were granted. Empty if there was no
+        answer.
     """
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
-    root = str(Path(__file__).parents[2])
-    path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
-    pong = subprocess.Popen(
-        [sys.executable, "-m", "teleop.link.ping_pong", endpoint, str(state_bytes)],
-        stdin=subprocess.PIPE,  # it ends when this closes, so it cannot outlive us
-        stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": path},
-        start_new_session=True,  # Ctrl-C is for us to handle
-    )
+    scheduling = [str(realtime.priority), json.dumps(realtime.cores)]
+    pong = _start(["pong", endpoint, str(state_bytes), *scheduling])
     try:
-        with open_session(LinkConfig(), [], [endpoint]) as session:
-            return _throw(session, command_bytes, n)
+        ping = _start(["ping", endpoint, str(command_bytes), *scheduling, str(n)])
+        try:
+            out, _ = ping.communicate()
+        finally:
+            ping.kill()
+            ping.wait()
     finally:
         pong.communicate()
+    result: dict[str, Any] = json.loads(out or b"{}")
+    return result
 
 
 def percentiles_ms(durations_ns: list[int], prefix: str = "") -> dict[str, float]:
@@ -64,60 +76,84 @@ def percentiles_ms(durations_ns: list[int], prefix: str = "") -> dict[str, float
     return {f"{prefix}p50_ms": p50, f"{prefix}p99_ms": p99, f"{prefix}p99_9_ms": p99_9}
 
 
-def _throw(session: zenoh.Session, size: int, n: int) -> dict[str, Any]:
-    ring: Any = session.declare_subscriber("teleop-ping-pong/pong", zenoh.handlers.RingChannel(1))
-    publisher = declare_publisher(session, "teleop-ping-pong/ping", live=True, patient=False)
-    deadline = time.monotonic() + START_S
-    while _answer(publisher, ring, size, n) is None:
-        if time.monotonic() > deadline:
-            return {}
-    round_trips, ways_back = [], []
-    begin = time.monotonic()
-    for k in range(n):
-        time.sleep(max(0.0, begin + k * PERIOD_S - time.monotonic()))
-        answer = _answer(publisher, ring, size, k)
-        if answer is not None:
-            round_trips.append(answer[0])
-            ways_back.append(answer[1])
+def _start(words: list[str]) -> subprocess.Popen[bytes]:
+    root = str(Path(__file__).parents[2])
+    path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+    return subprocess.Popen(
+        [sys.executable, "-m", "teleop.link.ping_pong", *words],
+        stdin=subprocess.PIPE,  # pong ends when this closes
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": path, SUPERVISED: str(os.getpid())},
+        start_new_session=True,  # Ctrl-C is for us to handle
+    )
+
+
+def _ping(endpoint: str, size: int, realtime: RealtimeConfig, n: int) -> dict[str, Any]:
+    """Send `n` commands and return what their answers took."""
+    granted = go_realtime(realtime)
+    with open_session(LinkConfig(), [], [endpoint]) as session:
+        inbox = _subscribe(session, "pong")
+        publisher = declare_publisher(session, "teleop-ping-pong/ping", live=True, patient=False)
+        enter_loop(granted, realtime)
+        deadline = time.monotonic() + START_S
+        while _answer(publisher, inbox, size, n) is None:
+            if time.monotonic() > deadline:
+                return {}
+        round_trips, ways_back = [], []
+        with quiet_garbage():
+            begin = time.monotonic()
+            for k in range(n):
+                time.sleep(max(0.0, begin + k * PERIOD_S - time.monotonic()))
+                answer = _answer(publisher, inbox, size, k)
+                if answer is not None:
+                    round_trips.append(answer[0])
+                    ways_back.append(answer[1])
     if not round_trips:
         return {}
-    result: dict[str, Any] = {"n": len(round_trips)}
-    return result | percentiles_ms(round_trips) | percentiles_ms(ways_back, "one_way_")
+    times = percentiles_ms(round_trips) | percentiles_ms(ways_back, "one_way_")
+    return {"n": len(round_trips), **times, "realtime": granted}
 
 
-def _answer(publisher: zenoh.Publisher, ring: Any, size: int, k: int) -> tuple[int, int] | None:
-    """Throw ball `k` and return (round trip, way back) [ns]; None if it does not come back."""
+def _answer(publisher: zenoh.Publisher, inbox: Inbox, size: int, k: int) -> tuple[int, int] | None:
+    """Send command `k`; return (round trip, way back) [ns], or None if no answer comes."""
     number = k.to_bytes(_WORD, "little")
-    ball = number.ljust(size, b"\0")
-    thrown = time.monotonic_ns()
-    publisher.put(ball)
-    while (now := time.monotonic_ns()) - thrown < PATIENCE_S * 1e9:
-        sample = ring.try_recv()
-        if sample is None:
-            continue
-        now, data = time.monotonic_ns(), sample.payload.to_bytes()
-        if data.startswith(number):
-            return now - thrown, now - int.from_bytes(data[_WORD : 2 * _WORD], "little")
+    command = number.ljust(size, b"\0")
+    sent = time.monotonic_ns()
+    publisher.put(command)
+    while inbox.wait(sent + round(PATIENCE_S * 1e9)):
+        now = time.monotonic_ns()
+        for data, _ in inbox.take()[0]:
+            if data.startswith(number):
+                stamp = int.from_bytes(data[_WORD : 2 * _WORD], "little")
+                return now - sent, now - stamp
     return None
 
 
-def _pong(endpoint: str, size: int) -> None:
-    """Answer every ball until standard input closes."""
+def _pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
+    """Answer every command until standard input closes."""
+    granted = go_realtime(realtime)
     with open_session(LinkConfig(), [endpoint], []) as session:
-        ring: Any = session.declare_subscriber(
-            "teleop-ping-pong/ping", zenoh.handlers.RingChannel(1)
-        )
+        inbox = _subscribe(session, "ping")
         publisher = declare_publisher(session, "teleop-ping-pong/pong", live=True, patient=False)
+        closed = threading.Event()
+        threading.Thread(target=lambda: (sys.stdin.read(), closed.set()), daemon=True).start()
+        enter_loop(granted, realtime)
+        with quiet_garbage():
+            while not closed.is_set():
+                if not inbox.wait(time.monotonic_ns() + round(PATIENCE_S * 1e9)):
+                    continue
+                for command, _ in inbox.take()[0]:
+                    stamp = time.monotonic_ns().to_bytes(_WORD, "little")
+                    publisher.put((command[:_WORD] + stamp).ljust(size, b"\0"))
 
-        def answer() -> None:
-            for ball in ring:
-                number = ball.payload.to_bytes()[:_WORD]
-                stamp = time.monotonic_ns().to_bytes(_WORD, "little")
-                publisher.put((number + stamp).ljust(size, b"\0"))
 
-        threading.Thread(target=answer, daemon=True).start()
-        sys.stdin.read()
-        os._exit(0)  # the thread is waiting inside Zenoh
+def _subscribe(session: zenoh.Session, name: str) -> Inbox:
+    """Return where the messages of `name` arrive: as `Link.subscribe_latest` does it."""
+    inbox = Inbox(_RING)
+    direct = zenoh.handlers.Callback(inbox.store, indirect=False)
+    session.declare_subscriber(f"teleop-ping-pong/{name}", direct)
+    return inbox
 
 
 def _free_port() -> int:
@@ -127,5 +163,20 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def main(words: list[str]) -> None:
+    """Run one of the two processes: `ping|pong ENDPOINT BYTES PRIORITY CORES [N]`."""
+    die_with_launcher()
+    side, endpoint, size, priority, cores = words[:5]
+    realtime = RealtimeConfig(int(priority), _cores(json.loads(cores)))
+    if side == "pong":
+        _pong(endpoint, int(size), realtime)
+    else:
+        print(json.dumps(_ping(endpoint, int(size), realtime, int(words[5]))), flush=True)
+
+
+def _cores(named: Any) -> Any:
+    return named if named == "auto" else tuple(named)
+
+
 if __name__ == "__main__":
-    _pong(sys.argv[1], int(sys.argv[2]))
+    main(sys.argv[1:])

@@ -1,0 +1,59 @@
+"""Processor time of a running process and of its children, from /proc."""
+
+import os
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+_TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
+
+
+class Sample(NamedTuple):
+    """Processor time [s] of each process by its id, all threads, and when it was read [s]."""
+
+    time_s: float
+    used_s: dict[int, float]
+
+
+def children(parent: int) -> dict[str, int]:
+    """Return the ids of `teleop COMMAND` processes that `parent` has started, by the command."""
+    found = {}
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdecimal():
+            continue
+        try:
+            if int(_fields(int(folder.name))[1]) != parent:
+                continue
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+        except (FileNotFoundError, ProcessLookupError):  # it has ended
+            continue
+        if b"teleop" in words:
+            found[words[words.index(b"teleop") + 1].decode()] = int(folder.name)
+    return found
+
+
+def sample(processes: dict[str, int]) -> Sample:
+    """Read the processor time of the processes that still run."""
+    used = {}
+    for process in processes.values():
+        try:
+            fields = _fields(process)
+        except (FileNotFoundError, ProcessLookupError):  # it has ended
+            continue
+        used[process] = (int(fields[11]) + int(fields[12])) * _TICK_S
+    return Sample(time.monotonic(), used)
+
+
+def percent(processes: dict[str, int], before: Sample, after: Sample) -> dict[str, float]:
+    """Return the share of one core [%] that each process took between two samples."""
+    span = after.time_s - before.time_s
+    return {
+        name: 100.0 * (after.used_s[process] - before.used_s[process]) / span
+        for name, process in processes.items()
+        if process in after.used_s and process in before.used_s
+    }
+
+
+def _fields(process: int) -> list[str]:
+    """Return the fields of /proc/PID/stat behind the name: state, parent, ...; see proc(5)."""
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()

@@ -1,0 +1,107 @@
+"""A whole session in one thread: both loops as they are, an arm of four joints, a scripted hand."""
+
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from master.config import MasterConfig
+from master.devices import open_device
+from master.devices.virtual import VirtualDevice
+from master.process import Master
+from slave import loop
+from slave.config import SlaveConfig, tendon_configs
+from slave.process import SlaveProcess
+from slave.rigs import open_rig
+from teleop.clock import EventClock, Grid
+from teleop.config import load
+from teleop.link import Link, LinkConfig
+from teleop.run_config import RunConfig
+from teleop.topics import COMMAND, HAND, STATE, TENDONS, Role
+from tests.tick.clock import StandingClock
+from tests.tick.memory_link import MemoryLink
+from tests.tick.profile import Calls
+
+ARM = Path(__file__).parents[2] / "configs" / "arm.yaml"
+HAND_ENGAGED = ("master.device.engage=[[0.05, 1e6]]", "master.device.engage_period=1e6")
+ON_THE_WAY = 1e-4  # [s] from one side to the other
+
+
+def never() -> bool:
+    return False
+
+
+class Session:
+    """A master and a slave; `tick` lets both have one, the slave's while the master waits.
+
+    Attributes
+    ----------
+    master, slave : Master, SlaveProcess
+        The two sides.
+    master_calls, slave_calls : Calls
+        On the critical path, while `counting`: from the begin of the master's tick to the write to
+        its device, without the wait; from the arrival of a command at the slave until its state is
+        published.
+    sizes : dict
+        Bytes of a message of each live topic that has been published.
+    """
+
+    def __init__(self, stack: ExitStack) -> None:
+        self.master_calls, self.slave_calls = Calls(), Calls()
+        self.counting = False
+        self.sizes: dict[str, int] = {}
+        self._clock = clock = StandingClock(stack.enter_context(pytest.MonkeyPatch.context()))
+        self._at_master = stack.enter_context(MemoryLink(Role.MASTER))
+        self._at_slave = stack.enter_context(MemoryLink(Role.SLAVE))
+        launcher = Link(LinkConfig(), "tick", Role.LAUNCHER)
+        self._at_master.meet([self._at_slave, launcher])
+        self._at_slave.meet([self._at_master, launcher])
+        shared = load(ARM, RunConfig, None, ())
+
+        config = load(ARM, SlaveConfig, "slave", ())
+        rig = open_rig(config.rig)
+        stack.callback(rig.close)
+        tendons = tendon_configs(config, rig.tendons, rig.joints)
+        model = loop.rig_model(rig.joints, [tendon.model() for tendon in tendons])
+        wait = partial(self._at_slave.wait, COMMAND)
+        events = EventClock(shared.rate_hz, never, wait, clock.now, clock.sleep)
+        link, bilateral = self._at_slave, shared.bilateral
+        self.slave = SlaveProcess(config, link, rig, model, events, bilateral=bilateral)
+
+        config = load(ARM, MasterConfig, "master", HAND_ENGAGED)
+        device = open_device(config.device)
+        stack.callback(device.close)
+        grid = Grid(shared.rate_hz, never, now=clock.now, sleep=clock.sleep)
+        self.master = Master(config, self._at_master, device, grid, bilateral)
+
+        self._at_master.world, self._at_master.calls = self._slave_ticks, self.master_calls
+        self._events, self._grid = iter(events), iter(grid)
+        # looked up while nothing is counted: a topic's list is made when it is first asked for
+        self._sent = self._at_slave.sent(STATE).append
+
+    def tick(self) -> None:
+        """Let the master have a tick, and the slave the one that answers it."""
+        tick = next(self._grid)
+        if self.counting:
+            self.master_calls.begin(VirtualDevice.write.__code__)
+        self.master.tick(tick)
+        self._weigh(self._at_master, HAND)
+        self._at_master.carry(self._at_slave)
+
+    def _slave_ticks(self) -> None:
+        self._weigh(self._at_master, COMMAND)
+        self._at_master.carry(self._at_slave)
+        self._clock.sleep(ON_THE_WAY)
+        tick = next(self._events)
+        if self.counting:
+            self.slave_calls.begin(self._sent)
+        self.slave.tick(tick)
+        self._weigh(self._at_slave, STATE, TENDONS)
+        self._at_slave.carry(self._at_master)
+        self._clock.sleep(ON_THE_WAY)
+
+    def _weigh(self, link: MemoryLink, *topics) -> None:
+        for topic in topics:
+            for data in link.sent(topic)[-1:]:
+                self.sizes[topic.name] = len(data)

@@ -1,0 +1,106 @@
+"""What a tick costs in numbers that do not depend on the machine: calls, bytes, memory.
+
+`teleop bench loop` measures what it costs in time. A limit that is reached here is a step back in
+latency on every machine (docs/latency.md); one that can be lowered should be.
+"""
+
+import sys
+import tracemalloc
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from teleop.topics import COMMAND, HAND, STATE, TENDONS
+from tests.tick.session import Session
+
+SETTLED = 600  # ticks, until both sides are engaged, all is compiled and a report has been made
+COUNTED = 100  # ticks
+REPORTED = 500  # ticks between two reports, when the meters begin new spans
+
+# 'call' events of a tick, entries into compiled code among them; 'c_call' events
+MASTER_PYTHON, MASTER_C = 67, 52  # of the former 16 are the scripted hand's
+SLAVE_PYTHON, SLAVE_C = 40, 33
+WIRE = {COMMAND: 324, STATE: 500, TENDONS: 1460, HAND: 260}  # [B]
+HELD = 24_000  # [B] at once, within a tick of both sides
+KEPT = 6_000, 100  # [B], blocks: from one report to the next; what a leak of 12 B a tick would be
+
+
+@pytest.fixture(scope="module")
+def session() -> Iterator[Session]:
+    with ExitStack() as stack:
+        session = Session(stack)
+        for _ in range(SETTLED):
+            session.tick()
+        yield session
+
+
+@pytest.fixture(scope="module")
+def counted(session: Session) -> Session:
+    session.counting = True
+    for _ in range(COUNTED):
+        session.tick()
+    session.counting = False
+    return session
+
+
+def test_what_is_counted_is_a_session_that_renders_forces(session: Session) -> None:
+    master, slave = session.master.summary(), session.slave.summary()
+    for side in (master, slave):
+        assert side["final_state"] == "engaged"
+        assert side["faults"] == []
+        assert side["lost"] == side["unknown"] == side["overruns"] == 0
+    assert master["ticks"] == slave["ticks"]
+    assert master["latency_ms"]["n"] >= SETTLED - 1  # each command was answered in its own tick
+    assert slave["rig"]["coarse_reads"] == 0
+
+
+def test_the_master_calls_no_more_from_its_tick_to_the_device(counted: Session) -> None:
+    python, c = counted.master_calls.per_span()
+    assert counted.master_calls.spans == COUNTED
+    assert python <= MASTER_PYTHON, counted.master_calls.table()
+    assert c <= MASTER_C, counted.master_calls.c
+    assert counted.master_calls.python["VirtualDevice.write"] == COUNTED  # counted to the end
+
+
+def test_the_slave_calls_no_more_from_the_command_to_its_state(counted: Session) -> None:
+    python, c = counted.slave_calls.per_span()
+    assert counted.slave_calls.spans == COUNTED
+    assert python <= SLAVE_PYTHON, counted.slave_calls.table()
+    assert c <= SLAVE_C, counted.slave_calls.c
+    assert counted.slave_calls.c["list.append"] == COUNTED  # the state was put on the wire
+
+
+def test_every_tick_makes_the_same_calls(counted: Session) -> None:
+    for calls in (counted.master_calls, counted.slave_calls):
+        assert all(n % COUNTED == 0 for n in calls.python.values()), calls.table()
+
+
+@pytest.mark.parametrize("topic", WIRE, ids=lambda topic: topic.name)
+def test_live_messages_are_as_long_as_they_were(session: Session, topic) -> None:
+    assert session.sizes[topic.name] == topic.message.schema.size
+    assert session.sizes[topic.name] <= WIRE[topic]
+
+
+def test_a_tick_holds_little_memory_and_gives_it_back(session: Session) -> None:
+    tracemalloc.start()
+    try:
+        windows = [_window(session) for _ in range(4)]
+    finally:
+        tracemalloc.stop()
+    # what was allocated before counts as new when it is replaced, so the first windows show more
+    assert max(held for held, _, _ in windows) <= HELD
+    assert min(kept for _, kept, _ in windows) <= KEPT[0]
+    assert min(blocks for _, _, blocks in windows) <= KEPT[1]
+
+
+def _window(session: Session) -> tuple[int, int, int]:
+    """Tick from one report to the next; return bytes held at once, bytes and blocks kept."""
+    kept, blocks, held = tracemalloc.get_traced_memory()[0], sys.getallocatedblocks(), 0
+    for _ in range(REPORTED):
+        tracemalloc.reset_peak()
+        before = tracemalloc.get_traced_memory()[0]
+        session.tick()
+        held = max(held, tracemalloc.get_traced_memory()[1] - before)
+    kept = tracemalloc.get_traced_memory()[0] - kept
+    return held, kept, sys.getallocatedblocks() - blocks
