@@ -504,9 +504,7 @@ def test_a_stop_ends_a_calibration_at_the_start_where_the_motors_are(monkeypatch
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
     with pytest.raises(TeleopError, match=r"calibration given up: .*remote: a nurse"):
-        process.model_of(
-            config, Bench(), line, RequestListener(line), Until(9), 1000.0, {}
-        )
+        process.model_of(config, Bench(), line, RequestListener(line), Until(9), 1000.0, {})
     (told,) = line.of(STOP)  # the master may not have heard it
     assert told.action == CALL
 
@@ -521,9 +519,7 @@ def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch):
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
     with pytest.raises(TeleopError, match=r"calibration given up: .*emergency stop"):
-        process.model_of(
-            config, Bench(), line, RequestListener(line), Until(9), 1000.0, {}
-        )
+        process.model_of(config, Bench(), line, RequestListener(line), Until(9), 1000.0, {})
 
 
 def test_the_state_tells_how_old_its_sample_is():
