@@ -116,7 +116,8 @@ class Master:
         sent_ns = 0
         if self._index % self._commands_every == 0:
             sent_ns = self._link.publish_packet(COMMAND, self._command)
-            self._await_answer(sent_ns, monotonic_ns(tick.stamp_ns) + self._wait_ns)
+            if fault is Reason.NONE and requests.stop is Reason.NONE:  # else: no force, at once
+                self._await_answer(sent_ns, monotonic_ns(tick.stamp_ns) + self._wait_ns)
         self._index += 1
         waited_ns = now_ns() - tick.stamp_ns
         stalled_s = waited_ns * 1e-9 if waited_ns > STALL_NS + self._wait_ns else 0.0

@@ -20,7 +20,7 @@ _LOOK_S = 0.1
 
 
 class Hearing:
-    """What has been heard of a session: newest reports, the latency, and events in words."""
+    """What has been heard of a session: the newest reports, the latency, and events in words."""
 
     def __init__(self) -> None:
         self.reports: dict[Role, LoopReport] = {}
