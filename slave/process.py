@@ -56,7 +56,7 @@ from teleop.topics import COMMAND, LEDGER, REPORT, STATE, TENDONS, Role
 
 ROWS = 32  # samples that a tick takes at first; more are made room for
 
-COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
+COMPILE_S = 24.0  # [s] of a processor for the tick, without a cache
 
 
 class Past(NamedTuple):
