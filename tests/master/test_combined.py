@@ -31,7 +31,7 @@ class Stylus:
         self.read_fault = self.write_fault = self.close_fault = None
         self.written, self.closed = [], 0
 
-    def read(self, time_s):
+    def read(self, _time_s):
         if self.read_fault is not None:
             raise self.read_fault
         positions = tuple(self.first + k for k in range(self.axes))
