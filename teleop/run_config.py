@@ -20,7 +20,9 @@ class RunConfig:
     """Name, rate, link and coupling of a session; `teleop.config.load(path, RunConfig, None)`."""
 
     session: str = "demo"  # root of every key: sessions on one network do not hear each other
-    rate_hz: float = 1000.0  # [Hz] of the link and the slave, and of the master's device; 100 to 4000
+    rate_hz: float = (
+        1000.0  # [Hz] of the link and the slave, and of the master's device; 100 to 4000
+    )
     link: LinkConfig = field(default_factory=LinkConfig)
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
     coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip

@@ -3,7 +3,6 @@ import sys
 import pytest
 
 from master.devices.hid.claims import CLAIMS
-
 from tests.hid.fake_hidraw import FakeHidraw
 
 

@@ -49,12 +49,13 @@ class Claims:
     def is_ambiguous(self, item: Attached) -> bool:
         """Return whether a device that came back may be any of several that went away.
 
-        Without a serial number a device is known by its place only; two that were open at once and
-        went away together may come back in each other's.
+        Two that were open at once and say the same of themselves, having no serial number or the
+        same one, are told apart by their places only. When they went away together, each may come
+        back in the other's.
         """
         with self._lock:
             here = sum(identity == item.identity for identity in self._open.values())
-            return not item.serial and self._most[item.identity] - here > 1
+            return self._most[item.identity] - here > 1
 
 
 CLAIMS = Claims()  # of this process

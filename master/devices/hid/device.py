@@ -124,8 +124,8 @@ class HidDevice:
         back = [search.again(device, before, CLAIMS.paths())]
         if CLAIMS.is_ambiguous(device.item):
             raise DeviceFault(
-                f"{device.item}: was lost together with another one like it; without serial "
-                "numbers nobody can tell which is which; restart the master"
+                f"{device.item}: was lost together with another one like it, and their serial "
+                "numbers do not tell which is which; restart the master"
             )
         back += [search.again(one, before) for one in switches]
         return Opened(self._config, self._signs, tuple(back))
