@@ -1,5 +1,7 @@
-"""Experiments, with published figures or criteria to stand beside.
+"""Experiments, and measurements of this machine, with something to stand beside.
 
+  teleop bench loop --quick
+  teleop bench latency --json new.json --compare old.json
   teleop bench paper
   teleop bench paper --sheaths 12 --out results
   teleop bench transparency --quick
@@ -21,6 +23,18 @@ BENCHES = {
     "transparency": (
         "teleop.transparency.command",
         "how transparent and how stable each coupling is, over each delay",
+    ),
+    "loop": (
+        "teleop.benchmarks.loop",
+        "how both loops keep their time here, beside loops that only tick",
+    ),
+    "latency": (
+        "teleop.benchmarks.latency",
+        "from command to force in stages, beside bare Zenoh",
+    ),
+    "scale": (
+        "teleop.benchmarks.scale",
+        "the same for 1, 2, 4 and 8 joints",
     ),
 }
 

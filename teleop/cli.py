@@ -35,7 +35,7 @@ COMMANDS = {
     "diagnose": ("slave.diagnosis.command", "find what the model of a bench gets wrong, and why"),
     "pair": ("slave.pair.command", "measure a pair's friction against the bend of its sheath"),
     "simulate": ("slave.simulate", "write data as a simulated rig would measure it"),
-    "bench": ("teleop.bench", "repeat a published experiment and print its figures"),
+    "bench": ("teleop.bench", "measure the loops here, or repeat a published experiment"),
     "doctor": ("teleop.doctor", "check this machine and name what is missing"),
 }
 

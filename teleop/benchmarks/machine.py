@@ -30,7 +30,8 @@ def lines(machine: dict[str, Any], realtime: Sequence[str]) -> list[str]:
     return [
         f"machine   {machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, "
         f"load {machine['load_average'][0]:.1f} at the start",
-        f"software  Python {machine['python']}, {packages}, commit {machine['commit'] or 'unknown'}",
+        f"software  Python {machine['python']}, {packages}, "
+        f"commit {machine['commit'] or 'unknown'}",
         f"granted   {', '.join(realtime) or 'nothing'}",
     ]
 

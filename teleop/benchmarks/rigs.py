@@ -17,9 +17,7 @@ def write_config(path: Path, joints: int) -> Path:
 
 def _config(joints: int) -> dict[str, Any]:
     environments: list[dict[str, Any]] = [{"type": "free"} for _ in range(joints - 1)]
-    environments.append(
-        {"type": "tissue", "position": 0.003, "stiffness": 10000, "exponent": 1.5}
-    )
+    environments.append({"type": "tissue", "position": 0.003, "stiffness": 10000, "exponent": 1.5})
     body = {
         "mass": 0.02, "damping": 2.0, "friction": 0.1, "spring": 0.0,
         "pretension": 0.5, "stops": [-0.008, 0.008],

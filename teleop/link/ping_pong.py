@@ -137,7 +137,12 @@ def _pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
         inbox = _subscribe(session, "ping")
         publisher = declare_publisher(session, "teleop-ping-pong/pong", live=True, patient=False)
         closed = threading.Event()
-        threading.Thread(target=lambda: (sys.stdin.read(), closed.set()), daemon=True).start()
+
+        def await_end() -> None:
+            sys.stdin.read()
+            closed.set()
+
+        threading.Thread(target=await_end, daemon=True).start()
         enter_loop(granted, realtime)
         with quiet_garbage():
             while not closed.is_set():

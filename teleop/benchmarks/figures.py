@@ -1,0 +1,150 @@
+"""Figures of repeated runs: medians, their spread, ratios to a baseline and to an older result."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from statistics import median
+from typing import Any, NamedTuple
+
+
+class Figure(NamedTuple):
+    """One figure, as each run gave it.
+
+    Attributes
+    ----------
+    name, unit : str
+        What it is.
+    values : tuple of float
+        One of each run.
+    baseline : tuple of float
+        The same of the baseline of each run; empty if there is none.
+    higher_is_better : bool
+        As a rate is; a duration is not.
+    """
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    baseline: tuple[float, ...] = ()
+    higher_is_better: bool = False
+
+    @property
+    def median(self) -> float:
+        """The middle one of the values."""
+        return median(self.values)
+
+    @property
+    def spread(self) -> float:
+        """From the least of the values to the largest."""
+        return max(self.values) - min(self.values)
+
+    @property
+    def ratio(self) -> float | None:
+        """Median of each run's value by its own baseline; None without one, or one of zero."""
+        pairs = list(zip(self.values, self.baseline, strict=False))
+        return median(v / b for v, b in pairs) if pairs and all(b for _, b in pairs) else None
+
+
+Row = Mapping[str, tuple[str, float | None, float | None, bool]]
+
+
+def gather(rows: Iterable[Row]) -> list[Figure]:
+    """Return the figures of runs, each name -> (unit, value, baseline, higher is better).
+
+    A figure that a run does not have (None) is left out of that run.
+    """
+    values: dict[str, list[float]] = {}
+    baselines: dict[str, list[float]] = {}
+    kinds: dict[str, tuple[str, bool]] = {}
+    for row in rows:
+        for name, (unit, value, baseline, higher) in row.items():
+            kinds[name] = unit, higher
+            if value is not None:
+                values.setdefault(name, []).append(value)
+                if baseline is not None:
+                    baselines.setdefault(name, []).append(baseline)
+    return [
+        Figure(name, unit, tuple(values[name]), tuple(baselines.get(name, ())), higher)
+        for name, (unit, higher) in kinds.items()
+        if name in values
+    ]
+
+
+def table(figures: Sequence[Figure]) -> list[str]:
+    """Return a line for each figure: median, least and largest, baseline, ratio."""
+    width = max(len(figure.name) for figure in figures)
+    head = (
+        f"{'':{width}}  {'median':>10} {'least':>10} {'largest':>10} {'baseline':>10} {'ratio':>7}"
+    )
+    return [head, *(_line(figure, width) for figure in figures)]
+
+
+def _line(figure: Figure, width: int) -> str:
+    numbers = [figure.median, min(figure.values), max(figure.values)]
+    baseline = f"{median(figure.baseline):10.5g}" if figure.baseline else f"{'':10}"
+    ratio = "" if figure.ratio is None else f"{figure.ratio:.2f}"
+    shown = " ".join(f"{number:10.5g}" for number in numbers)
+    return f"{figure.name:{width}}  {shown} {baseline} {ratio:>7}  {figure.unit}".rstrip()
+
+
+def tree(figures: Sequence[Figure]) -> dict[str, Any]:
+    """Return the figures as they are written to a file."""
+    return {
+        figure.name: {
+            "unit": figure.unit,
+            "median": figure.median,
+            "values": list(figure.values),
+            "baseline": list(figure.baseline),
+            "ratio": figure.ratio,
+            "higher_is_better": figure.higher_is_better,
+        }
+        for figure in figures
+    }
+
+
+def from_tree(tree: Mapping[str, Any]) -> dict[str, Figure]:
+    """Return the figures of a file by their names; `KeyError`, `TypeError` if it has none such."""
+    return {
+        name: Figure(
+            name,
+            str(part["unit"]),
+            tuple(map(float, part["values"])),
+            tuple(map(float, part["baseline"])),
+            bool(part["higher_is_better"]),
+        )
+        for name, part in tree.items()
+        if part["values"]
+    }
+
+
+def comparison(new: Sequence[Figure], old: Mapping[str, Figure]) -> list[str]:
+    """Return how figures changed, a line each, and whether by more than the runs differ.
+
+    A change counts if the medians are further apart than the larger of the two spreads.
+    """
+    common = [figure for figure in new if figure.name in old]
+    if not common:
+        return ["nothing in common with the older result"]
+    width = max(len(figure.name) for figure in common)
+    lines = [f"{'':{width}}  {'old':>10} {'new':>10} {'ratio':>7}"]
+    counts = {"WORSE": 0, "better": 0, "": 0}
+    for figure in common:
+        before = old[figure.name]
+        verdict = changed(figure, before)
+        counts[verdict] += 1
+        ratio = f"{figure.median / before.median:.2f}" if before.median else "-"
+        lines.append(
+            f"{figure.name:{width}}  {before.median:10.5g} {figure.median:10.5g} {ratio:>7}  "
+            f"{verdict}".rstrip()
+        )
+    lines.append(
+        f"{counts['WORSE']} worse and {counts['better']} better by more than the runs of one "
+        f"result differ, {counts['']} within that"
+    )
+    return lines
+
+
+def changed(new: Figure, old: Figure) -> str:
+    """Return WORSE or better if the medians differ by more than the larger spread, else nothing."""
+    change = new.median - old.median
+    if abs(change) <= max(new.spread, old.spread):
+        return ""
+    return "better" if (change > 0) == new.higher_is_better else "WORSE"
