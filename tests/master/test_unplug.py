@@ -5,7 +5,6 @@ link, and a slave with its simulated rig in a process of its own.
 """
 
 import pytest
-from teleop.remote.door import call_reset
 
 from master.config import MasterConfig
 from master.devices.hid import search, signs
