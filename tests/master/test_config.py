@@ -36,7 +36,8 @@ def examples(tmp_path):
 
 
 def test_the_examples_in_the_docs_are_configs(tmp_path):
-    device, hid = examples(tmp_path)
+    device, combined, hid = examples(tmp_path)
+    assert [part.axis_count for part in combined.devices] == [2, 2]
     assert hid.axes == (
         AxisConfig("x", travel=0.06, force=2.5),
         AxisConfig("y", joint=1, speed=0.02, dead_zone=0.1),
