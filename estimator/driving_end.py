@@ -16,6 +16,7 @@ import math
 
 from estimator import signals
 from estimator import tables as _tables
+from estimator.arrays import copy
 from estimator.compiled import compiled
 from estimator.estimator_state import EstimatorState
 from estimator.prepared_tendon import PreparedTendon
@@ -36,7 +37,7 @@ def anchor(prepared: PreparedTendon, state: EstimatorState, T: float, q: float) 
     profile = state.profile[:]
     state.anchor_tension, state.anchor_displacement, state.anchor_age = T, q, 0.0
     state.anchor_elongation = read_out(prepared.tables[:], profile)[2]
-    state.anchor_profile[:] = profile
+    copy(profile, state.anchor_profile[:])
 
 
 @compiled
@@ -76,7 +77,7 @@ def follow(
         u = log_tension(table, T)
         slide(table, profile, u - K if dT < 0.0 else u + table[_ASYMMETRY] * K, TIP)
     elif state.tip_drives and not tip:
-        profile[:] = motor_driven  # since the anchor it was the motor after all
+        copy(motor_driven, profile)  # since the anchor it was the motor after all
     state.tip_drives = tip
     if still or driving or state.anchor_age > PATIENCE:
         anchor(prepared, state, T, q)

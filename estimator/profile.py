@@ -17,7 +17,7 @@ advance it in place and leave it as it was when handed a number that is not fini
 """
 
 import math
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,8 @@ CAPACITY = 128
 FLOOR = 1e-9
 """Least tension [N] inside a logarithm; slack is the floor."""
 
-HOUSING, TIP = 1, -1
+# of numpy: numba compiles a function anew for each whole number of Python that it is called with
+HOUSING, TIP = cast(int, np.int64(1)), cast(int, np.int64(-1))
 """The end that is driven, as the direction in which its front travels."""
 
 _MASK = CAPACITY - 1

@@ -7,6 +7,8 @@ from master.devices.virtual import VirtualConfig
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.operator import OperatorConfig
+from teleop.errors import UsageError
+from teleop.run_config import RATE_MAX_HZ, RATE_MIN_HZ, require_periods
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +21,8 @@ class MasterConfig:
     gate: GateConfig = field(default_factory=GateConfig)
     freshness: float = 0.030  # [s] a force measured longer ago than this is not rendered
     delay_max: float = 0.100  # [s] nor is one that answers a command older than this
+    # [Hz] at which the device is read and written: a whole multiple of rate_hz; null = rate_hz
+    device_rate_hz: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse a state that never grows old."""
@@ -29,3 +33,38 @@ class MasterConfig:
         room = min(self.force.limit, self.gate.axis_max)
         if any(abs(force) >= room for force in self.operator.weight):
             raise ValueError(f"operator.weight: must leave room below force.limit ({room:g} N)")
+        if self.device_rate_hz is not None and not (
+            RATE_MIN_HZ <= self.device_rate_hz <= RATE_MAX_HZ
+        ):
+            raise ValueError(
+                f"device_rate_hz: must be within {RATE_MIN_HZ:g} ... {RATE_MAX_HZ:g} [Hz]"
+            )
+
+    def check_rate(self, rate_hz: float) -> None:
+        """Refuse what does not go with the link's rate [Hz]; `UsageError`."""
+        self.commands_every(rate_hz)
+        require_periods("master.freshness", self.freshness, rate_hz)
+        require_periods("master.delay_max", self.delay_max, rate_hz)
+
+    def commands_every(self, rate_hz: float) -> int:
+        """Return how many ticks of the device there are for one command on the link.
+
+        Parameters
+        ----------
+        rate_hz : float
+            Rate of the link [Hz].
+
+        Raises
+        ------
+        UsageError
+            `device_rate_hz` is no whole multiple of it.
+        """
+        if self.device_rate_hz is None:
+            return 1
+        ticks = round(self.device_rate_hz / rate_hz)
+        if ticks < 1 or abs(self.device_rate_hz / rate_hz - ticks) > 1e-6 * ticks:
+            raise UsageError(
+                f"master.device_rate_hz: {self.device_rate_hz:g}: must be a whole multiple of "
+                f"rate_hz ({rate_hz:g} Hz)"
+            )
+        return ticks

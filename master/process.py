@@ -116,9 +116,13 @@ class Master:
         sent_ns = 0
         if self._index % self._commands_every == 0:
             sent_ns = self._link.publish_packet(COMMAND, self._command)
-            self._await_answer(sent_ns, monotonic_ns(tick.stamp_ns) + self._wait_ns)
+            if fault is Reason.NONE and requests.stop is Reason.NONE:  # else: no force, at once
+                self._await_answer(sent_ns, monotonic_ns(tick.stamp_ns) + self._wait_ns)
         self._index += 1
-        verdict = self._render(settings, tick.dt, fault, requests, known_ns)
+        waited_ns = now_ns() - tick.stamp_ns
+        stalled_s = waited_ns * 1e-9 if waited_ns > STALL_NS + self._wait_ns else 0.0
+        dt = tick.dt + stalled_s
+        verdict = self._render(settings, dt, fault, requests, known_ns, hand)
         written_ns = now_ns()
         self._before[:] = self._now
         self._verdicts[verdict] += 1
@@ -128,6 +132,8 @@ class Master:
             publish_event(self._link, Role.MASTER, self._outline(), f"set: {changed}")
         if away != self._away:
             self._publish_device(away)
+        side = self._outline()
+        self._meter.tick(side, now_ns() - tick.stamp_ns, self._detail(side))
 
     def close(self) -> None:
         """Take the force off the hand and tell the others; whatever happened before."""
@@ -161,8 +167,11 @@ class Master:
         self, settings: Records, dt: float, fault: Reason, requests: Requests
     ) -> None:
         """Run the first phase; again, from where it began, if it stalled."""
-        told = self._told(dt, fault, requests)
-        for _ in range(2):
+        told, late_ns = self._told(dt, fault, requests), 0
+        for again in (False, True):
+            if again:
+                self._now[:] = self._before
+                told = self._told(dt + late_ns * 1e-9, fault, requests)
             loop.run_command(
                 settings,
                 self._memory,
@@ -174,8 +183,6 @@ class Master:
             late_ns = now_ns() - told.now_ns
             if late_ns <= STALL_NS:
                 return
-            self._now[:] = self._before
-            told = self._told(dt + late_ns * 1e-9, fault, requests)
 
     def _await_answer(self, sent_ns: int, deadline_ns: int) -> None:
         """Wait for the state that answers the command of `sent_ns`.
@@ -189,10 +196,18 @@ class Master:
             if self._echo_ns[0] >= sent_ns:
                 self._late_answers = 0
                 return
+            if monotonic_ns(now_ns()) >= deadline_ns:  # whatever else keeps coming
+                break
         self._late_answers += 1
 
     def _render(
-        self, settings: Records, dt: float, fault: Reason, requests: Requests, known_ns: int
+        self,
+        settings: Records,
+        dt: float,
+        fault: Reason,
+        requests: Requests,
+        known_ns: int,
+        hand: HandState | None,
     ) -> int:
         """Find the force and write it to the device; return the gate's verdict."""
         self._commanded[:] = self._now
@@ -205,15 +220,19 @@ class Master:
             self._write_hand(None)
             failed = self._device_failed(error)
             verdict = self._find_force(settings, dt, failed, requests, is_new=True)
+            self._write_hand(hand)
+            self._command_outline()
         return verdict
 
     def _find_force(
         self, settings: Records, dt: float, fault: Reason, requests: Requests, is_new: bool
     ) -> int:
         """Run the second phase; again, from where it began, if it stalled."""
-        verdict = 0
-        for _ in range(2):
-            told = self._told(dt, fault, requests)
+        verdict, told, late_ns = 0, self._told(dt, fault, requests), 0
+        for again in (False, True):
+            if again:
+                self._now[:] = self._commanded
+                told = self._told(dt + late_ns * 1e-9, fault, requests)
             verdict = loop.run_force(
                 settings,
                 self._memory,
@@ -223,10 +242,16 @@ class Master:
                 is_new,
                 self._force,
             )
-            if now_ns() - told.now_ns <= STALL_NS:
+            late_ns = now_ns() - told.now_ns
+            if late_ns <= STALL_NS:
                 break
-            self._now[:] = self._commanded
         return verdict
+
+    def _command_outline(self) -> None:
+        """Tell the slave of a fault found after the tick's command: there may be no next."""
+        side, fields = self._outline(), self._command.records
+        fields["state"], fields["reason"] = side
+        self._link.publish_packet(COMMAND, self._command)
 
     def _measure(self, read_ns: int, sent_ns: int, written_ns: int) -> int:
         """Note how long the stages of an answered command took; return its round trip [ns]."""
@@ -264,7 +289,6 @@ class Master:
         if side != self._published:
             self._publish_session(side)
         self._report(tick.stamp_ns, side)
-        self._meter.tick(side, now_ns() - tick.stamp_ns, self._detail(side))
 
     def _device_failed(self, error: DeviceFault) -> Reason:
         self.error = self.error or TeleopError(f"haptic device: {error}")
@@ -351,6 +375,7 @@ def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, MasterConfig, "master", args.overrides)
+    config.check_rate(shared.rate_hz)
     with announced("the master's loop", COMPILE_S):
         warm_up()
     stop = Stop(args.duration)
@@ -361,8 +386,9 @@ def main(args: argparse.Namespace) -> int:
         link = stack.enter_context(Link(shared.link, shared.session, Role.MASTER))
         device = open_device(config.device)
         stack.callback(device.close)
-        grid = Grid(shared.rate_hz, stop)
-        master = Master(config, link, device, grid, shared.bilateral)
+        commands_every = config.commands_every(shared.rate_hz)
+        grid = Grid(shared.rate_hz * commands_every, stop)
+        master = Master(config, link, device, grid, shared.bilateral, commands_every)
         enter_loop(granted, shared.realtime)
         run(master, grid, stop.request)
         summary = master.summary()

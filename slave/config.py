@@ -20,6 +20,7 @@ from slave.tendon_config import TendonConfig
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS
+from teleop.run_config import require_periods
 
 QUANTISED = math.sqrt(12.0)  # a step over the standard deviation that rounding to it adds
 
@@ -65,6 +66,12 @@ class SlaveConfig:
             raise ValueError("command_timeout: must be above 0 and at most 0.5 s")
         if not 0.0 < self.sample_timeout <= 1.0:
             raise ValueError("sample_timeout: must be above 0 and at most 1 s")
+
+    def check_rate(self, rate_hz: float) -> None:
+        """Refuse what does not go with the link's rate [Hz]; `UsageError`."""
+        require_periods("slave.command_timeout", self.command_timeout, rate_hz)
+        require_periods("slave.sample_timeout", self.sample_timeout, rate_hz)
+        require_periods("slave.gate.tension_age_max", self.gate.tension_age_max, rate_hz)
 
     @property
     def rig_obeys(self) -> bool:

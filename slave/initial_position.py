@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.arrays import copy
 from estimator.compiled import compiled
 from estimator.records import F64, Field, Flag, Record
 from slave.rig import Array
@@ -66,7 +67,7 @@ def take(
     for k in range(tendons):
         if not math.isfinite(displacement[k]):
             return
-    memory.position[:tendons] = displacement[:tendons]
+    copy(displacement[:tendons], memory.position[:])
     memory.has_position = True
     memory.age = 0.0
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import online
+from estimator.arrays import copy
 from estimator.compiled import compiled
 from estimator.records import F64, I64, Field, Flag, Record, Records, as_records, one, record_dtype
 from estimator.tendon_estimate import INVALID_INPUT
@@ -223,21 +224,26 @@ def start(
 
 
 def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
-    """Put a sample of the rig into one of the rows that `tick` takes."""
+    """Put a sample of the rig into one of the rows that `tick` takes.
+
+    Numbers that are missing in an array that is too short are NaN, which the estimator refuses.
+    """
     travel = sample.proximal_displacement
     tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
     _fill_row(
         rows,
         index,
-        sample.time_s,
+        float(sample.time_s),
         travel is not None,
-        sample.proximal_tension,
-        _MISSING if travel is None else travel,
-        _MISSING if tip_tension is None else tip_tension,
-        _MISSING if tip_travel is None else tip_travel,
+        np.array(sample.proximal_tension, np.float64, order="C"),
+        _MISSING if travel is None else np.array(travel, np.float64, order="C"),
+        _MISSING if tip_tension is None else np.array(tip_tension, np.float64, order="C"),
+        _MISSING if tip_travel is None else np.array(tip_travel, np.float64, order="C"),
     )
 
 
+# Copies of one kind, whatever a rig gives: for each other kind of array numba would compile anew,
+# in the middle of a session.
 _MISSING = np.full(MAX_TENDONS, math.nan)
 
 
@@ -254,9 +260,17 @@ def _fill_row(
 ) -> None:
     row = rows[index]
     row.time_s, row.has_displacement = time_s, has_displacement
-    for i in range(len(tension)):
-        row.tendons[i].tension, row.tendons[i].displacement = tension[i], displacement[i]
-        row.bench_tension[i], row.bench_displacement[i] = bench_tension[i], bench_displacement[i]
+    for i in range(MAX_TENDONS):
+        row.tendons[i].tension = _entry(tension, i)
+        row.tendons[i].displacement = _entry(displacement, i)
+        row.bench_tension[i] = _entry(bench_tension, i)
+        row.bench_displacement[i] = _entry(bench_displacement, i)
+
+
+@compiled
+def _entry(values: Array, i: int) -> float:
+    """Return an entry, NaN beyond the end, where compiled code would read any memory."""
+    return values[i] if i < len(values) else math.nan
 
 
 def sample_rows(samples: Sequence[RigSample]) -> Records:
@@ -496,9 +510,9 @@ def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch
         memory.initial_position, setting.sample_timeout
     )
     if memory.has_motor:
-        work.motor[:] = memory.motor
+        copy(memory.motor[:], work.motor[:])
     elif known:
-        work.motor[:] = memory.initial_position.position
+        copy(memory.initial_position.position[:], work.motor[:])
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
     elif not setting.calibrated:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator import online
-from estimator.records import as_bytes, one
+from estimator.records import Records, as_bytes, one
 from slave import loop, models
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
@@ -56,7 +56,7 @@ from teleop.topics import COMMAND, LEDGER, REPORT, STATE, TENDONS, Role
 
 ROWS = 32  # samples that a tick takes at first; more are made room for
 
-COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
+COMPILE_S = 24.0  # [s] of a processor for the tick, without a cache
 
 
 class Past(NamedTuple):
@@ -135,7 +135,7 @@ class SlaveProcess:
             except RigFault as error:
                 self._take_back()
                 verdict = self._step(now_ns(), tick.dt, self._failed(error), requests)
-        if tick.answers:
+        if commands.new:
             self._answer_ns[0] = now_ns() - commands.received_ns
         self._link.publish_packet(STATE, self._state)
         answered_ns = now_ns()
@@ -214,11 +214,11 @@ class SlaveProcess:
 
     def _follow_up(self, tick: Tick, time_s: float, requests: Requests) -> int:
         """Do what nobody waits for, once the answer is out; return how long the rig took [ns]."""
+        slave, rows, samples = self._slave, self._rows, self._samples
         begin_ns = now_ns()
         if not self.error and not self.ended:
             self._advance_rig()
         rig_ns = now_ns() - begin_ns
-        slave, rows, samples = self._slave, self._rows, self._samples
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
         )
@@ -239,8 +239,10 @@ class SlaveProcess:
     def _advance_rig(self) -> None:
         try:
             self._rig.advance()
-        except RigFault as error:
-            self._failed(error)
+        except RigFault as error:  # told at once: there is no next tick
+            self._samples = 0
+            self._step(now_ns(), 0.0, self._failed(error), Requests())
+            self._link.publish_packet(STATE, self._state)
 
     def _report(self, stamp_ns: int) -> None:
         side = self._outline()
@@ -280,6 +282,7 @@ def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
+    config.check_rate(shared.rate_hz)
     files = models.given(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
@@ -391,24 +394,47 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
 
 def prepare(config: SlaveConfig) -> None:
     """Compile and import what the session calls, before it runs at real-time priority."""
-    with announced("the slave's loop", COMPILE_S + RIG_COMPILE_S[type(config.rig)]):
-        warm_up()
-        compile_rig(config.rig)
+    about_s = COMPILE_S + RIG_COMPILE_S[type(config.rig)]
+    # the collector would look in vain through a million objects of the compiler: 10 % of its time
+    with quiet_garbage(), announced("the slave's loop", about_s, partial(_compile_rest, config)):
+        _compile_tick()
     if config.initialise.at_start:
         import_module("scipy.optimize")  # which the analysis of a calibration uses
 
 
 def warm_up() -> None:
     """Compile what the loop calls, before it has to be on time."""
-    model = loop.rig_model(((0,),), [TendonConfig(effective_friction=1.0).model()])
-    slave = loop.start(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
-    rows, state = loop.EstimatedSample.array(ROWS), Packet(SlaveState)
-    loop.fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
+    _compile_tick()
+    _compile_follow_up()
+
+
+def _compile_rest(config: SlaveConfig) -> None:
+    """Compile what the session calls beside the tick: as much work again."""
+    compile_rig(config.rig)
+    _compile_follow_up()
+
+
+def _compile_tick() -> None:
+    slave, rows, state = _example()
     given, command = TickInput(1e-3, True, False), Packet(Command)
     slave.estimate(*slave.estimated, rows, 1)
     loop.tick(*slave.ticked, rows, 1, given, command.records, state.records)
+
+
+def _compile_follow_up() -> None:
+    """Compile what is called once the state is published."""
+    slave, rows, state = _example()
     loop.monitor_calibration(slave.settings, slave.layout, slave.watched, slave.memory, rows, 1)
     fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
     Score().add_rows(slave.layout, rows, 1)
     online.profile_at(one(slave.prepared), one(slave.estimators), np.zeros(PROFILE_POINTS))
     state.seal(0, 0, 0)
+
+
+def _example() -> tuple[loop.Slave, Records, Packet[SlaveState]]:
+    """Return a slave of one tendon, a sample of it, and room for its state."""
+    model = loop.rig_model(((0,),), [TendonConfig(effective_friction=1.0).model()])
+    slave = loop.start(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
+    rows, state = loop.EstimatedSample.array(ROWS), Packet(SlaveState)
+    loop.fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
+    return slave, rows, state

@@ -6,12 +6,16 @@ named after all our sources has no old code in it.
 """
 
 import contextlib
+import gc
 import hashlib
+import multiprocessing
 import os
 import shutil
+import signal
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 KEPT = 3  # folders of former states, for going back and forth between two
@@ -43,7 +47,9 @@ def choose() -> Path | None:
 
 
 @contextlib.contextmanager
-def announced(what: str, about_s: float) -> Iterator[None]:
+def announced(
+    what: str, about_s: float, beside: Callable[[], object] | None = None
+) -> Iterator[None]:
     """Print one line if anything has to be compiled in this context; with a warm cache, nothing.
 
     Parameters
@@ -52,25 +58,45 @@ def announced(what: str, about_s: float) -> Iterator[None]:
         What is compiled, for the line.
     about_s : float
         How long it takes [s] if nothing is in the cache.
+    beside : callable, optional
+        What is to be compiled as well: called at the end of the context, and if anything has to be
+        compiled in it, by another process at the same time, so that it is in the cache by then. A
+        function of a module, or a `functools.partial` of one.
     """
     from numba.core import event
 
     class Announcement(event.Listener):
         said = False
+        helper: BaseProcess | None = None
 
         def on_start(self, _event: object) -> None:
-            if not self.said:
-                print(
-                    f"compiling {what} (once on this machine; about {about_s:.0f} s) ...",
-                    flush=True,
-                )
+            if self.said:
+                return
             self.said = True
+            print(f"compiling {what} (once on this machine; about {about_s:.0f} s) ...", flush=True)
+            if beside is not None:
+                # not a fork of this process, which is in the middle of compiling
+                start = multiprocessing.get_context("spawn").Process
+                self.helper = start(target=_help, args=(beside,), daemon=True)
+                self.helper.start()
 
         def on_end(self, _event: object) -> None:
             """Do nothing; a listener must have it."""
 
-    with event.install_listener("numba:compile", Announcement()):
+    announcement = Announcement()
+    with event.install_listener("numba:compile", announcement):
         yield
+        if announcement.helper is not None:
+            announcement.helper.join()
+        if beside is not None:
+            beside()
+
+
+def _help(beside: Callable[[], object]) -> None:
+    """Compile for another process, which ends this one if it is interrupted."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.disable()
+    beside()
 
 
 def _state() -> str:

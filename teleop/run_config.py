@@ -2,12 +2,17 @@
 
 import re
 from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.passivity import PassivityConfig
+from teleop.errors import UsageError
 from teleop.force_attenuation import ConfidenceConfig
 from teleop.link.config import LinkConfig
 from teleop.realtime import RealtimeConfig
+
+RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
+PERIODS = 3  # of the link that a timeout is at least: a lost message and jitter are no silence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,7 +20,9 @@ class RunConfig:
     """Name, rate, link and coupling of a session; `teleop.config.load(path, RunConfig, None)`."""
 
     session: str = "demo"  # root of every key: sessions on one network do not hear each other
-    rate_hz: float = 1000.0  # [Hz] of both control loops; 200 to 8000
+    rate_hz: float = (
+        1000.0  # [Hz] of the link and the slave, and of the master's device; 100 to 4000
+    )
     link: LinkConfig = field(default_factory=LinkConfig)
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
     coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip
@@ -29,7 +36,29 @@ class RunConfig:
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.session):
             raise ValueError("session: allowed are 1 to 64 of a-z 0-9 _ -")
-        if not 200.0 <= self.rate_hz <= 8000.0:
-            raise ValueError(
-                "rate_hz: allowed are 200 to 8000 Hz; the gates take no tick for longer than 5 ms"
-            )
+        if not RATE_MIN_HZ <= self.rate_hz <= RATE_MAX_HZ:
+            raise ValueError(f"rate_hz: must be within {RATE_MIN_HZ:g} ... {RATE_MAX_HZ:g} [Hz]")
+
+
+@runtime_checkable
+class RateChecked(Protocol):
+    """A config section with values that not every rate allows."""
+
+    def check_rate(self, rate_hz: float) -> None:
+        """Raise `UsageError` if something in this section does not go with `rate_hz` [Hz]."""
+
+
+def require_periods(key: str, timeout_s: float, rate_hz: float) -> None:
+    """Refuse a timeout [s] that is shorter than `PERIODS` of the link; `key` is its dotted key.
+
+    Raises
+    ------
+    UsageError
+        With the least that it must be.
+    """
+    least = PERIODS / rate_hz
+    if timeout_s < least * (1.0 - 1e-9):
+        raise UsageError(
+            f"{key}: {timeout_s:g}: must be at least {PERIODS} periods of rate_hz "
+            f"({least:g} s at {rate_hz:g} Hz)"
+        )

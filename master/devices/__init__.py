@@ -4,23 +4,35 @@ from collections.abc import Callable
 from typing import Any
 
 from master.device import Device, DeviceFault
+from master.devices.combined import CombinedConfig, CombinedDevice
 from master.devices.hid.config import HidConfig
 from master.devices.hid.device import HidDevice
+from master.devices.single import SingleConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.errors import UsageError
 
-# all of them, joined by `|`; the key `type` in a config chooses
-DeviceConfig = VirtualConfig | HidConfig
+DeviceConfig = SingleConfig | CombinedConfig
+
+
+def open_combined(config: CombinedConfig) -> Device:
+    """Open several devices as one; `DeviceFault` if one of them is not there."""
+    return CombinedDevice(config, _open)
+
+
+def _open(config: DeviceConfig) -> Device:
+    return DEVICES[type(config)](config)
+
 
 DEVICES: dict[type, Callable[[Any], Device]] = {
     VirtualConfig: VirtualDevice,
     HidConfig: HidDevice,
+    CombinedConfig: open_combined,
 }
 
 
 def open_device(config: DeviceConfig) -> Device:
     """Open the device that `config` describes; `UsageError` if it is not there."""
     try:
-        return DEVICES[type(config)](config)
+        return _open(config)
     except DeviceFault as fault:
         raise UsageError(f"master.device: {fault}") from fault

@@ -58,6 +58,11 @@ class VirtualConfig:
         if not self.engage_period > 0.0:
             raise ValueError("engage_period: must be above 0 [s]")
 
+    @property
+    def axis_count(self) -> int:
+        """How many joints it moves."""
+        return self.axes
+
     def pressed(self, time_s: float) -> bool:
         """Return whether the hand holds the engage switch at `time_s` [s]."""
         within = time_s % self.engage_period

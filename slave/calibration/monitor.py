@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import tendon_estimate
+from estimator.arrays import copy, interpolated, median
 from estimator.compiled import compiled
 from estimator.online import TendonModel
 from estimator.records import F64, I64, Field, Flag, Record, Records, one
@@ -274,11 +275,15 @@ def force_error(monitor: TendonMonitor) -> float:
     """
     if monitor.count < LEAST:
         return 0.0
-    errors = monitor.errors[: monitor.count]
-    middle = float(np.median(errors))
-    if abs(middle) < SURE * np.median(monitor.doubts[: monitor.count]):
+    values = np.empty(monitor.count)
+    copy(monitor.errors[: monitor.count], values)
+    middle = median(values)
+    copy(monitor.doubts[: monitor.count], values)
+    if abs(middle) < SURE * median(values):
         return 0.0
-    apart = np.median(np.abs(errors - middle))
+    for k in range(monitor.count):
+        values[k] = abs(monitor.errors[k] - middle)
+    apart = median(values)
     return middle if apart < APART + APART_SHARE * abs(middle) else 0.0
 
 
@@ -371,5 +376,5 @@ def _transition_error(constants: MonitorConstants, line: Transition) -> float:
     scatter = math.sqrt(max(line.qq - slope * line.eq, 0.0) / line.points)
     if scatter > (CROOKED + CURVED * abs(slope - 1.0)) * span:
         return math.nan
-    factor = np.interp(slope, constants.shares, constants.factors)
+    factor = interpolated(slope, constants.shares[:], constants.factors[:])
     return math.expm1(constants.K * (factor - 1.0))

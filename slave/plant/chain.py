@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.compiled import compiled
-from slave.plant.elasticity import creep_after, springs
+from slave.plant.elasticity import creep_after, creep_gain, springs
 from slave.plant.friction import contacts, rested_after, speed_after
 from slave.plant.gripping import carry_gripping, place_gripping
 from slave.plant.leaning import carry_leaning, place_leaning
@@ -75,7 +75,9 @@ def recover(
         place_gripping(response, state, after)
     stretch = proximal - after[POSITION, 1] - response.springs.rest[0]
     after[TENSION, 0] = max(0.0, stretch / response.springs.compliance[0])
-    after[CREEP, :-1] = creep_after(chain, state[CREEP, :-1], after[TENSION, :-1], dt)
+    gain = creep_gain(chain.knobs, dt)
+    for i in range(n + 1):
+        after[CREEP, i] = creep_after(chain, state[CREEP, i], after[TENSION, i], gain)
     for i in range(1, n + 1):
         speed = (after[POSITION, i] - state[POSITION, i]) / dt
         after[SPEED, i] = speed_after(chain.knobs, state[SPEED, i], speed, dt)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from slave.plant.knobs import Knobs
 from slave.plant.tendon import CREEP, TENSION, Chain
 
@@ -34,7 +34,7 @@ class Springs(NamedTuple):
     rest: Array  # [m] shape (n + 1,)
 
 
-@compiled
+@compiled_in_caller
 def springs(chain: Chain, state: Array, dt: float) -> Springs:
     """Return the springs during a step of `dt` [s] from `state`."""
     knobs, pretension = chain.knobs, chain.pretension
@@ -78,7 +78,7 @@ def creep_gain(knobs: Knobs, dt: float) -> float:
 
 
 @compiled
-def creep_after(chain: Chain, before: Array, tension: Array, dt: float) -> Array:
-    """Return the creep [N] of each spring after a step of `dt` [s] at `tension` [N]."""
+def creep_after(chain: Chain, before: float, tension: float, gain: float) -> float:
+    """Return the creep [N] of a spring after a step at `tension` [N], with the step's `gain`."""
     final = chain.knobs.creep_share * (tension - chain.pretension)
-    return before + creep_gain(chain.knobs, dt) * (final - before)
+    return before + gain * (final - before)

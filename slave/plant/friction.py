@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from slave.plant.knobs import Knobs
 from slave.plant.tendon import RESTED, SPEED, TENSION, Chain
 
@@ -50,7 +50,7 @@ class Contacts(NamedTuple):
     dashpot: Array  # [N/m] shape (n,), force by move in this step
 
 
-@compiled
+@compiled_in_caller
 def contacts(chain: Chain, state: Array, dt: float) -> Contacts:
     """Return the friction during a step of `dt` [s] from `state`."""
     knobs, tension = chain.knobs, state[TENSION]

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from slave.plant.elasticity import Springs
 from slave.plant.friction import Contacts
 from slave.plant.response import Curve, Curves, Response
@@ -67,14 +67,14 @@ def shear(side: Side, compliance: float, rest: float) -> None:
     side.map[R] += rest
 
 
-@compiled
+@compiled_in_caller
 def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal: float) -> Response:
     """Carry the response from the motor's end at `proximal` [m] to the tip."""
     n, drag = len(contacts.pull), contacts.drag
     slack, held = np.empty(n), np.empty(n)
     housing, tip = empty_side(2 * n + 1), empty_side(2 * n + 1)
-    put(housing, 0, proximal, drag)
     bottom, top, out, ray = 0, 1, 0, 0.0  # housing's corners from bottom to top, and tip's
+    put(housing, bottom, proximal, drag)
     for i in range(n + 1):
         compliance, rest = springs.compliance[i], springs.rest[i] - springs.compliance[i] * drag
         shear(housing, compliance, rest)
@@ -129,14 +129,15 @@ def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal:
         place[j], tension[j] = corner(housing, bottom + j)
     for j in range(out):
         place[corners - 1 - j], tension[corners - 1 - j] = corner(tip, j)
-    tension -= drag
+    for j in range(1, corners):
+        tension[j] -= drag
     tension[0] = 0.0
     none = np.empty((0, 0))
     inner = Curves(none, none, np.empty(0, np.int64), np.empty(0))
     return Response(Curve(place, tension, ray), springs, contacts, slack, held, inner)
 
 
-@compiled
+@compiled_in_caller
 def place_gripping(response: Response, state: Array, after: Array) -> None:
     """Place the nodes backwards from the tip: fill their entries in the state after the step.
 

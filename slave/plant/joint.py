@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from slave.plant.balance import Answer, Resistance, balance, pull
 from slave.plant.body import Body
 from slave.plant.chain import recover, respond
@@ -78,7 +78,7 @@ def joint_at_rest(joint: Joint, time: float = 0.0) -> JointState:
     return JointState(a, b, 0.0, 0.0, 0.0, time)
 
 
-@compiled
+@compiled_in_caller
 def advance(joint: Joint, state: JointState, targets: Array, steps: int, dt: float) -> JointState:
     """Take `steps` of `dt` [s] with the motors sent to `targets` [m], shape (2,)."""
     chain_a, chain_b = joint.a.chain, joint.b.chain
@@ -115,7 +115,7 @@ def wind(tendon: Tendon, state: TendonState, target: float, dt: float) -> tuple[
     return motor, motor.pulley + winding.take_up + winding.eccentricity * wobble
 
 
-@compiled
+@compiled_in_caller
 def move_body(
     joint: Joint, state: JointState, answer: Answer, dt: float
 ) -> tuple[float, float, float]:

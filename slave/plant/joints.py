@@ -57,5 +57,8 @@ def advance_all(
     seen = np.empty((len(CHANNELS), len(joints), 2))
     for i in range(len(joints)):
         states[i] = advance(joints[i], states[i], targets[i], steps, dt)
-        seen[:, i] = truth(joints[i], states[i])
+        at_joint = truth(joints[i], states[i])
+        for channel in range(len(CHANNELS)):
+            for tendon in range(2):
+                seen[channel, i, tendon] = at_joint[channel, tendon]
     return seen

@@ -16,7 +16,7 @@ give it too, but multiplies rounding errors from node to node.
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from slave.plant.elasticity import Springs
 from slave.plant.friction import Contacts
 from slave.plant.response import Curve, Curves, Response, tension_on
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 HUGE = 1e12  # [N] where responses are cut off: dashpots would make them infinite
 
 
-@compiled
+@compiled_in_caller
 def carry_leaning(springs: Springs, contacts: Contacts, state: Array, proximal: float) -> Response:
     """Carry the response from the motor's end at `proximal` [m] to the tip."""
     n = len(contacts.pull)
@@ -152,7 +152,7 @@ def trim(place: Array, tension: Array, corners: int, ray: float) -> int:
     return corners - last
 
 
-@compiled
+@compiled_in_caller
 def place_leaning(response: Response, state: Array, after: Array) -> None:
     """Place the nodes backwards from the tip: fill their entries in the state after the step.
 

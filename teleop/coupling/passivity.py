@@ -35,7 +35,8 @@ class PassivityConfig:
     reserve: float = 0.001  # [J] credit of each port at engagement, which it keeps for itself
     credit_max: float = 0.005  # [J] credit above it is given up
     discharge_time: float = 0.010  # [s] time constant with which credit is used up
-    step_tolerance: float = 2e-5  # [m] that a hand may move in a tick more than in the one before
+    # [m] that a hand may move more than in the tick before; of a tick above 2.5 ms, by its square
+    step_tolerance: float = 2e-5
     hand_damping: float = 2.0  # [N s/m] on the device, which every hand that holds it has
     catch_up: float = 0.050  # [s] in which a tip that fell behind comes after
     passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
@@ -72,7 +73,8 @@ def render(
 ) -> float:
     """Return how much of `force` [N] the credit affords; see `teleop.coupling.interface`."""
     ticks = config.discharge_time / max(dt, 1e-6)
-    return ledger.affordable_force(port, force, hand.travel, ticks, config.step_tolerance)
+    margin = ledger.jerk_margin(config.step_tolerance, dt)
+    return ledger.affordable_force(port, force, hand.travel, ticks, margin)
 
 
 @compiled

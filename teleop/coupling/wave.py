@@ -33,7 +33,8 @@ class WaveConfig:
     play: float = 0.020  # [s] over which a wave that has come is played; twice the jitter
     reserve: float = 0.002  # [J] credit of each port at engagement
     credit_max: float = 0.020  # [J] credit above it is given up
-    step_tolerance: float = 2e-5  # [m] that a hand may move in a tick more than in the one before
+    # [m] that a hand may move more than in the tick before; of a tick above 2.5 ms, by its square
+    step_tolerance: float = 2e-5
     catch_up: float = 2.0  # [s] in which the tip comes after where waves have left it behind
     passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
 
@@ -104,7 +105,8 @@ def render(config: WaveConfig, port: Port, hand: MasterInput, force: float, dt: 
     b = config.impedance
     came = play(config, port, dt)
     rendered = b * hand.velocity - math.sqrt(2.0 * b) * came
-    return ledger.affordable_force(port, rendered, hand.travel, 1.0, config.step_tolerance)
+    margin = ledger.jerk_margin(config.step_tolerance, dt)
+    return ledger.affordable_force(port, rendered, hand.travel, 1.0, margin)
 
 
 @compiled

@@ -40,8 +40,8 @@ from teleop.process import (
     write_summary,
 )
 from teleop.realtime import RealtimeConfig
-from teleop.run_config import RunConfig
-from teleop.topics import EVENT, REPORT, Role
+from teleop.run_config import RateChecked, RunConfig
+from teleop.topics import EVENT, LATENCY, REPORT, Role
 
 # the sections of a config file and who checks them; imported by name, as the command line does
 SECTIONS = {
@@ -90,7 +90,9 @@ def main(args: argparse.Namespace) -> int:
     overrides = [*args.overrides, *_rig_overrides(args)]
     config = load(args.config, RunConfig, None, overrides)
     for section, (module, name) in SECTIONS.items():
-        load(args.config, getattr(import_module(module), name), section, overrides)
+        part = load(args.config, getattr(import_module(module), name), section, overrides)
+        if isinstance(part, RateChecked):
+            part.check_rate(config.rate_hz)
     shared = [f"--set={text}" for text in overrides]
     if args.config:
         shared = ["--config", str(args.config), *shared]
@@ -105,7 +107,7 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free(link)  # before anything is started that would leave a trace
-        listener, hearing = link.listen((EVENT, REPORT)), watch.Hearing()
+        listener, hearing = link.listen((EVENT, REPORT, LATENCY)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
         if impair is not None:

@@ -5,7 +5,8 @@ import sys
 import threading
 from typing import TextIO
 
-from teleop.messages import PHASE_NAMES, LoopReport, SlaveState, TendonState
+from teleop.launch.summary import format_latency
+from teleop.messages import PHASE_NAMES, STAGE_NAMES, Latency, LoopReport, SlaveState, TendonState
 from teleop.session import State
 from teleop.topics import Role
 
@@ -42,7 +43,10 @@ class StatusLine:
 
 
 def status_text(
-    reports: dict[Role, LoopReport], state: SlaveState | None, tendons: TendonState | None
+    reports: dict[Role, LoopReport],
+    state: SlaveState | None,
+    tendons: TendonState | None,
+    latency: Latency | None = None,
 ) -> str:
     """Return the status of a session in one line."""
     master, slave = reports.get(Role.MASTER), reports.get(Role.SLAVE)
@@ -50,7 +54,11 @@ def status_text(
     parts.append(f"slave {slave.rate_hz:.0f} Hz" if slave else "slave starting")
     if master:
         parts.append(f"master {master.rate_hz:.0f} Hz")
-        if master.latency_p50_ns:
+        if latency and latency.answered:
+            quantiles = (latency.p50_ns, latency.p99_ns, latency.p99_9_ns, latency.max_ns)
+            medians = dict(zip(STAGE_NAMES, (ns * 1e-6 for ns in latency.p50_ns), strict=True))
+            parts.append("latency " + format_latency([q[-1] * 1e-6 for q in quantiles], medians))
+        elif master.latency_p50_ns:
             parts.append(
                 f"latency {master.latency_p50_ns / 1e6:.1f}/{master.latency_p99_ns / 1e6:.1f} ms"
             )

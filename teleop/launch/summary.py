@@ -1,10 +1,11 @@
 """The summary of a session: the children's own summaries, put together and put in words."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from teleop.messages import STAGE_NAMES
 from teleop.session import Reason
 
 
@@ -120,7 +121,36 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
             f"latency   command to force p50 {latency['p50']:.2f} ms, p99 {latency['p99']:.2f} ms, "
             f"p99.9 {latency['p99_9']:.2f} ms ({latency['n']} round trips)"
         )
+    stages = loop.get("stages_us", {})
+    whole = stages.get(STAGE_NAMES[-1])
+    if whole and whole["n"]:
+        medians = {name: stages[name]["p50"] * 1e-3 for name in STAGE_NAMES}
+        quantiles = [whole[name] * 1e-3 for name in ("p50", "p99", "p99_9", "max")]
+        out.append(
+            f"latency   hand to force {format_latency(quantiles, medians)} "
+            f"({whole['n']} commands answered in their own tick)"
+        )
     return out
+
+
+# how the stages of STAGE_NAMES, but for "all", are called in a line
+_STAGE_WORDS = ("read", "link", "slave", "render")
+
+
+def format_latency(quantiles_ms: Sequence[float], medians_ms: Mapping[str, float]) -> str:
+    """Return the latency from hand to force, and the medians of its stages, in a few words.
+
+    Parameters
+    ----------
+    quantiles_ms : sequence of 4 floats
+        [ms] p50, p99, p99.9 and the largest of all stages together.
+    medians_ms : mapping
+        [ms] of each of `teleop.messages.STAGE_NAMES`.
+    """
+    p50, p99, p99_9, largest = quantiles_ms
+    stages = zip(_STAGE_WORDS, STAGE_NAMES[:-1], strict=True)
+    budget = ", ".join(f"{word} {medians_ms[name]:.2f}" for word, name in stages)
+    return f"p50 {p50:.2f} p99 {p99:.2f} p99.9 {p99_9:.2f} max {largest:.2f} ms: {budget}"
 
 
 def force_line(error: Mapping[str, Any] | None) -> str:

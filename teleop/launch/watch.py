@@ -8,22 +8,23 @@ from teleop.launch.keys import Keys
 from teleop.launch.status import StatusLine, status_text
 from teleop.launch.supervisor import Child, Supervisor
 from teleop.link import Heard, Link, Listener
-from teleop.messages import Event, LoopReport, text_of
+from teleop.messages import Event, Latency, LoopReport, text_of
 from teleop.process import Stop
 from teleop.remote.requests import call_reset, call_stop
 from teleop.remote.stop import SIDES, state_of, stops_of
 from teleop.session import State
-from teleop.topics import REPORT, STATE, TENDONS, Role, role_name
+from teleop.topics import LATENCY, REPORT, STATE, TENDONS, Role, role_name
 
 START_S = 120.0  # without a word of the slave; the first start compiles estimator and plant
 _LOOK_S = 0.1
 
 
 class Hearing:
-    """What has been heard of a session: the newest report of each loop, and events in words."""
+    """What has been heard of a session: the newest reports, the latency, and events in words."""
 
     def __init__(self) -> None:
         self.reports: dict[Role, LoopReport] = {}
+        self.latency: Latency | None = None
         self._said: dict[int, str] = {}  # last, by each role
 
     @property
@@ -39,6 +40,8 @@ class Hearing:
                 report = LoopReport.unpack(item.data)
                 if report.role in (Role.MASTER, Role.SLAVE):
                     self.reports[Role(report.role)] = report
+            elif item.topic is LATENCY:
+                self.latency = Latency.unpack(item.data)
             else:
                 event = Event.unpack(item.data)
                 text = text_of(event.text)
@@ -155,6 +158,6 @@ def watch(
         if not hearing.running and time.monotonic() > patience:
             raise TeleopError(f"the loops did not start within {START_S:g} s")
         state, tendons = link.latest(STATE).message, link.latest(TENDONS).message
-        status.show(status_text(hearing.reports, state, tendons))
+        status.show(status_text(hearing.reports, state, tendons, hearing.latency))
         keyboard.look(_LOOK_S)
     return None

@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from teleop.topics import COMMAND, HAND, LEDGER, REPORT, STATE, TENDONS, Topic
+from teleop.messages import STAGE_NAMES
+from teleop.topics import COMMAND, HAND, LATENCY, LEDGER, REPORT, STATE, TENDONS, Topic
 from teleop.view import colours
 
+STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.ASKED, colours.TRUTH)
 LOSS, LATENESS = colours.PHASES[2], colours.PHASES[4]
 
 
@@ -24,6 +26,7 @@ class Curve:
     width: float = 1.5  # [points]
     factor: float = 1.0  # shown = factor * field
     positive_only: bool = False  # 0 and below stand for "none"
+    entry: int | None = None  # of an array field, where the group is not over its entries
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +117,14 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
             Curve("loss/{}/lost", "lost", "lost", LOSS),
             Curve("loss/{}/rejected", "rejected", "rejected", colours.ASKED),
             Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH),
+        ),
+    ),),
+    LATENCY: (CurveGroup(
+        "sender",
+        tuple(
+            Curve(f"budget/{{}}/{k}", "p50_ns", name, colour, factor=_MS, entry=k,
+                  positive_only=True)
+            for k, (name, colour) in enumerate(zip(STAGE_NAMES, STAGE_COLOURS, strict=True))
         ),
     ),),
 }  # fmt: skip

@@ -85,6 +85,7 @@ def _experiment(views: "_Views") -> Part:
                 views.energy(),
                 views.curves("Rate [Hz]", ["rate"]),
                 views.curves("Latency [ms]", ["latency"]),
+                views.curves("Budget [ms]", ["budget"]),
                 views.curves("Age [ms]", ["age"]),
                 views.curves("Lost", ["loss"]),
                 name="Session",

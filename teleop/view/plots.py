@@ -71,14 +71,11 @@ class Plots:
                         values = own[curve.field][:, joint]
                         yield curve, f"{role}/joint_{joint}", role, own, values
         elif group.over == "sender":
+            sender = role_name(topic.publisher or Role.LAUNCHER)
             for curve in group.curves:
-                yield (
-                    curve,
-                    "",
-                    role_name(topic.publisher or Role.LAUNCHER),
-                    rows,
-                    rows[curve.field],
-                )
+                field = rows[curve.field]
+                values = field if curve.entry is None else field[:, curve.entry]
+                yield curve, sender, sender, rows, values
         else:
             tendons = group.over == "tendon"
             for index in range(int(rows["tendons"][-1]) if tendons else self._joints):

@@ -26,7 +26,6 @@ from slave.rig import RigSample
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
 from teleop.link import NEVER_NS, Latest
-from teleop.link.inbox import Arrived
 from teleop.messages import MAX_JOINTS, Command, SlaveState, Wire
 from teleop.session import State
 from teleop.topics import COMMAND, STATE
@@ -100,7 +99,7 @@ class Noise:
         return bytes(raw[: dice.choice([0, 3, len(raw) - 1, len(raw), len(raw)])])
 
     def tick(self, message, now):
-        arrived = [Arrived(data, now) for data in self.bytes(message, now)]
+        arrived = [(data, now) for data in self.bytes(message, now)]
         self.latest.take(arrived, overflowed=self.draw.flag(0.001))
         return self.latest
 

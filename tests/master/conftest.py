@@ -2,6 +2,7 @@ import sys
 
 import pytest
 
+from master.devices.hid.claims import CLAIMS
 from tests.hid.fake_hidraw import FakeHidraw
 
 
@@ -14,5 +15,6 @@ def hidraw(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "hidraw", bus)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    CLAIMS.forget()
     yield bus
     assert bus.misuse == []

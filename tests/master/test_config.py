@@ -11,6 +11,7 @@ from master.devices import DEVICES, open_device
 from master.devices.hid.config import AxisConfig, ButtonsConfig
 from master.devices.references import Reaches
 from master.devices.virtual import VirtualConfig
+from teleop import cli
 from teleop.config import load
 from teleop.errors import UsageError
 
@@ -35,7 +36,8 @@ def examples(tmp_path):
 
 
 def test_the_examples_in_the_docs_are_configs(tmp_path):
-    device, hid = examples(tmp_path)
+    device, combined, hid = examples(tmp_path)
+    assert [part.axis_count for part in combined.devices] == [2, 2]
     assert hid.axes == (
         AxisConfig("x", travel=0.06, force=2.5),
         AxisConfig("y", joint=1, speed=0.02, dead_zone=0.1),
@@ -88,7 +90,7 @@ def test_a_mistake_is_one_line_that_names_it(override, complaint):
 def test_the_master_of_every_config_that_comes_along_is_understood():
     paths = [path for path in CONFIGS.glob("*.yaml") if "\nmaster:" in path.read_text()]
     devices = {load(path, MasterConfig, "master").device.type for path in paths}
-    assert devices == {"virtual", "hid"}
+    assert devices == {"virtual", "hid", "combined"}
 
 
 def test_a_hand_may_press_for_ever():
@@ -110,3 +112,60 @@ def test_defaults_are_written_as_they_are_read(tmp_path):
 
     text = yaml.safe_dump({"master": as_tree(MasterConfig())})
     assert load(written(tmp_path, text), MasterConfig, "master") == MasterConfig()
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "device_rate_hz", "every"),
+    [(1000.0, None, 1), (1000.0, 1000.0, 1), (1000.0, 4000.0, 4), (100.0, 4000.0, 40)],
+)
+def test_a_command_is_sent_every_so_many_ticks_of_the_device(rate_hz, device_rate_hz, every):
+    config = MasterConfig(device_rate_hz=device_rate_hz)
+    config.check_rate(rate_hz)
+    assert config.commands_every(rate_hz) == every
+
+
+@pytest.mark.parametrize(
+    ("overrides", "complaint"),
+    [
+        (
+            ["master.device_rate_hz=2500"],
+            "master.device_rate_hz: 2500: must be a whole multiple of rate_hz (1000 Hz)",
+        ),
+        (
+            ["master.device_rate_hz=500"],
+            "master.device_rate_hz: 500: must be a whole multiple of rate_hz (1000 Hz)",
+        ),
+        (
+            ["master.device_rate_hz=8000"],
+            "--set master.device_rate_hz=8000: master.device_rate_hz: 8000.0: must be within "
+            "100 ... 4000 [Hz]",
+        ),
+        (
+            ["rate_hz=100"],
+            "slave.command_timeout: 0.028: must be at least 3 periods of rate_hz (0.03 s at "
+            "100 Hz)",
+        ),
+        (
+            ["rate_hz=100", "slave.command_timeout=0.04", "master.freshness=0.02"],
+            "master.freshness: 0.02: must be at least 3 periods of rate_hz (0.03 s at 100 Hz)",
+        ),
+        (
+            ["rate_hz=100", "slave.command_timeout=0.04", "slave.gate.tension_age_max=0.02"],
+            "slave.gate.tension_age_max: 0.02: must be at least 3 periods of rate_hz (0.03 s at "
+            "100 Hz)",
+        ),
+        (
+            ["slave.sample_timeout=0.002"],
+            "slave.sample_timeout: 0.002: must be at least 3 periods of rate_hz (0.003 s at "
+            "1000 Hz)",
+        ),
+    ],
+)
+def test_a_rate_that_does_not_go_with_the_rest_is_one_line_before_anything_starts(
+    overrides, complaint, capsys
+):
+    words = [word for override in overrides for word in ("--set", override)]
+    commands = {complaint.removeprefix("--set ").partition(".")[0], "run"}
+    for command in sorted(commands):
+        assert cli.main([command, *words]) == 2
+        assert capsys.readouterr().err.strip().removeprefix("teleop: ") == complaint

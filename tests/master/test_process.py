@@ -6,23 +6,24 @@ import time
 from dataclasses import replace
 
 import pytest
-from teleop.remote.door import CALL, RESET, Door
 
 from master import devices, loop, process
 from master.config import MasterConfig
 from master.device import DeviceFault, DeviceLost, HandState
 from master.devices.virtual import VirtualConfig
 from master.gate import FADE_S
-from master.process import Master, run
+from master.process import LATE_ANSWERS, TRY_EVERY, WAIT, Master, run
 from teleop.clock import Grid, now_ns
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
 from teleop.messages import (
+    STAGE_NAMES,
     Command,
     EmergencyStop,
     Event,
     Hand,
+    Latency,
     Ledger,
     LoopReport,
     Setting,
@@ -31,12 +32,14 @@ from teleop.messages import (
     text_bytes,
     text_of,
 )
-from teleop.session import Reason, Session, State
+from teleop.remote.requests import CALL, RESET, RequestListener
+from teleop.session import Reason, State, outline
 from teleop.topics import (
     ANSWER,
     COMMAND,
     EVENT,
     HAND,
+    LATENCY,
     LEDGER,
     REPORT,
     SETTING,
@@ -57,31 +60,60 @@ class Line:
         self.sequence = 0
         self.conflict = None
         self.answering = True
+        self.late = 0  # looks that an answer takes; 0 = it is there at once
+        self.under_way, self.waits = [], 0
+        self.waited = set()  # numbers of the commands whose answers were waited for
+        self.told = {}  # what the slave says instead
 
     def publish(self, topic, message):
+        self.sent.append((topic, message))
+        return now_ns()
+
+    def publish_packet(self, topic, packet):
         stamp = now_ns()
+        message = topic.message.unpack(packet.seal(self.nonce, len(self.sent) + 1, stamp))
         self.sent.append((topic, message))
         if topic is COMMAND and self.answering:
-            asked = State(message.state)
-            self.sequence += 1
-            state = SlaveState(
-                state=asked if asked == State.ENGAGED else State.READY,
-                joints=1,
-                echo_stamp_ns=stamp,
-                force=padded((5.0,), 8),
-                force_low=padded((4.0,), 8),
-                force_high=padded((6.0,), 8),
-            )
-            data = state.pack(self.nonce, self.sequence, stamp)
-            self.latest_state.take([(data, now_ns())])
+            self.under_way.append((self.late, self.answer(message)))
         return stamp
+
+    def answer(self, command):
+        asked = State(command.state)
+        fields = {
+            "state": asked if asked == State.ENGAGED else State.READY,
+            "joints": 1,
+            "echo_stamp_ns": command.stamp_ns,
+            "force": padded((5.0,), 8),
+            "force_low": padded((4.0,), 8),
+            "force_high": padded((6.0,), 8),
+            "answer_ns": 1000,
+        }
+        return SlaveState(**(fields | self.told))
 
     def subscribe_latest(self, topic, limit_ns):
         assert topic is STATE
         assert limit_ns == 30_000_000
+        return self.latest_state
+
+    def wait(self, topic, deadline_ns):
+        assert topic is STATE
+        self.waits += 1
+        self.waited.add(len(self.of(COMMAND)))
+        if any(looks == 0 for looks, _ in self.under_way):
+            return True
+        time.sleep(max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9))
+        return False
 
     def latest(self, topic):
         assert topic is STATE
+        here = [state for looks, state in self.under_way if looks == 0]
+        self.under_way = [(looks - 1, state) for looks, state in self.under_way if looks]
+        arrived = []
+        for state in here:
+            self.sequence += 1
+            data = state.pack(self.nonce, self.sequence, now_ns())
+            arrived.append((data, now_ns()))
+        self.latest_state.take(arrived)
         return self.latest_state
 
     def listen(self, topics):
@@ -178,10 +210,170 @@ def test_events_tell_each_change_once_and_the_end():
 def test_round_trips_are_measured_from_our_own_commands():
     master, line, _ = driven(Stylus())
     summary = master.summary()
-    assert summary["latency_ms"]["n"] == 39
+    assert summary["latency_ms"]["n"] == 40
     trips = [hand.round_trip_ns for hand in line.of(HAND)]
-    assert trips[0] == 0
-    assert all(0 < trip < 10**9 for trip in trips[1:])
+    assert all(0 < trip < 10**9 for trip in trips)
+
+
+def ticking(line, device, rate_hz=1000.0):
+    grid = Grid(rate_hz, lambda: False)
+    master, ticks = Master(MasterConfig(), line, device, grid), iter(grid)
+
+    def run_on(count):
+        for _ in range(count):
+            master.tick(next(ticks))
+
+    return master, run_on
+
+
+def test_the_force_is_that_of_the_answer_to_the_tick_s_own_command():
+    line, device = Line(), Stylus()
+    _, run_on = ticking(line, device)
+    run_on(60)
+    assert device.forces[-1][0] < -0.1
+    line.told = {"force": padded((-5.0,), 8), "force_low": padded((-6.0,), 8)}
+    line.told["force_high"] = padded((-4.0,), 8)
+    before = device.forces[-1][0]
+    run_on(1)
+    assert device.forces[-1][0] > before  # on its way there, as fast as forces may change
+
+
+def test_states_that_answer_older_commands_are_not_waited_for_but_looked_behind():
+    class Chatty(Line):
+        """Between command and answer there are states that a deadline of the slave sent."""
+
+        def wait(self, topic, deadline_ns):
+            if self.old:
+                self.under_way.insert(0, (0, self.old.pop()))
+            return super().wait(topic, deadline_ns)
+
+        def publish_packet(self, topic, packet):
+            before = self.of(COMMAND)
+            stamp = super().publish_packet(topic, packet)
+            if topic is COMMAND and before:
+                self.old = [replace(self.answer(before[-1]), answer_ns=0)] * 3
+                self.under_way = [(3, state) for _, state in self.under_way]
+            return stamp
+
+        old = ()
+
+    line = Chatty()
+    master, run_on = ticking(line, Stylus(), rate_hz=50.0)  # time for all of them
+    run_on(40)
+    commands = line.of(COMMAND)
+    assert line.latest_state.message.echo_stamp_ns == commands[-1].stamp_ns
+    assert all(hand.round_trip_ns > 0 for hand in line.of(HAND))
+    assert line.waits >= 4 * 39
+    assert master.summary()["stages_us"]["all"]["n"] == 40
+
+
+def test_a_wait_ends_at_its_time_though_states_keep_coming():
+    class Flood(Line):
+        def wait(self, topic, deadline_ns):  # noqa: ARG002
+            return True  # always something, never the answer
+
+    line = Flood()
+    line.late = 10**9
+    _, run_on = ticking(line, Stylus(), rate_hz=100.0)
+    begin = time.monotonic()
+    run_on(5)
+    assert time.monotonic() - begin < 1.0
+
+
+class Late(Line):
+    """A link on which answers come some commands later."""
+
+    commands = 2
+
+    def publish_packet(self, topic, packet):
+        stamp = super().publish_packet(topic, packet)
+        if topic is COMMAND:
+            answers = [*self.held, *self.under_way]
+            there = max(0, len(answers) - self.commands)
+            self.under_way, self.held = answers[:there], answers[there:]
+        return stamp
+
+    held = ()
+
+
+def test_on_a_link_that_is_always_late_no_time_is_spent_waiting_but_now_and_then():
+    line, device = Late(), Stylus()
+    master, run_on = ticking(line, device)
+    run_on(LATE_ANSWERS + 1)
+    assert len(line.waited) == LATE_ANSWERS + 1
+    run_on(TRY_EVERY - LATE_ANSWERS - 1)
+    assert len(line.waited) == LATE_ANSWERS + 1
+    run_on(1)
+    assert len(line.waited) == LATE_ANSWERS + 2
+    run_on(TRY_EVERY - 1)
+    assert len(line.waited) == LATE_ANSWERS + 2
+    assert device.forces[-1][0] < -0.5  # the newest state is rendered all the same
+    assert master.summary()["latency_ms"]["n"] > TRY_EVERY
+    assert master.summary()["stages_us"]["all"]["n"] == 0  # none was answered in its own tick
+    line.commands, before = 0, len(line.waited)
+    run_on(TRY_EVERY + 10)
+    assert len(line.waited) >= before + 10  # they are waited for again
+
+
+def test_what_does_not_come_is_waited_for_a_part_of_the_period():
+    line = Line()
+    line.answering = False
+    master, run_on = ticking(line, Stylus(), rate_hz=100.0)
+    run_on(10)
+    assert WAIT * 1e4 <= master.summary()["work_us"]["p50"] < 1e4
+
+
+@pytest.mark.parametrize(
+    ("told", "reason"),
+    [
+        ({"state": State.FAULT, "reason": Reason.RIG_FAULT}, Reason.PEER_FAULT),
+        ({"state": State.STOPPED, "reason": Reason.STOP_CALLED}, Reason.PEER_STOPPED),
+        ({"state": State.OFF}, Reason.PEER_ENDED),
+        ({"force": padded((float("nan"),), 8)}, Reason.NOT_FINITE),
+    ],
+)
+def test_what_an_answer_tells_takes_the_force_off_in_the_tick_that_waited_for_it(told, reason):
+    line, device = Line(), Stylus()
+    master, run_on = ticking(line, device)
+    run_on(60)
+    assert device.forces[-1][0] < -0.5
+    line.told = told
+    run_on(1)
+    assert device.forces[-1] == (0.0,)
+    assert outline(master.memory.session).reason == reason
+    assert line.of(COMMAND)[-1].state == State.ENGAGED  # it was sent before
+
+
+def test_the_stages_of_the_latency_add_up():
+    line = Line()
+    master, _, _ = driven(Stylus(), line, ticks=240, rate_hz=400.0)
+    (first, *_) = line.of(LATENCY)
+    assert first.role == Role.MASTER
+    assert 0 < first.answered <= 240
+    *parts, whole = zip(first.p50_ns, first.p99_ns, first.p99_9_ns, first.max_ns, strict=True)
+    assert len(parts) == len(STAGE_NAMES) - 1 == 4
+    for quantiles in (*parts, whole):
+        assert list(quantiles) == sorted(quantiles)
+        assert quantiles[0] > 0
+    assert max(part[-1] for part in parts) <= whole[-1] <= sum(part[-1] for part in parts)
+    assert parts[2] == (1000,) * 4  # what the slave said
+    stages = master.summary()["stages_us"]
+    assert set(stages) == set(STAGE_NAMES)
+    assert {stage["n"] for stage in stages.values()} == {240}
+
+
+def test_of_each_command_the_stages_are_all_of_its_time():
+    added = []
+    line = Line()
+    master, run_on = ticking(line, Stylus())
+    master._meter.stages.add = added.append
+    run_on(20)
+    trips = [hand.round_trip_ns for hand in line.of(HAND)]
+    assert len(added) == 20
+    for (read, link, answered, written, whole), trip in zip(added, trips, strict=True):
+        assert read + link + answered + written == whole
+        assert whole == read + trip
+        assert min(read, link, answered, written) > 0
 
 
 def test_reports_come_twice_a_second():
@@ -209,20 +401,76 @@ def test_a_device_that_fails_ends_the_session_in_fault_and_without_force(fails):
     assert texts[-2:] == [f"fault: {Reason.DEVICE_FAULT.text}", f"off: {master.error}"]
 
 
+def freezing(monkeypatch, phase, at, decided, what):
+    """Have the process freeze after the decisions `at`, of one phase, as a SIGSTOP would."""
+    whole = getattr(loop, phase)
+
+    def run_phase(*args):
+        verdict = whole(*args)
+        decided.append(what(args))
+        if len(decided) in at:
+            time.sleep(0.05)
+        return verdict
+
+    monkeypatch.setattr(loop, phase, run_phase)
+
+
 def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
-    decided, whole = [], loop.step
-
-    def freezing(*args):
-        output = whole(*args)
-        decided.append(output[0].force)
-        if len(decided) == 30:
-            time.sleep(0.05)  # what a SIGSTOP between decision and write is
-        return output
-
-    monkeypatch.setattr(loop, "step", freezing)
+    decided = []
+    freezing(monkeypatch, "run_force", (30,), decided, lambda args: args[-1][0])
     device = Stylus()
     driven(device)
-    assert decided[29][0] < -0.1
+    assert decided[29] < -0.1
+    assert device.forces[28][0] < -0.1
+    assert device.forces[29] == (0.0,)
+
+
+def test_one_that_froze_twice_remembers_the_force_that_it_wrote(monkeypatch):
+    decided = []
+    freezing(monkeypatch, "run_force", (30, 31), decided, lambda args: args[-1][0])
+    device = Stylus()
+    _, line, _ = driven(device)
+    assert [hand.force[0] for hand in line.of(HAND)] == [force for (force,) in device.forces[:-1]]
+
+
+def test_one_that_froze_before_it_commanded_commands_what_it_then_knows(monkeypatch):
+    decided = []
+    freezing(monkeypatch, "run_command", (30,), decided, lambda args: args[-1]["state"][0])
+    device = Stylus()
+    _, line, _ = driven(device)
+    assert decided[29] == State.ENGAGED
+    command = line.of(COMMAND)[29]
+    assert (command.state, command.reason) == (State.HOLDING, Reason.PEER_SILENT)
+    assert device.forces[29] == (0.0,)
+
+
+class LetGo(Stylus):
+    """A device whose switch is let go of in one tick."""
+
+    def read(self, time_s):
+        hand = super().read(time_s)
+        return replace(hand, engage=hand.engage and self.reads < 30)
+
+
+def test_a_hand_that_let_go_is_without_force_in_that_tick_though_both_decisions_froze(monkeypatch):
+    freezing(monkeypatch, "run_command", (30, 31), [], lambda _: None)
+    device = LetGo()
+    _, line, _ = driven(device)
+    assert device.forces[28][0] < -0.1
+    assert device.forces[29] == (0.0,)
+    assert line.of(COMMAND)[29].state != State.ENGAGED
+
+
+def test_one_that_froze_while_it_waited_renders_nothing_old():
+    class Frozen(Line):
+        def wait(self, topic, deadline_ns):
+            if len(self.of(COMMAND)) == 30:
+                time.sleep(0.1)
+                return False
+            return super().wait(topic, deadline_ns)
+
+    device = Stylus()
+    driven(device, Frozen())
     assert device.forces[28][0] < -0.1
     assert device.forces[29] == (0.0,)
 
@@ -295,7 +543,7 @@ def test_a_slave_that_stops_answering_is_felt_no_longer():
     assert all(force == 0.0 for age, force in forces if age > 30_000_000 + FADE_S * 1e9)
     assert any(force < 0.0 for age, force in forces)
     assert forces[-1][0] > 30_000_000
-    assert master.memory.session == Session(State.HOLDING, Reason.PEER_SILENT)
+    assert outline(master.memory.session) == (State.HOLDING, Reason.PEER_SILENT)
 
 
 def called(topic, message, sender=77, sequence=1):
@@ -333,16 +581,16 @@ def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset()
     for _ in range(20):
         master.tick(next(ticks))
         assert device.forces[-1] == (0.0,)  # the switch is still held
-    assert master.memory.session == Session(State.READY, Reason.RELEASE_FIRST)
+    assert outline(master.memory.session) == (State.READY, Reason.RELEASE_FIRST)
 
 
 def test_our_own_words_come_back_to_us_and_are_not_obeyed():
     line = Line()
-    door = Door(line)
+    requests = RequestListener(line)
     line.heard = [called(STOP, EmergencyStop(action=CALL), sender=line.nonce)]
-    assert door(now_ns()).stop is Reason.NONE
+    assert requests(now_ns()).stop is Reason.NONE
     line.heard = [called(STOP, EmergencyStop(action=99))]  # of a later version: better stop
-    assert door(now_ns()).stop is Reason.STOP_CALLED
+    assert requests(now_ns()).stop is Reason.STOP_CALLED
 
 
 class RedButton(Stylus):
@@ -466,4 +714,5 @@ def test_the_help_shows_settings_that_exist():
 def test_what_goes_out_is_what_the_table_says():
     _, line, _ = driven(Stylus())
     kinds = {COMMAND: Command, HAND: Hand, EVENT: Event, REPORT: LoopReport, LEDGER: Ledger}
+    kinds[LATENCY] = Latency
     assert all(type(message) is kinds[topic] is topic.message for topic, message in line.sent)

@@ -5,7 +5,6 @@ link, and a slave with its simulated rig in a process of its own.
 """
 
 import pytest
-from teleop.remote.door import call_reset
 
 from master.config import MasterConfig
 from master.devices.hid import search, signs
@@ -17,6 +16,7 @@ from master.process import Master
 from teleop.clock import Grid
 from teleop.config import load
 from teleop.link import Link
+from teleop.remote.requests import call_reset
 from teleop.run_config import RunConfig
 from teleop.session import Reason, State
 from teleop.topics import STATE, Role
@@ -132,7 +132,7 @@ class Console:
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     folder = tmp_path_factory.mktemp("session")
-    patient = "slave.freshness=0.5"
+    patient = "slave.command_timeout=0.5"
     with Processes(folder, ROOT / "configs" / "demo.yaml", patient) as processes:
         processes.start("slave")
         yield processes

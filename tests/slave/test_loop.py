@@ -15,7 +15,7 @@ from slave.config import SlaveConfig, TendonConfig
 from slave.gate import GateConfig, Verdict
 from slave.rig import RigSample
 from teleop import session
-from teleop.messages import MAX_JOINTS, Command
+from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command
 from teleop.session import Reason, State
 from tests.slave.slave_bench import DT, SlaveBench
 
@@ -398,6 +398,30 @@ def test_a_sample_without_encoders_keeps_nothing_of_the_row_before():
     assert all(math.isnan(column[0]) for column in gone)
 
 
+@pytest.mark.parametrize("short", [0, 1])
+def test_a_sample_of_too_few_or_too_many_tendons_is_no_reading_of_what_is_in_memory(short):
+    rows = loop.EstimatedSample.array(2)
+    before = rows[1].copy()
+    many = np.arange(float(2 * MAX_TENDONS))
+    few = many[:short]
+    loop.fill_sample(rows, 0, RigSample(0.0, many, few, few, few))
+    row = rows[0]
+    assert row["tendons"]["tension"].tolist() == many[:MAX_TENDONS].tolist()
+    for column in (row["tendons"]["displacement"], row["bench_tension"], row["bench_displacement"]):
+        assert column[:short].tolist() == few.tolist()
+        assert np.isnan(column[short:]).all()
+    assert rows[1].tobytes() == before.tobytes()
+
+
+def test_a_sample_that_lacks_a_tendon_is_silence_and_not_the_one_before():
+    slave = SlaveBench(loop.rig_model(JOINT_AND_PAIR, MODELS * 3), CONFIG, True)
+    rows = loop.EstimatedSample.array()
+    for k, tendons in enumerate((3, 3, 2)):
+        loop.fill_sample(rows, 0, RigSample(k * DT, np.full(tendons, 5.0), np.zeros(tendons)))
+        slave.slave.estimate(*slave.slave.estimated, rows, 1)
+    assert rows["tendons"]["valid"][0, :3].tolist() == [True, True, False]
+
+
 JOINT_AND_PAIR = ((0,), (1, 2))
 
 
@@ -451,3 +475,18 @@ def test_whatever_comes_in_the_motors_stay_within_their_limits(displacement, tic
                 assert output.motor[0] < was
                 assert tension >= limits.tension_max
                 assert session.may_yield(slave.memory.session)
+
+
+def test_arrays_of_any_kind_are_taken_without_compiling_anew():
+    rows = loop.EstimatedSample.array()
+    numbers = np.array([1.5, 2.5])
+    read_only = numbers.copy()
+    read_only.flags.writeable = False
+    kinds = [numbers, np.repeat(numbers, 3)[::3], read_only, numbers.astype(np.float32)]
+    loop.fill_sample(rows, 0, RigSample(0.0, numbers, numbers))
+    compiled_before = len(loop._fill_row.signatures)
+    for kind in kinds:
+        loop.fill_sample(rows, 0, RigSample(1, kind, kind, kind, kind))
+        assert rows["tendons"]["tension"][0, :2].tolist() == [1.5, 2.5]
+        assert rows["bench_displacement"][0, :2].tolist() == [1.5, 2.5]
+    assert len(loop._fill_row.signatures) == compiled_before

@@ -5,22 +5,24 @@ import math
 import signal
 import socket
 import time
+from functools import partial
 
 import numpy as np
 import pytest
-from teleop.remote.door import CALL, RESET, Door
 
 from slave import loop, process, rigs
 from slave.calibration.config import InitialiseConfig
 from slave.config import SlaveConfig, TendonConfig
-from slave.process import Slave, run
+from slave.process import SlaveProcess, run
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated import SimulatedRigConfig
-from teleop.clock import Grid, now_ns
+from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
+from teleop.link.inbox import Arrived
 from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
-from teleop.session import Reason, Session, State
+from teleop.remote.requests import CALL, RESET, RequestListener
+from teleop.session import Reason, State, outline
 from teleop.topics import (
     COMMAND,
     EVENT,
@@ -46,28 +48,52 @@ class Line:
 
     nonce, role = 5, Role.SLAVE
 
-    def __init__(self, pressed_after=5):
+    def __init__(self, pressed_after=5, rate_hz=1000.0):
         self.sent, self.heard = [], []
         self.latest_command = Latest(COMMAND, lambda _: True)
         self.pressed_after, self.sequence, self.conflict = pressed_after, 0, None
         self.master_state = None  # whatever is pressed
+        self.commanding = True
+        self.period_ns, self.due_ns = round(1e9 / rate_hz), 0
+        self.stamps = []  # [ns] of the commands
 
     def publish(self, topic, message):
         stamp = now_ns()
         self.sent.append((topic, message))
         return stamp
 
+    def publish_packet(self, topic, packet):
+        stamp = now_ns()
+        message = topic.message.unpack(packet.seal(self.nonce, len(self.sent) + 1, stamp))
+        self.sent.append((topic, message))
+        return stamp
+
+    def subscribe_latest(self, topic, limit_ns):
+        assert topic is COMMAND
+        assert limit_ns == round(CONFIG.command_timeout * 1e9)
+        return self.latest_command
+
+    def wait(self, topic, deadline_ns):
+        assert topic is COMMAND
+        until_ns = min(self.due_ns, deadline_ns) if self.commanding else deadline_ns
+        time.sleep(max(0.0, (until_ns - time.monotonic_ns()) * 1e-9))
+        self.due_ns = time.monotonic_ns() + self.period_ns
+        return self.commanding
+
     def latest(self, topic):
         assert topic is COMMAND
-        self.sequence += 1
-        pressed = self.sequence > self.pressed_after
-        command = Command(
-            state=self.master_state or (State.ENGAGED if pressed else State.READY),
-            position=padded((self.sequence * PULL,), MAX_JOINTS),
-        )
-        stamp = now_ns()
-        data = command.pack(self.nonce, self.sequence, stamp)
-        self.latest_command.take([data], stamp, overflowed=False)
+        arrived = []
+        if self.commanding:
+            self.sequence += 1
+            pressed = self.sequence > self.pressed_after
+            command = Command(
+                state=self.master_state or (State.ENGAGED if pressed else State.READY),
+                position=padded((self.sequence * PULL,), MAX_JOINTS),
+            )
+            self.stamps.append(now_ns())
+            data = command.pack(self.nonce, self.sequence, self.stamps[-1])
+            arrived = [Arrived(data, now_ns())]
+        self.latest_command.take(arrived)
         return self.latest_command
 
     def listen(self, topics):
@@ -106,10 +132,19 @@ class Bench:
     joints = ((0,),)
     starts_at_zero = False
 
-    def __init__(self, encoder=START, read_fails_at=None, write_fails_at=None, error=RigFault):
+    def __init__(
+        self,
+        encoder=START,
+        read_fails_at=None,
+        write_fails_at=None,
+        advance_fails_at=None,
+        error=RigFault,
+    ):
         self.reads, self.writes, self.closed, self.after_fault = 0, [], 0, 0
         self.encoder, self.error, self.failed = encoder, error, False
+        self.advances = 0
         self.read_fails_at, self.write_fails_at = read_fails_at, write_fails_at
+        self.advance_fails_at = advance_fails_at
 
     def fail(self):
         self.failed = True
@@ -129,6 +164,12 @@ class Bench:
         if self.write_fails_at is not None and len(self.writes) == self.write_fails_at:
             self.fail()
         self.writes.append(proximal_displacement.tolist())
+
+    def advance(self):
+        self.after_fault += self.failed
+        self.advances += 1
+        if self.advances == self.advance_fails_at:
+            self.fail()
 
     def summary(self):
         return {"reads": self.reads}
@@ -151,14 +192,22 @@ class Until:
         self.reason = self.reason or reason
 
 
+def started(rig, line, stop, rate_hz=1000.0):
+    clock = EventClock(rate_hz, stop, partial(line.wait, COMMAND))
+    model = loop.rig_model(rig.joints, [TENDON.model()])
+    return SlaveProcess(CONFIG, line, rig, model, clock), clock
+
+
 def driven(rig, line=None, ticks=40, rate_hz=1000.0):
-    line = Line() if line is None else line
-    model = TENDON.model()
+    line = Line(rate_hz=rate_hz) if line is None else line
     stop = Until(ticks)
-    grid = Grid(rate_hz, stop)
-    slave = Slave(CONFIG, line, rig, loop.know(rig.joints, [model]), grid)
-    run(slave, grid, stop.request)
+    slave, clock = started(rig, line, stop, rate_hz)
+    run(slave, clock, stop.request)
     return slave, line, stop
+
+
+def side_of(slave):
+    return outline(slave.memory.session)
 
 
 def test_nothing_is_written_before_the_operator_has_engaged():
@@ -197,7 +246,7 @@ def test_a_rig_that_cannot_tell_where_it_stands_is_never_written_to_and_says_why
     assert len(line.said()) == 2
 
 
-@pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
+@pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at", "advance_fails_at"])
 def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
     rig = Bench(**{fails: 20})
     slave, line, stop = driven(rig)
@@ -208,6 +257,114 @@ def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
         assert (state.state, state.reason) == (State.FAULT, Reason.RIG_FAULT)
     assert line.said()[-2:] == [f"fault: {Reason.RIG_FAULT.text}", f"off: {slave.error}"]
     assert slave.summary()["reason"] == Reason.RIG_FAULT.text
+
+
+def test_a_rig_that_fails_to_advance_has_moved_where_it_was_told_to():
+    rig = Bench(advance_fails_at=20)
+    _, line, _ = driven(rig)
+    assert line.of(TENDONS)[-1].commanded_displacement[0] == rig.writes[-1][0]
+    assert len(line.of(TENDONS)) == 20
+    assert sum(state.joints == 0 for state in line.of(STATE)) == 1  # the last word alone
+
+
+def test_a_command_is_answered_with_its_stamp_and_the_time_that_it_took():
+    begin = now_ns()
+    _, line, _ = driven(Bench())
+    states = line.of(STATE)[:-1]
+    assert [state.echo_stamp_ns for state in states] == line.stamps
+    for state in states:
+        assert 0 < state.answer_ns <= state.stamp_ns - state.echo_stamp_ns
+    assert sum(state.answer_ns for state in states) < now_ns() - begin
+    assert line.of(STATE)[-1].answer_ns == 0
+
+
+def test_a_tick_that_no_command_asked_for_answers_none():
+    line = Line()
+    stop = Until(30)
+    slave, clock = started(Bench(), line, stop)
+    for number, tick in enumerate(clock, start=1):
+        slave.tick(tick)
+        line.commanding = number < 20
+    states = line.of(STATE)
+    assert [state.answer_ns > 0 for state in states] == [True] * 20 + [False] * 10
+    assert {state.echo_stamp_ns for state in states[19:]} == {line.stamps[-1]}
+
+
+def test_what_arrives_and_is_no_command_is_not_answered():
+    line = Line()
+    stop = Until(30)
+    slave, clock = started(Bench(), line, stop)
+    whole = line.latest_command.take
+
+    def damaged(arrived):
+        whole([Arrived(item.data[:-1] + b"?", item.received_ns) for item in arrived])
+
+    for number, tick in enumerate(clock, start=1):
+        slave.tick(tick)
+        if number == 20:
+            line.latest_command.take = damaged
+    assert [state.answer_ns > 0 for state in line.of(STATE)] == [True] * 20 + [False] * 10
+    assert line.latest_command.counts.corrupted == 10
+
+
+class Witness(Bench):
+    """A rig that notes when it is called, among what its line publishes."""
+
+    def __init__(self, line, **fails):
+        super().__init__(**fails)
+        self.line = line
+
+    def note(self, name):
+        self.line.sent.append((name, None))
+
+    def read(self, time_s):
+        self.note("read")
+        return super().read(time_s)
+
+    def write(self, proximal_displacement):
+        self.note("write")
+        super().write(proximal_displacement)
+
+    def advance(self):
+        self.note("advance")
+        super().advance()
+
+
+def order(line):
+    """What was done in each tick, as far as somebody waits for it."""
+    told = ("read", "write", "advance", STATE)
+    ticks = []
+    for what, _ in line.sent:
+        if what == "read":
+            ticks.append([])
+        if what in told and ticks:
+            ticks[-1].append("answer" if what is STATE else what)
+    return ticks
+
+
+def test_the_answer_is_out_before_the_rig_is_advanced_once_a_tick():
+    line = Line()
+    driven(Witness(line), line)
+    ticks = order(line)
+    assert len(ticks) == 40
+    assert ticks[:5] == [["read", "answer", "advance"]] * 5
+    assert ticks[5:-1] == [["read", "write", "answer", "advance"]] * 34
+    assert ticks[-1] == ["read", "write", "answer", "advance", "answer"]
+
+
+@pytest.mark.parametrize(
+    ("fails", "error", "last"),
+    [
+        ("read_fails_at", RigFault, ["read", "answer", "answer"]),
+        ("read_fails_at", RigFinished, ["read", "answer", "answer"]),
+        ("write_fails_at", RigFault, ["read", "write", "answer", "answer"]),
+        ("advance_fails_at", RigFault, ["read", "write", "answer", "advance", "answer", "answer"]),
+    ],
+)
+def test_a_rig_is_not_advanced_after_a_fault(fails, error, last):
+    line = Line()
+    driven(Witness(line, **{fails: 20}, error=error), line)
+    assert order(line)[-1] == last
 
 
 def test_what_a_failed_write_asked_for_is_not_told_as_done():
@@ -227,7 +384,7 @@ def test_the_last_sample_ends_the_session_without_error():
     assert line.said()[-1] == f"off: {Reason.RIG_FINISHED.text}"
 
 
-@pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
+@pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at", "advance_fails_at"])
 def test_whatever_else_goes_wrong_the_others_are_told(fails):
     line = Line()
     with pytest.raises(ZeroDivisionError):
@@ -237,22 +394,54 @@ def test_whatever_else_goes_wrong_the_others_are_told(fails):
     assert line.said()[-1].startswith("off: ")
 
 
+def freezing(monkeypatch, at, decided):
+    """Have the process freeze after the decision of tick `at`, as a SIGSTOP would."""
+    whole = loop.tick
+
+    def tick(*args):
+        verdict = whole(*args)
+        decided.append(args[2]["motor"][0, 0])
+        if len(decided) in at:
+            time.sleep(0.05)
+        return verdict
+
+    monkeypatch.setattr(loop, "tick", tick)
+
+
 def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
-    decided, whole = [], loop.step
-
-    def freezing(*args):
-        output = whole(*args)
-        decided.append(output[0].motor)
-        if len(decided) == 20:
-            time.sleep(0.05)  # what a SIGSTOP between decision and write is
-        return output
-
-    monkeypatch.setattr(loop, "step", freezing)
+    decided = []
+    freezing(monkeypatch, (20,), decided)
     rig = Bench()
     _, line, _ = driven(rig)
-    assert decided[19] not in map(tuple, rig.writes)
+    assert decided[19] not in [written for (written,) in rig.writes]
     assert rig.writes[14] == rig.writes[13]
     assert Reason.PEER_SILENT in [state.reason for state in line.of(STATE)]
+
+
+def test_one_that_froze_twice_moves_nothing_in_that_tick(monkeypatch):
+    decided = []
+    freezing(monkeypatch, (20, 21), decided)
+    rig = Bench()
+    driven(rig)
+    assert rig.writes[14] == rig.writes[13]
+
+
+class Loaded(Bench):
+    """A rig with a clock of its own, whose tendon is pulled and let go."""
+
+    def read(self, time_s):
+        (sample,) = super().read(time_s)
+        tension = np.array([5.0 + 3.0 * math.sin(0.4 * self.reads)])
+        return (RigSample(1e-3 * self.reads, tension, sample.proximal_displacement),)
+
+
+def test_a_tick_that_is_taken_back_leaves_no_trace_in_the_estimates(monkeypatch):
+    _, undisturbed, _ = driven(Loaded())
+    freezing(monkeypatch, (20,), [])
+    _, frozen, _ = driven(Loaded())
+    told = [[m.distal_tension[0] for m in line.of(TENDONS)] for line in (undisturbed, frozen)]
+    assert np.ptp(told[0]) > 1.0
+    assert told[0] == told[1]
 
 
 def test_a_second_slave_ends_the_session():
@@ -265,8 +454,8 @@ def test_a_second_slave_ends_the_session():
 
 def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master_s_help():
     rig, line = Bench(), Line()
-    slave = Slave(CONFIG, line, rig, loop.know(rig.joints, [TENDON.model()]), Grid(1000.0, bool))
-    ticks = iter(Grid(1000.0, lambda: False))
+    slave, clock = started(rig, line, lambda: False)
+    ticks = iter(clock)
 
     def run_on(count):
         for _ in range(count):
@@ -284,7 +473,7 @@ def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master
     call(CALL, 1)
     run_on(1)
     held = rig.writes[-1]
-    assert slave.memory.session == Session(State.STOPPED, Reason.STOP_CALLED)
+    assert side_of(slave) == (State.STOPPED, Reason.STOP_CALLED)
     assert line.said()[-1] == f"stopped: {Reason.STOP_CALLED.text}: remote: a nurse"
     run_on(50)  # the master goes on commanding
     stops = line.of(STATE)[-1].stops
@@ -294,11 +483,11 @@ def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master
     run_on(1)
     call(RESET, 4, 78, side=Role.SLAVE, number=stops)  # by nobody who is there
     run_on(1)
-    assert slave.memory.session.state is State.STOPPED
+    assert side_of(slave).state is State.STOPPED
     call(RESET, 5, side=Role.SLAVE, number=stops)
     run_on(50)
     assert all(written == held for written in rig.writes[-100:])
-    assert slave.memory.session == Session(State.READY, Reason.PEER_NOT_READY)
+    assert side_of(slave) == (State.READY, Reason.PEER_NOT_READY)
     assert line.of(STATE)[-60].state == State.STOPPED
 
 
@@ -315,7 +504,7 @@ def test_a_stop_ends_a_calibration_at_the_start_where_the_motors_are(monkeypatch
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
     with pytest.raises(TeleopError, match=r"calibration given up: .*remote: a nurse"):
-        process.known_before(config, Bench(), line, Door(line), Until(9), 1000.0, {})
+        process.model_of(config, Bench(), line, RequestListener(line), Until(9), 1000.0, {})
     (told,) = line.of(STOP)  # the master may not have heard it
     assert told.action == CALL
 
@@ -330,7 +519,7 @@ def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch):
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
     with pytest.raises(TeleopError, match=r"calibration given up: .*emergency stop"):
-        process.known_before(config, Bench(), line, Door(line), Until(9), 1000.0, {})
+        process.model_of(config, Bench(), line, RequestListener(line), Until(9), 1000.0, {})
 
 
 def test_the_state_tells_how_old_its_sample_is():
@@ -401,7 +590,12 @@ def test_the_command_runs_alone_and_leaves_its_summary(tmp_path):
 
 @pytest.mark.usefixtures("quiet_process")
 def test_alone_too_a_fault_that_lasts_to_the_end_is_exit_code_1(monkeypatch):
-    monkeypatch.setattr(process.loop, "own_fault", lambda *_: Reason.OVER_LIMIT)
+    class Silent(Bench):
+        def read(self, time_s):
+            samples = super().read(time_s)
+            return samples if self.reads < 20 else ()
+
+    monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: Silent())
     with pytest.raises(TeleopError, match="a fault of the slave ended the session: "):
         process.main(arguments("--duration", "0.3"))
 

@@ -350,8 +350,9 @@ def test_shared_keys() -> None:
         ("session: a/b", "session: 'a/b': allowed"),
         ("session: '*'", "session: '*': allowed"),
         ("session: ''", "allowed"),
-        ("rate_hz: 0", "rate_hz: 0.0: allowed are 200 to 8000 Hz"),
-        ("rate_hz: 199", "rate_hz: 199.0: allowed are 200 to 8000 Hz; the gates"),
+        ("rate_hz: 0", "rate_hz: 0.0: must be within 100 ... 4000 [Hz]"),
+        ("rate_hz: 99", "rate_hz: 99.0: must be within 100 ... 4000 [Hz]"),
+        ("rate_hz: 4001", "rate_hz: 4001.0: must be within 100 ... 4000 [Hz]"),
         ("link: {master: udp/127.0.0.1:1}", "link.master: 'udp/127.0.0.1:1': is not an endpoint"),
     ],
 )

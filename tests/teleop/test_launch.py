@@ -13,12 +13,14 @@ from teleop.launch import command, watch
 from teleop.launch import summary as summaries
 from teleop.launch.keys import Keys
 from teleop.launch.status import StatusLine, status_text
+from teleop.launch.summary import loop_lines
 from teleop.launch.supervisor import Supervisor, wait_for
 from teleop.link import Heard
-from teleop.messages import Event, LoopReport, SlaveState, TendonState, padded, text_bytes
+from teleop.messages import Event, Latency, LoopReport, SlaveState, TendonState, padded, text_bytes
 from teleop.remote.requests import CALL, RESET
 from teleop.session import Reason, State
-from teleop.topics import COMMAND, EVENT, REPORT, STATE, STOP, Role
+from teleop.stages import StageMeter
+from teleop.topics import COMMAND, EVENT, LATENCY, REPORT, STATE, STOP, Role
 
 
 def loop(ticks=1000, latencies=0):
@@ -106,6 +108,42 @@ def test_the_status_of_a_session_grows_with_what_is_known():
     assert text.startswith("engaged │ slave 1000 Hz │ master 1000 Hz │ latency 2.0/0.0 ms")
     assert "1.00  -2.50 N │ slack" in text
     assert "slack" not in status_text({}, None, TendonState(tendons=1, phase=(99,) * 16))
+
+
+def test_the_status_shows_where_the_time_from_hand_to_force_goes():
+    reports = {Role.MASTER: LoopReport(state=State.ENGAGED, latency_p50_ns=2_000_000)}
+    latency = Latency(
+        answered=500,
+        p50_ns=(20_000, 210_000, 100_000, 50_000, 380_000),
+        p99_ns=(0, 0, 0, 0, 500_000),
+        p99_9_ns=(0, 0, 0, 0, 800_000),
+        max_ns=(0, 0, 0, 0, 1_230_000),
+    )
+    text = status_text(reports, None, None, latency)
+    assert (
+        "latency p50 0.38 p99 0.50 p99.9 0.80 max 1.23 ms: "
+        "read 0.02, link 0.21, slave 0.10, render 0.05"
+    ) in text
+    # none was answered in its own tick: what there is, is the round trip
+    assert "latency 2.0/0.0 ms" in status_text(reports, None, None, Latency())
+
+
+def test_the_summary_shows_where_the_time_from_hand_to_force_went():
+    meter = StageMeter()
+    for _ in range(10):
+        meter.add((20_000, 210_000, 100_000, 50_000, 380_000))
+    told = loop_lines(loop() | {"stages_us": meter.summary()})
+    assert told[-1] == (
+        "latency   hand to force p50 0.38 p99 0.38 p99.9 0.38 max 0.38 ms: "
+        "read 0.02, link 0.21, slave 0.10, render 0.05 (10 commands answered in their own tick)"
+    )
+    assert loop_lines(loop() | {"stages_us": StageMeter().summary()}) == loop_lines(loop())
+
+
+def test_a_latency_that_is_heard_is_kept():
+    hearing = watch.Hearing()
+    assert hearing.take([heard(LATENCY, Latency(answered=3))]) == []
+    assert hearing.latency.answered == 3
 
 
 def test_without_a_terminal_there_is_no_status_line():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from teleop.clock import Grid
+from teleop.clock import TickStats
 from teleop.link import Counts
 from teleop.meter import REPORT_PERIOD_NS, LoopMeter
 from teleop.session import Reason, SessionOutline, State
@@ -13,7 +13,7 @@ MS = 1_000_000
 
 def reports(stamps):
     """The offsets [ns] of those ticks that report, counted from the start."""
-    loop = LoopMeter(Role.SLAVE, Grid(1000, lambda: True))
+    loop = LoopMeter(Role.SLAVE, TickStats())
     start = loop._due_ns - REPORT_PERIOD_NS
     return [t for t in stamps if loop.report(start + t, SessionOutline(), Counts()) is not None]
 
@@ -28,12 +28,12 @@ def test_after_a_stall_there_is_one_report_and_then_one_a_period():
 
 
 def test_the_rate_is_that_of_the_span_reported():
-    grid = Grid(1000, lambda: True)
-    loop = LoopMeter(Role.MASTER, grid)
+    stats = TickStats()
+    loop = LoopMeter(Role.MASTER, stats)
     start = loop._since_ns
     rates = []
     for seconds, ticks in ((1, 250), (2, 500)):
-        grid.stats.ticks += ticks
+        stats.ticks += ticks
         report = loop.report(start + seconds * 1000 * MS, SessionOutline(), Counts())
         rates.append(report.rate_hz)
     assert rates == [250.0, 500.0]
@@ -57,7 +57,7 @@ WHERE = "joint 2, tendon b"
     ],
 )
 def test_a_fault_ends_a_session_unless_somebody_engages_again(sides, ended):
-    loop = LoopMeter(Role.SLAVE, Grid(1000, lambda: True))
+    loop = LoopMeter(Role.SLAVE, TickStats())
     for side in sides:
         loop.tick(side, 0, WHERE if side is BROKEN else "")
     summary = loop.summary(sides[-1], Counts(), {})
@@ -67,7 +67,7 @@ def test_a_fault_ends_a_session_unless_somebody_engages_again(sides, ended):
 
 
 def test_why_a_side_was_not_usable_is_remembered():
-    loop = LoopMeter(Role.SLAVE, Grid(1000, lambda: True))
+    loop = LoopMeter(Role.SLAVE, TickStats())
     loop.tick(SessionOutline(), 0, "no calibration fits")
     finished = SessionOutline(State.OFF, Reason.RIG_FINISHED)
     loop.tick(finished, 0)

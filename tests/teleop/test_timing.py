@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.timing import Durations
+from teleop.timing import Durations, Span
 
 
 @given(st.lists(st.integers(0, 99_000_000), min_size=1, max_size=300), st.floats(0.0, 100.0))
@@ -36,14 +36,28 @@ def test_over_a_slow_line_percentiles_are_those_of_the_values_to_a_tenth_of_a_mi
 
 def test_a_span_forgets_the_one_before():
     durations = Durations()
-    assert durations.take_span() == (0, 0)
+    assert durations.take_span() == Span() == (0, 0, 0, 0, 0)
     for value in (1, 2, 3):
         durations.add(value)
-    assert durations.take_span() == (2, 2)
+    assert durations.take_span() == Span(values=3, p50=2, p99=3, p99_9=3, largest=3)
     durations.add(9)
-    assert durations.take_span() == (9, 9)
+    assert durations.take_span() == Span(values=1, p50=9, p99=9, p99_9=9, largest=9)
     assert durations.percentile_ns(50.0) is not None
 
 
 def test_nothing_has_no_percentile():
     assert Durations().percentile_ns(50.0) is None
+
+
+@given(st.lists(st.integers(0, 10**9), min_size=1, max_size=300))
+def test_a_span_is_of_all_that_came_and_its_percentiles_are_among_it(values):
+    durations = Durations()
+    for value in values:
+        durations.add(value)
+    span = durations.take_span()
+    assert span.values == len(values)
+    assert span.largest == max(values)
+    assert min(values) <= span.p50 <= span.p99 <= span.p99_9 <= span.largest
+    assert set(span[1:]) <= set(values)
+    assert sum(value < span.p50 for value in values) <= len(values) / 2
+    assert sum(value > span.p50 for value in values) <= len(values) / 2

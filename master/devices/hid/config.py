@@ -99,3 +99,8 @@ class HidConfig:
     def joints(self) -> tuple[int, ...]:
         """The joint that each axis moves."""
         return tuple(k if a.joint is None else a.joint for k, a in enumerate(self.axes))
+
+    @property
+    def axis_count(self) -> int:
+        """How many joints it moves; one that is left out between two others counts."""
+        return max(self.joints) + 1

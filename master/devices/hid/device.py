@@ -5,8 +5,9 @@ from collections.abc import Callable
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.hid import mapping, search, signs
+from master.devices.hid.claims import CLAIMS
 from master.devices.hid.config import HidConfig
-from master.devices.hid.drivers import INPUTS_ONLY, PID
+from master.devices.hid.drivers import INPUTS_ONLY, PID, Attached
 from master.devices.hid.line import Line
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.search import Found
@@ -22,6 +23,8 @@ class Opened:
     def __init__(self, config: HidConfig, known: Signs, found: tuple[Found, ...]) -> None:
         self.lines: list[Line] = []
         pid = config.pid if trusted(found[0], known) else PidConfig()
+        CLAIMS.claim(found[0].item)
+        self._claimed: Attached | None = found[0].item
         try:
             for one in found:
                 self.lines.append(Line(one, pid))
@@ -36,6 +39,9 @@ class Opened:
     def end(self, patience_s: float = 0.0) -> bool:
         """Take the force away and close; return whether that was done in time."""
         ended = [line.end(patience_s) for line in self.lines]
+        if self._claimed is not None:  # once: another hand may have it by the next call
+            CLAIMS.release(self._claimed)
+            self._claimed = None
         return all(ended)
 
 
@@ -114,8 +120,15 @@ class HidDevice:
         return DeviceLost(self._lost)
 
     def _open_again(self, before: frozenset[str]) -> Opened:
-        found = tuple(search.again(one, before) for one in self._found)
-        return Opened(self._config, self._signs, found)
+        device, *switches = self._found
+        back = [search.again(device, before, CLAIMS.paths())]
+        if CLAIMS.is_ambiguous(device.item):
+            raise DeviceFault(
+                f"{device.item}: was lost together with another one like it, and their serial "
+                "numbers do not tell which is which; restart the master"
+            )
+        back += [search.again(one, before) for one in switches]
+        return Opened(self._config, self._signs, tuple(back))
 
     def _returned(self) -> Opened:
         assert self._seeker is not None  # noqa: S101 - set when the device was lost

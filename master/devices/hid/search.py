@@ -154,7 +154,7 @@ def choose(find: str, driver: str) -> Found:
     return fitting[0]
 
 
-def again(found: Found, before: frozenset[str]) -> Found:
+def again(found: Found, before: frozenset[str], taken: frozenset[str] = frozenset()) -> Found:
     """Return the same device where it is now.
 
     Parameters
@@ -162,6 +162,8 @@ def again(found: Found, before: frozenset[str]) -> Found:
     before : frozenset of str
         Paths of what was attached when it went away. What looks like it at another of these was
         there beside it, and is another one.
+    taken : frozenset of str
+        Paths of devices that are in use.
 
     Raises
     ------
@@ -171,7 +173,7 @@ def again(found: Found, before: frozenset[str]) -> Found:
         There are several like it, or it must not be opened.
     """
     known = found.item
-    like = [item for item in attached() if item.same_as(known)]
+    like = [item for item in attached() if item.same_as(known) and item.path not in taken]
     same = [item for item in like if item.path == known.path or item.path not in before]
     if not same:
         raise NotThereError(f"{known}: is not attached")

@@ -1,0 +1,151 @@
+"""Several devices as one: two hands, or an arm and a gripper.
+
+Their axes follow one another: those of the first device are the first joints. The devices are read
+one after another in the same call, so their times differ by microseconds.
+
+The operator consents with all engage switches together, and takes it back with any. A clutch, an
+emergency stop or any other button of one device counts for all. A fault of one device is a fault of
+all.
+"""
+
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from typing import Literal
+
+from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
+from master.devices.single import SingleConfig
+from master.devices.virtual import VirtualConfig
+from teleop.messages import MAX_JOINTS
+
+
+@dataclass(frozen=True, slots=True)
+class CombinedConfig:
+    """Several devices in one session."""
+
+    type: Literal["combined"] = "combined"
+    devices: tuple[SingleConfig, ...] = (VirtualConfig(), VirtualConfig())  # in order of joints
+
+    def __post_init__(self) -> None:
+        """Refuse a combination of nothing, or of more axes than there can be joints."""
+        if len(self.devices) < 2:
+            raise ValueError("devices: at least 2 are needed; a single one needs no `combined`")
+        axes = [device.axis_count for device in self.devices]
+        if sum(axes) > MAX_JOINTS:
+            each = " + ".join(map(str, axes))
+            raise ValueError(f"devices: {each} axes, must be at most {MAX_JOINTS} together")
+
+
+class CombinedDevice:
+    """A `master.device.Device` made of several.
+
+    Parameters
+    ----------
+    config : CombinedConfig
+    open_single : callable
+        Opens one device. If it fails, what was opened before is closed again.
+
+    Raises
+    ------
+    DeviceFault
+        One of them cannot be opened.
+    """
+
+    def __init__(
+        self, config: CombinedConfig, open_single: Callable[[SingleConfig], Device]
+    ) -> None:
+        self._devices: list[Device] = []
+        self._parts: list[slice] = []  # of the axes, one for each device
+        self.axes = 0
+        with ExitStack() as opened:
+            for number, part in enumerate(config.devices):
+                try:
+                    device = open_single(part)
+                except DeviceFault as fault:
+                    raise _numbered(number, fault) from fault
+                opened.callback(device.close)
+                self._devices.append(device)
+                self._parts.append(slice(self.axes, self.axes + device.axes))
+                self.axes += device.axes
+            self._opened = opened.pop_all()
+        self._released = [False] * len(self._devices)
+
+    def read(self, time_s: float) -> HandState:
+        """Return all hands as one.
+
+        Engage counts as held by all of them. At the start, and again after one was lost, it counts
+        as held until every switch was seen open: no device may be engaged that has not been let go
+        of since.
+
+        Raises
+        ------
+        DeviceLost
+            Only if nothing is wrong but what mends itself. The others are read all the same, so
+            that each of them can come back.
+        DeviceFault
+            One of them has failed for good.
+        """
+        hands: list[HandState] = []
+        faults: list[DeviceFault] = []
+        for number, device in enumerate(self._devices):
+            try:
+                hands.append(device.read(time_s))
+            except DeviceFault as fault:
+                faults.append(_numbered(number, fault))
+        if faults:
+            self._released = [False] * len(self._devices)
+            raise _worst(faults)
+        engage = self._engage([hand.engage for hand in hands])
+        return HandState(
+            tuple(x for hand in hands for x in hand.position),
+            tuple(v for hand in hands for v in hand.velocity),
+            engage,
+            any(hand.clutch for hand in hands),
+            any(hand.stop for hand in hands),
+            any(hand.finer for hand in hands),
+            any(hand.coarser for hand in hands),
+            any(hand.weaker for hand in hands),
+            any(hand.stronger for hand in hands),
+        )
+
+    def write(self, force: Axes) -> None:
+        """Give each device its part of `force` [N]; if one fails, the others get zero."""
+        if len(force) != self.axes:
+            raise DeviceFault(f"refuses force {force}")
+        faults: list[DeviceFault] = []
+        for number, (device, part) in enumerate(zip(self._devices, self._parts, strict=True)):
+            try:
+                device.write(force[part])
+            except DeviceFault as fault:
+                faults.append(_numbered(number, fault))
+        if faults:
+            for device in self._devices:
+                with suppress(DeviceFault):
+                    device.write((0.0,) * device.axes)
+            raise _worst(faults)
+
+    def close(self) -> None:
+        """Close all, the last one first; one that fails leaves none of the others open."""
+        self._opened.close()
+
+    def _engage(self, held: list[bool]) -> bool:
+        if all(self._released):
+            return all(held)
+        self._released = [
+            before or not now for before, now in zip(self._released, held, strict=True)
+        ]
+        return any(held)
+
+
+def _numbered(number: int, fault: DeviceFault) -> DeviceFault:
+    """Return a fault with the place of its device in the list in front, lost or failed as it is."""
+    kind = DeviceLost if isinstance(fault, DeviceLost) else DeviceFault
+    return kind(f"devices.{number}: {fault}")
+
+
+def _worst(faults: list[DeviceFault]) -> DeviceFault:
+    """Return one fault for several: lost only if all of them are."""
+    final = [fault for fault in faults if not isinstance(fault, DeviceLost)]
+    if final:
+        return DeviceFault("; ".join(map(str, final)))
+    return DeviceLost("; ".join(map(str, faults)))

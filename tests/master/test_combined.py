@@ -1,0 +1,321 @@
+"""Several devices as one: order of axes, switches, faults, closing, and what is refused."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from master.config import MasterConfig
+from master.device import DeviceFault, DeviceLost, HandState
+from master.devices import open_device
+from master.devices.combined import CombinedConfig, CombinedDevice
+from master.devices.hid import search
+from master.devices.hid.config import AxisConfig, HidConfig
+from master.devices.hid.device import HidDevice
+from master.devices.virtual import VirtualConfig, VirtualDevice
+from teleop.config import load
+from teleop.errors import UsageError
+from teleop.launch.supervisor import wait_for
+from tests.hid import descriptors
+from tests.hid.virtual.arduino import Arduino
+from tests.hid.virtual.openffboard import OpenFFBoard
+
+BUTTONS = ("clutch", "stop", "finer", "coarser", "weaker", "stronger")
+
+
+class Stylus:
+    """A device that says what it is told to, and notes what is done to it."""
+
+    def __init__(self, axes, first=0.0):
+        self.axes, self.first = axes, first
+        self.held, self.buttons = False, {}
+        self.read_fault = self.write_fault = self.close_fault = None
+        self.written, self.closed = [], 0
+
+    def read(self, _time_s):
+        if self.read_fault is not None:
+            raise self.read_fault
+        positions = tuple(self.first + k for k in range(self.axes))
+        return HandState(positions, tuple(-x for x in positions), self.held, **self.buttons)
+
+    def write(self, force):
+        if self.write_fault is not None:
+            raise self.write_fault
+        self.written.append(force)
+
+    def close(self):
+        self.closed += 1
+        if self.close_fault is not None:
+            raise self.close_fault
+
+
+def combined(*devices):
+    """Combine devices that are open; their configs only say how many axes there are."""
+    config = CombinedConfig(devices=tuple(VirtualConfig(axes=d.axes) for d in devices))
+    given_out = iter(devices)
+    return CombinedDevice(config, lambda _config: next(given_out))
+
+
+def released(*devices):
+    """Combine devices whose switches were seen open."""
+    device = combined(*devices)
+    assert not device.read(0.0).engage
+    return device
+
+
+@given(st.lists(st.integers(1, 4), min_size=2, max_size=8).filter(lambda axes: sum(axes) <= 8))
+def test_axes_follow_one_another_and_each_device_gets_its_own_part_of_the_force(axes):
+    firsts = [sum(axes[:k]) for k in range(len(axes))]
+    styluses = [Stylus(n, float(first)) for n, first in zip(axes, firsts, strict=True)]
+    device = combined(*styluses)
+    assert device.axes == sum(axes)
+    hand = device.read(0.0)
+    assert hand.position == tuple(range(sum(axes)))
+    assert hand.velocity == tuple(-x for x in range(sum(axes)))
+    device.write(tuple(10.0 + k for k in range(sum(axes))))
+    for stylus, first in zip(styluses, firsts, strict=True):
+        assert stylus.written == [tuple(10.0 + first + k for k in range(stylus.axes))]
+
+
+@given(st.lists(st.booleans(), min_size=2, max_size=4))
+def test_all_hands_must_hold_to_engage(held):
+    styluses = [Stylus(1) for _ in held]
+    device = released(*styluses)
+    for stylus, holds in zip(styluses, held, strict=True):
+        stylus.held = holds
+    assert device.read(0.0).engage == all(held)
+
+
+@pytest.mark.parametrize("name", BUTTONS)
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_any_other_button_of_one_device_counts_for_all(name, which):
+    styluses = [Stylus(1) for _ in range(3)]
+    device = combined(*styluses)
+    assert not getattr(device.read(0.0), name)
+    styluses[which].buttons = {name: True}
+    hand = device.read(0.0)
+    assert [n for n in BUTTONS if getattr(hand, n)] == [name]
+
+
+def test_a_switch_that_was_never_seen_open_counts_as_held():
+    left, right = Stylus(1), Stylus(1)
+    left.held = True  # or not known yet, as of a HID device before its first report
+    device = combined(left, right)
+    assert device.read(0.0).engage
+    right.held = True
+    assert device.read(0.0).engage
+    left.held = False
+    assert device.read(0.0).engage
+    left.held, right.held = True, False
+    assert not device.read(0.0).engage  # each was seen open now
+
+
+def test_after_one_was_lost_each_switch_has_to_be_let_go_of_anew():
+    left, right = Stylus(1), Stylus(1)
+    device = released(left, right)
+    left.held = right.held = True
+    assert device.read(0.0).engage
+    left.read_fault = DeviceLost("unplugged")
+    with pytest.raises(DeviceLost, match=r"^devices\.0: unplugged$"):
+        device.read(0.0)
+    left.read_fault, right.held = None, False
+    assert device.read(0.0).engage  # the one that is back is still held
+    left.held = False
+    assert not device.read(0.0).engage
+    left.held = True
+    assert not device.read(0.0).engage
+    right.held = True
+    assert device.read(0.0).engage
+
+
+def test_one_that_is_lost_is_a_loss_and_the_others_are_read_on():
+    left, right = Stylus(1), Stylus(2)
+    reads = []
+    device = released(left, right)
+    left.read_fault = DeviceLost("unplugged")
+    right.read = lambda time_s: reads.append(time_s) or HandState((0.0, 0.0), (0.0, 0.0), False)
+    for time_s in (1.0, 2.0):
+        with pytest.raises(DeviceLost):
+            device.read(time_s)
+    assert reads == [1.0, 2.0]
+
+
+def test_a_loss_beside_a_failure_is_a_failure():
+    left, right = Stylus(1), Stylus(1)
+    device = released(left, right)
+    left.read_fault, right.read_fault = DeviceLost("unplugged"), DeviceFault("broken")
+    with pytest.raises(DeviceFault, match=r"^devices\.1: broken$") as caught:
+        device.read(0.0)
+    assert not isinstance(caught.value, DeviceLost)
+
+
+def test_a_failed_write_leaves_no_force_on_the_others():
+    left, middle, right = Stylus(1), Stylus(1), Stylus(1)
+    device = released(left, middle, right)
+    middle.write_fault = DeviceFault("takes no forces")
+    with pytest.raises(DeviceFault, match=r"^devices\.1: takes no forces$"):
+        device.write((1.0, 2.0, 3.0))
+    assert left.written[-1] == right.written[-1] == (0.0,)
+
+
+@pytest.mark.parametrize("force", [(), (1.0,), (1.0, 2.0, 3.0)])
+def test_a_force_of_another_size_is_refused_and_not_split(force):
+    left, right = Stylus(1), Stylus(1)
+    with pytest.raises(DeviceFault, match="refuses"):
+        combined(left, right).write(force)
+    assert left.written == right.written == []
+
+
+def test_closing_closes_all_even_if_one_cannot():
+    styluses = [Stylus(1) for _ in range(3)]
+    styluses[1].close_fault = RuntimeError("stuck")
+    device = combined(*styluses)
+    with pytest.raises(RuntimeError, match="stuck"):
+        device.close()
+    assert [stylus.closed for stylus in styluses] == [1, 1, 1]
+
+
+def test_if_the_second_cannot_be_opened_the_first_is_closed_again():
+    left, opened = Stylus(1), []
+
+    def open_single(_config):
+        if opened:
+            raise DeviceFault("no such device")
+        opened.append(left)
+        return left
+
+    with pytest.raises(DeviceFault, match=r"^devices\.1: no such device$"):
+        CombinedDevice(CombinedConfig(), open_single)
+    assert left.closed == 1
+
+
+@pytest.mark.parametrize(
+    ("devices", "complaint"),
+    [
+        ("[{type: virtual, axes: 5}, {type: virtual, axes: 4}]", "5 + 4 axes, must be at most 8"),
+        ("[{type: virtual}]", "at least 2"),
+        ("[]", "at least 2"),
+        ("[{type: virtual}, {type: combined}]", "'combined' is unknown (allowed: hid, virtual)"),
+        ("[{type: virtual}, {type: virtual, axis: 2}]", "unknown key; did you mean 'axes'"),
+        (
+            "[{type: virtual}, {type: hid, axes: [{travel: 0.1, joint: 7}]}]",
+            "1 + 8 axes, must be at most 8",
+        ),
+    ],
+)
+def test_what_cannot_be_combined_is_one_line(devices, complaint):
+    override = f"master.device={{type: combined, devices: {devices}}}"
+    with pytest.raises(UsageError) as caught:
+        load(None, MasterConfig, "master", [override])
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_it_is_opened_as_the_config_says():
+    device = open_device(CombinedConfig(devices=(VirtualConfig(axes=3), VirtualConfig(axes=2))))
+    assert isinstance(device, CombinedDevice)
+    single = [VirtualDevice(VirtualConfig(axes=n)) for n in (3, 2)]
+    for time_s in (0.0, 0.4, 0.6):
+        apart = [one.read(time_s) for one in single]
+        together = device.read(time_s)
+        assert together.position == apart[0].position + apart[1].position
+        assert together.engage == (time_s >= 0.5)
+    device.close()
+
+
+PUSHED = HidConfig(axes=(AxisConfig("x", travel=0.1, force=2.0),), smoothing=0.0)
+
+
+def hid(find):
+    return HidConfig(find=find, axes=PUSHED.axes, smoothing=0.0)
+
+
+def two_hids(first, second):
+    return open_device(CombinedConfig(devices=(hid(first), hid(second))))
+
+
+def test_two_of_a_kind_are_told_apart_by_their_paths(hidraw):
+    nodes = [hidraw.plug(Arduino(descriptors.arduino())) for _ in range(2)]
+    with pytest.raises(UsageError, match=r"devices\.0: several devices fit; name one in find"):
+        two_hids("", "")
+    device = two_hids(*(str(node.path) for node in nodes))
+    nodes[0].device.axes, nodes[1].device.axes = [0.5, 0.0], [-1.0, 0.0]
+    expected = pytest.approx((0.05, -0.1), abs=1e-3)
+    wait_for(lambda: device.read(0.0).position == expected, 2.0)
+    assert device.read(0.0).position == expected
+    device.close()
+
+
+def test_one_device_is_not_two_hands(hidraw):
+    node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
+    for find in ("", "1209:ffb0", str(node.path)):
+        with pytest.raises(UsageError, match=r"devices\.1: .*is in use as another device"):
+            two_hids(find, find)
+    HidDevice(hid(""), lambda _line: None).close()  # the first was let go of
+
+
+def lost(device):
+    """Read until the device says that it is lost; return what it says."""
+    for _ in range(2000):
+        try:
+            device.read(0.0)
+        except DeviceLost as error:
+            return str(error)
+    raise AssertionError("it was not noticed")
+
+
+def back(device):
+    def reads():
+        try:
+            device.read(0.0)
+        except DeviceLost:
+            return False
+        return True
+
+    return wait_for(reads, 5.0)
+
+
+def test_one_of_two_alike_that_was_unplugged_comes_back_as_itself(hidraw):
+    nodes = [hidraw.plug(Arduino(descriptors.arduino())) for _ in range(2)]
+    assert nodes[0].device.serial == nodes[1].device.serial
+    device = two_hids(*(str(node.path) for node in nodes))
+    hidraw.unplug(nodes[0])
+    assert "devices.0" in lost(device)
+    node = hidraw.plug(Arduino(descriptors.arduino()))
+    node.device.axes, nodes[1].device.axes = [0.5, 0.0], [-1.0, 0.0]
+    assert back(device)
+    expected = pytest.approx((0.05, -0.1), abs=1e-3)
+    assert wait_for(lambda: device.read(0.0).position == expected, 2.0)
+    device.close()
+
+
+def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw):
+    """Their serial numbers are the same, so either may be in the place of the other."""
+    nodes = [hidraw.plug(Arduino(descriptors.arduino())) for _ in range(2)]
+    device = two_hids(*(str(node.path) for node in nodes))
+    for node in nodes:
+        hidraw.unplug(node)
+    lost(device)
+    for _ in nodes:
+        hidraw.plug(Arduino(descriptors.arduino()))
+    assert wait_for(lambda: "like it" in lost(device), 8.0)
+    device.close()
+
+
+def test_one_that_came_back_alone_is_not_taken_for_both(hidraw):
+    nodes = [hidraw.plug(Arduino(descriptors.arduino())) for _ in range(2)]
+    device = two_hids(*(str(node.path) for node in nodes))
+    for node in nodes:
+        hidraw.unplug(node)
+    lost(device)
+    hidraw.plug(Arduino(descriptors.arduino()))
+    assert wait_for(lambda: "like it" in lost(device), 8.0)
+    device.close()
+
+
+def test_search_does_not_find_what_is_in_use(hidraw):
+    node = hidraw.plug(Arduino(descriptors.arduino()))
+    found = search.choose("", "auto")
+    taken = frozenset([str(node.path)])
+    with pytest.raises(search.NotThereError):
+        search.again(found, frozenset(), taken)
+    assert search.again(found, frozenset()) == found
