@@ -24,7 +24,7 @@ from estimator import online
 from estimator.records import Records, as_bytes, one
 from slave import loop, models
 from slave.calibration.initialise import initialise
-from slave.config import SlaveConfig, doubts, hindrance_of, tendon_configs
+from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
 from slave.gate import Verdict
 from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample
@@ -54,6 +54,7 @@ from teleop.run_config import RunConfig
 from teleop.session import OutlineReader, Reason, SessionOutline, State
 from teleop.topics import COMMAND, LEDGER, REPORT, STATE, TENDONS, Role
 
+DYNAMICS_COMPILE_S = 14.0  # [s] more
 ROWS = 32  # samples that a tick takes at first; more are made room for
 
 COMPILE_S = 24.0  # [s] of a processor for the tick, without a cache
@@ -286,7 +287,7 @@ def main(args: argparse.Namespace) -> int:
     files = models.given(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
-    prepare(config)
+    prepare(config, with_dynamics=bool(files) or has_model_file(config))
     # before the link: its threads inherit the priority
     granted = go_realtime(shared.realtime)
     with ExitStack() as stack:
@@ -392,12 +393,18 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
     return list(said)
 
 
-def prepare(config: SlaveConfig) -> None:
-    """Compile and import what the session calls, before it runs at real-time priority."""
-    about_s = COMPILE_S + RIG_COMPILE_S[type(config.rig)]
+def prepare(config: SlaveConfig, with_dynamics: bool) -> None:
+    """Compile and import what the session calls, before it runs at real-time priority.
+
+    Models of a diagnosis may have effects `with_dynamics`, which take longer.
+    """
+    about_s = COMPILE_S + RIG_COMPILE_S[type(config.rig)] + DYNAMICS_COMPILE_S * with_dynamics
     # the collector would look in vain through a million objects of the compiler: 10 % of its time
     with quiet_garbage(), announced("the slave's loop", about_s, partial(_compile_rest, config)):
         _compile_tick()
+        if with_dynamics:
+            slave, rows, _ = _example()
+            loop.estimate_with_dynamics(*slave.estimated, rows, 1)
     if config.initialise.at_start:
         import_module("scipy.optimize")  # which the analysis of a calibration uses
 

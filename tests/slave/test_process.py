@@ -644,3 +644,15 @@ def test_an_effect_that_never_came_on_is_warned_of_at_the_end(capsys):
     assert process.main(arguments("--duration", "0.5", "--set", effects)) == 0
     (warning,) = (line for line in capsys.readouterr().out.splitlines() if "WARNING" in line)
     assert "friction_step starts at 100 s" in warning
+
+
+@pytest.mark.parametrize("with_dynamics", [False, True])
+def test_effects_of_models_are_compiled_before_the_loop_begins(with_dynamics, monkeypatch):
+    config = SlaveConfig()
+    called = []
+    dynamic = loop.estimate_with_dynamics
+    monkeypatch.setattr(
+        process.loop, "estimate_with_dynamics", lambda *args: called.append(1) or dynamic(*args)
+    )
+    process.prepare(config, with_dynamics)
+    assert bool(called) == with_dynamics
