@@ -20,7 +20,7 @@ REPORTED = 500  # ticks between two reports, when the meters begin new spans
 
 # 'call' events of a tick, entries into compiled code among them; 'c_call' events
 MASTER_PYTHON, MASTER_C = 67, 52  # of the former 16 are the scripted hand's
-SLAVE_PYTHON, SLAVE_C = 40, 33
+SLAVE_PYTHON, SLAVE_C = 40, 34
 WIRE = {COMMAND: 324, STATE: 500, TENDONS: 1460, HAND: 260}  # [B]
 HELD = 50_000  # [B] at once, within a tick of both sides; most of it in one with a report
 KEPT = 6_000, 100  # [B], blocks: from one report to the next; what a leak of 12 B a tick would be
