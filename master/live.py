@@ -94,13 +94,11 @@ def follow(live: Live, hand: HandState | None, dt: float) -> tuple[Live, str]:
     One call while nothing changes, which is nearly always.
     """
     resting = live.config.force.scale == live.force_scale and live.held == RELEASED
-    if resting and (hand is None or not _is_pressed(hand)):
+    if resting and (
+        hand is None or not (hand.finer or hand.coarser or hand.weaker or hand.stronger)
+    ):
         return live, ""
     return press(step(live, dt), hand)
-
-
-def _is_pressed(hand: HandState) -> bool:
-    return hand.finer or hand.coarser or hand.weaker or hand.stronger
 
 
 def press(live: Live, hand: HandState | None) -> tuple[Live, str]:

@@ -107,7 +107,7 @@ class Master:
         """Read, command, wait for the answer, render; then do what nobody waits for."""
         fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
-        requests = self._listen(now_ns())
+        requests = self._listen(tick.stamp_ns)
         self._live, changed = live.follow(self._live, hand, tick.dt)
         settings = self._settings.update(self._live.config)
         self._write_hand(hand)
@@ -119,10 +119,7 @@ class Master:
             if fault is Reason.NONE and requests.stop is Reason.NONE:  # else: no force, at once
                 self._await_answer(sent_ns, monotonic_ns(tick.stamp_ns) + self._wait_ns)
         self._index += 1
-        waited_ns = now_ns() - tick.stamp_ns
-        stalled_s = waited_ns * 1e-9 if waited_ns > STALL_NS + self._wait_ns else 0.0
-        dt = tick.dt + stalled_s
-        verdict = self._render(settings, dt, fault, requests, known_ns, hand)
+        verdict = self._render(settings, tick, fault, requests, known_ns, hand)
         written_ns = now_ns()
         self._before[:] = self._now
         self._verdicts[verdict] += 1
@@ -203,7 +200,7 @@ class Master:
     def _render(
         self,
         settings: Records,
-        dt: float,
+        tick: Tick,
         fault: Reason,
         requests: Requests,
         known_ns: int,
@@ -212,23 +209,30 @@ class Master:
         """Find the force and write it to the device; return the gate's verdict."""
         self._commanded[:] = self._now
         is_new = self._states.stamp_ns != known_ns
-        verdict = self._find_force(settings, dt, fault, requests, is_new)
+        verdict = self._find_force(settings, tick, fault, requests, is_new)
         try:
             self._device.write(tuple(self._force[: self._device.axes].tolist()))
         except DeviceFault as error:
             self._now[:] = self._commanded
             self._write_hand(None)
             failed = self._device_failed(error)
-            verdict = self._find_force(settings, dt, failed, requests, is_new=True)
+            verdict = self._find_force(settings, tick, failed, requests, is_new=True)
             self._write_hand(hand)
             self._command_outline()
         return verdict
 
     def _find_force(
-        self, settings: Records, dt: float, fault: Reason, requests: Requests, is_new: bool
+        self, settings: Records, tick: Tick, fault: Reason, requests: Requests, is_new: bool
     ) -> int:
-        """Run the second phase; again, from where it began, if it stalled."""
-        verdict, told, late_ns = 0, self._told(dt, fault, requests), 0
+        """Run the second phase; again, from where it began, if it stalled.
+
+        The time of a stall before it, while the answer was waited for, counts as passed.
+        """
+        verdict, dt, told, late_ns = 0, tick.dt, self._told(tick.dt, fault, requests), 0
+        waited_ns = told.now_ns - tick.stamp_ns
+        if waited_ns > STALL_NS + self._wait_ns:
+            dt += waited_ns * 1e-9
+            told = self._told(dt, fault, requests)
         for again in (False, True):
             if again:
                 self._now[:] = self._commanded

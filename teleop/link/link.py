@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -128,7 +129,7 @@ class Link:
         """
         if topic.publisher is None:
             raise ValueError(f"{topic.name} has several publishers, so no one latest value")
-        latest = Latest(topic, lambda nonce: self._visit(topic, nonce), limit_ns)
+        latest = Latest(topic, partial(self._roster.visit, topic.publisher), limit_ns)
         inbox = Inbox(RING)
         direct = zenoh.handlers.Callback(inbox.store, indirect=False)  # no thread in between
         self._subscribers.append(self._zenoh.declare_subscriber(self._key(topic), direct))

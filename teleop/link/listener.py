@@ -51,6 +51,8 @@ class Listener:
 
     def drain(self) -> list[Heard]:
         """Return what has arrived since the last call, oldest first, checked as `Latest` does."""
+        if not self._queue.has_arrivals:
+            return []
         arrivals, dropped = self._queue.take()
         for name, count in dropped.items():
             self._senders[name].overflowed_to(count)

@@ -28,9 +28,15 @@ class MessageQueue:
     messages.
 
     Any thread may put, any may take.
+
+    Attributes
+    ----------
+    has_arrivals : bool
+        Whether anything was put since the last `take`; to be looked at without a call.
     """
 
     def __init__(self) -> None:
+        self.has_arrivals = False
         self._lock = threading.Lock()
         self._queues: dict[str, deque[Arrival]] = {}
         self._dropped: dict[str, int] = {}
@@ -56,12 +62,14 @@ class MessageQueue:
             self._dropped[topic.name] += len(queue) == queue.maxlen
             queue.append(Arrival(self._number, topic, data, received_ns))
             self._number += 1
+            self.has_arrivals = True
 
     def take(self) -> tuple[list[Arrival], dict[str, int]]:
         """Return what is waiting, oldest first; and how many each topic has dropped so far."""
         arrivals: list[Arrival] = []
         with self._lock:
             dropped = self._dropped.copy()
+            self.has_arrivals = False
             for queue in self._queues.values():
                 arrivals += queue
                 queue.clear()

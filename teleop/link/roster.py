@@ -27,7 +27,9 @@ class Roster:
     """
 
     def __init__(self, zenoh_session: zenoh.Session, session: str, nonce: int, relay: bool) -> None:
-        self.others: frozenset[Token] = frozenset()  # replaced as a whole, so that reading is safe
+        # replaced as wholes, so that reading is safe
+        self.others: frozenset[Token] = frozenset()
+        self._held: dict[int, Role] = {}  # nonce -> role, of who has finished starting
         self._session, self._nonce, self._relay = session, nonce, relay
         self._visits: dict[int, int] = {}  # nonce -> how many times it has come
         self._relayed: dict[Token, Any] = {}
@@ -49,7 +51,12 @@ class Roster:
 
     def visit(self, role: Role, nonce: int) -> int:
         """Return which visit of `nonce` in `role` this is, from 1; 0 if it is not there now."""
-        return self._visits.get(nonce, 1) if self.present(role, nonce) else 0
+        return self._visits.get(nonce, 1) if self._held.get(nonce) is role else 0
+
+    def replace(self, others: frozenset[Token]) -> None:
+        """Take these for the tokens of all others."""
+        self.others = others
+        self._held = {t.nonce: t.role for t in others if t.stage == Stage.HELD and not t.relayed}
 
     def close(self) -> None:
         """Stop watching; before the session is closed."""
@@ -62,7 +69,7 @@ class Roster:
         came = sample.kind == zenoh.SampleKind.PUT
         if came and token not in self.others and token.stage == Stage.HELD and not token.relayed:
             self._visits[token.nonce] = self._visits.get(token.nonce, 0) + 1
-        self.others = self.others | {token} if came else self.others - {token}
+        self.replace(self.others | {token} if came else self.others - {token})
         if self._relay and token.role == Role.MASTER and not token.relayed:
             if came and token not in self._relayed:
                 key = replace(token, relayed=True).key(self._session)

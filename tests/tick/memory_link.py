@@ -79,8 +79,8 @@ class MemoryLink(Link):
 
     def meet(self, peers: "list[Link]") -> None:
         """Announce the others of the session to this side."""
-        self._roster.others = frozenset(
-            Token(peer.role, LAYOUT, peer.nonce, Stage.HELD) for peer in peers
+        self._roster.replace(
+            frozenset(Token(peer.role, LAYOUT, peer.nonce, Stage.HELD) for peer in peers)
         )
 
     def carry(self, peer: "MemoryLink") -> None:
