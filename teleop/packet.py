@@ -71,7 +71,13 @@ def crc32(data: Bytes, seed: int) -> int:
 
 @compiled
 def seal(
-    memory: Bytes, records: Records, size: int, seed: int, sender: int, sequence: int, stamp_ns: int
+    memory: Bytes,
+    records: Records,
+    size: int,
+    seed: int,
+    sender: np.uint64,
+    sequence: int,
+    stamp_ns: int,
 ) -> None:
     """Fill in the head of a message whose other fields are there; `size` [bytes] is its body's."""
     record = records[0]
@@ -108,7 +114,8 @@ class Packet(Generic[M]):
 
     def seal(self, sender: int, sequence: int, stamp_ns: int) -> bytes:
         """Fill in the head and return the bytes to send."""
-        seal(self._memory, self.records, self._size, self._seed, sender, sequence, stamp_ns)
+        nonce = np.uint64(sender)  # of all its 64 bits, where numba takes an int for 63 of them
+        seal(self._memory, self.records, self._size, self._seed, nonce, sequence, stamp_ns)
         return self.data.tobytes()
 
     def fill(self, message: M) -> None:

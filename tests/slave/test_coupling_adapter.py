@@ -10,9 +10,11 @@ from estimator.tendon_estimate import INVALID_INPUT
 from master import feedback
 from slave import coupling_adapter
 from slave.control import JointEstimate
+from teleop import coupling
 from teleop.coupling import Bilateral, PassivityConfig, Side
 from teleop.force_attenuation import ConfidenceConfig
-from teleop.messages import MAX_JOINTS, Command, SlaveState, padded
+from teleop.messages import MAX_JOINTS, SlaveState, padded
+from teleop.packet import packet
 
 FORCES = st.floats(-60.0, 60.0)
 RULE = ConfidenceConfig()
@@ -45,7 +47,7 @@ def slave_forces(most, *rows):
 )
 def test_both_sides_know_the_same_port_force(force, below, above, status, scale):
     low, high = force - below, force + above
-    config = feedback.FeedbackConfig(scale=scale)
+    config = as_record(feedback.FeedbackConfig(scale=scale))
     most = feedback.saturation(config)
     (at_slave,) = slave_forces(most, (force, low, high, status))
     state = SlaveState(
@@ -55,8 +57,9 @@ def test_both_sides_know_the_same_port_force(force, below, above, status, scale)
         force_high=padded((high,), MAX_JOINTS),
         status=(status, *(0,) * (MAX_JOINTS - 1)),
     )
-    (at_master,) = feedback.felt(RULE, state, 1)
-    rendered = feedback.clamp(config.limit, feedback.reflect(scale, at_master))
+    at_master = np.zeros(MAX_JOINTS)
+    feedback.tip_forces(NUMBERS, packet(state).record, True, 1, at_master)
+    rendered = feedback.clamp(config.limit, feedback.reflect(scale, at_master[0]))
     assert rendered == pytest.approx(-scale * at_slave, abs=1e-9)
 
 
@@ -71,23 +74,16 @@ def test_whatever_comes_in_no_more_is_rendered_than_the_most_and_each_joint_by_i
 
 
 def test_what_the_hand_never_paid_for_is_not_spent_on_a_wall():
-    bilateral = Bilateral(coupling=PassivityConfig())
-    wall = estimates((10.0, 10.0, 10.0, 0))
-    command = Command(sender=7, force_max=50.0)
-    side, place = Side(), 0.0
+    coupling_config = PassivityConfig()
+    settings = one(coupling.bilateral_settings(Bilateral(coupling=coupling_config)))
+    side, asked, speed = Side.new(), np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    force, told = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     for tick in range(200):
-        asked = (1e-4 * tick,)
-        (place,), _, side = coupling_adapter.step(
-            bilateral, side, command, asked, (0.1,), wall, coupled=True, dt=1e-3
-        )
-    assert 10.0 * place <= bilateral.coupling.reserve + 1e-12
+        coupling.hear(side, 7, told, told)
+        force[:1] = slave_forces(50.0, (10.0, 10.0, 10.0, 0))
+        asked[0], speed[0] = 1e-4 * tick, 0.1
+        coupling.at_tip(settings, side, asked, speed, force, 1, True, 1e-3)
+        place = asked[0]
+    assert 10.0 * place <= coupling_config.reserve + 1e-12
     assert place > 0.0
     assert side.ports[0].credit >= 0.0
-
-
-def test_without_a_command_nothing_is_coupled():
-    none = estimates()
-    where, speed, side = coupling_adapter.step(
-        Bilateral(), Side(), None, (), (), none, coupled=False, dt=1e-3
-    )
-    assert (where, speed, side) == ((), (), Side())

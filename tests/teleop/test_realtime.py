@@ -194,7 +194,7 @@ SCIPY = {"scipy.optimize", "scipy.ndimage", "scipy.special", "scipy.stats", "sci
     [
         ("--help", {"numpy", "numba", "scipy", "zenoh", "yaml", "email", *HEAVY}),
         ("slave.process", {"scipy.linalg", *SCIPY, *HEAVY}),
-        ("master.process", {"numba", "scipy", *HEAVY}),
+        ("master.process", {"scipy.linalg", *SCIPY, *HEAVY}),
     ],
 )
 def test_a_process_imports_only_what_it_needs(what, absent):
