@@ -19,7 +19,6 @@ from slave.rigs.simulated import SimulatedRigConfig
 from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
-from teleop.link.inbox import Arrived
 from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
 from teleop.remote.requests import CALL, RESET, RequestListener
 from teleop.session import Reason, State, outline
@@ -92,7 +91,7 @@ class Line:
             )
             self.stamps.append(now_ns())
             data = command.pack(self.nonce, self.sequence, self.stamps[-1])
-            arrived = [Arrived(data, now_ns())]
+            arrived = [(data, now_ns())]
         self.latest_command.take(arrived)
         return self.latest_command
 
@@ -297,7 +296,7 @@ def test_what_arrives_and_is_no_command_is_not_answered():
     whole = line.latest_command.take
 
     def damaged(arrived):
-        whole([Arrived(item.data[:-1] + b"?", item.received_ns) for item in arrived])
+        whole([(data[:-1] + b"?", received_ns) for data, received_ns in arrived])
 
     for number, tick in enumerate(clock, start=1):
         slave.tick(tick)
