@@ -388,6 +388,7 @@ def main(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         # a master that is refused as the second one must not have touched the device
         link = stack.enter_context(Link(shared.link, shared.session, Role.MASTER))
+        stop.wake = link.wake
         device = open_device(config.device)
         stack.callback(device.close)
         commands_every = config.commands_every(shared.rate_hz)

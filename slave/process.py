@@ -299,6 +299,7 @@ def main(args: argparse.Namespace) -> int:
         for doubt in doubts(config, shared.coupling):
             print(doubt, flush=True)
         stop = Stop(args.duration)
+        stop.wake = link.wake
         requests = RequestListener(link)
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)

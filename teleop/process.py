@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -48,6 +49,7 @@ class Stop:
 
     def __init__(self, duration_s: float | None = None) -> None:
         self.reason = ""
+        self.wake: Callable[[], None] = lambda: None  # called by the handler: ends a wait
         self._duration_s = math.inf if duration_s is None else duration_s
         self._began_s: float | None = None
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -67,6 +69,7 @@ class Stop:
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self.request(signal.Signals(number).name)
+        self.wake()
 
 
 def die_with_parent(parent: int) -> None:

@@ -37,6 +37,14 @@ class Inbox:
         self._taken: list[Arrived] = []  # by `wait`, not yet by `take`
         self.store: Callable[[Any], None] = self._queue.put
 
+    def wake(self) -> None:
+        """End a wait now; every handler of a signal must call it.
+
+        A `SimpleQueue.get` that a signal interrupts goes on waiting for the rest of its time, and
+        for ever where the handler took longer than that rest (CPython 3.11, _queuemodule.c).
+        """
+        self._queue.put(None)
+
     def wait(self, deadline_ns: int) -> bool:
         """Wait until something is there, at most until a time of the monotonic clock [ns]."""
         if self._taken:
@@ -45,6 +53,8 @@ class Inbox:
         try:
             sample = self._queue.get(timeout > 0.0, max(timeout, 0.0))
         except Empty:
+            return False
+        if sample is None:
             return False
         self._taken.append((sample.payload.to_bytes(), now_ns()))
         return True
@@ -63,5 +73,6 @@ class Inbox:
             get()
         received_ns = now_ns()
         for _ in range(min(waiting, self._size)):
-            arrived.append((get().payload.to_bytes(), received_ns))
+            if (sample := get()) is not None:
+                arrived.append((sample.payload.to_bytes(), received_ns))
         return arrived, overflowed

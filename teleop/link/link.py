@@ -144,6 +144,11 @@ class Link:
         """
         return self._latest[topic.name][1].wait(deadline_ns)
 
+    def wake(self) -> None:
+        """End a `wait` now; to be called by whatever handles a signal, see `Inbox.wake`."""
+        for _, inbox in self._latest.values():
+            inbox.wake()
+
     def latest(self, topic: Topic[M]) -> Latest[M]:
         """Return the newest message of `topic` with its age, having looked for newer ones."""
         entry = self._latest.get(topic.name)

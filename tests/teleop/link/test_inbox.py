@@ -1,5 +1,7 @@
 """The queue between Zenoh's thread and the loop's."""
 
+import os
+import signal
 import threading
 import time
 from types import SimpleNamespace
@@ -66,3 +68,25 @@ def test_what_came_before_the_deadline_that_has_passed_is_there():
     inbox = Inbox(4)
     inbox.store(sample(1))
     assert inbox.wait(time.monotonic_ns() - 1)
+
+
+def test_a_signal_ends_a_wait_however_long_its_handler_takes():
+    """CPython's own `SimpleQueue.get` would wait for ever here: nothing else comes."""
+    inbox = Inbox(4)
+
+    def handler(_number, _frame):
+        time.sleep(0.1)  # longer than what is left of the wait
+        inbox.wake()
+
+    before = signal.signal(signal.SIGUSR1, handler)
+    try:
+        threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGUSR1)).start()
+        begin = time.monotonic_ns()
+        assert not inbox.wait(begin + 50_000_000)
+        assert time.monotonic_ns() - begin < 5_000_000_000
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    inbox.store(sample(3))
+    inbox.wake()
+    inbox.store(sample(4))
+    assert numbers(inbox.take()[0]) == [3, 4]
