@@ -15,7 +15,7 @@ from teleop.remote.stop import SIDES, state_of, stops_of
 from teleop.session import State
 from teleop.topics import LATENCY, REPORT, STATE, TENDONS, Role, role_name
 
-START_S = 120.0  # without a word of the slave; the first start compiles estimator and plant
+START_S = 240.0  # without a word of the slave; the first start compiles estimator and plant
 _LOOK_S = 0.1
 
 
