@@ -67,7 +67,7 @@ class TickInput(Record):
     reset: Flag = False  # whether one takes that back
 
 
-class Told(NamedTuple):
+class PhaseInput(NamedTuple):
     """What a loop is told before a phase, besides the hand and the slave's state."""
 
     has_state: bool  # the slave has ever answered
@@ -85,7 +85,7 @@ def run_command(
     memories: Records,
     ticks: Records,
     states: Records,
-    told: Told,
+    told: PhaseInput,
     commands: Records,
 ) -> None:
     """Run `command` on arrays of one record each: what a loop calls."""
@@ -99,7 +99,7 @@ def run_force(
     memories: Records,
     ticks: Records,
     states: Records,
-    told: Told,
+    told: PhaseInput,
     new_state: bool,
     out: NDArray[np.float64],
 ) -> int:
@@ -109,7 +109,7 @@ def run_force(
 
 
 @compiled
-def _take(tick: TickInput, told: Told) -> None:
+def _take(tick: TickInput, told: PhaseInput) -> None:
     tick.has_state, tick.state_age_ns = told.has_state, told.state_age_ns
     tick.now_ns, tick.dt = told.now_ns, told.dt
     tick.fault, tick.stop, tick.reset = told.fault, told.stop, told.reset

@@ -154,21 +154,21 @@ class Master:
         except DeviceFault as error:
             return self._device_failed(error), None, ""
 
-    def _told(self, dt: float, fault: Reason, requests: Requests) -> loop.Told:
+    def _phase_input(self, dt: float, fault: Reason, requests: Requests) -> loop.PhaseInput:
         states, now = self._states, now_ns()
         age_ns = states.age_ns(now)
         stop, reset = int(requests.stop), requests.reset
-        return loop.Told(states.is_there, age_ns, now, dt, int(fault), stop, reset)
+        return loop.PhaseInput(states.is_there, age_ns, now, dt, int(fault), stop, reset)
 
     def _find_command(
         self, settings: Records, dt: float, fault: Reason, requests: Requests
     ) -> None:
         """Run the first phase; again, from where it began, if it stalled."""
-        told, late_ns = self._told(dt, fault, requests), 0
+        told, late_ns = self._phase_input(dt, fault, requests), 0
         for again in (False, True):
             if again:
                 self._now[:] = self._before
-                told = self._told(dt + late_ns * 1e-9, fault, requests)
+                told = self._phase_input(dt + late_ns * 1e-9, fault, requests)
             loop.run_command(
                 settings,
                 self._memory,
@@ -228,15 +228,15 @@ class Master:
 
         The time of a stall before it, while the answer was waited for, counts as passed.
         """
-        verdict, dt, told, late_ns = 0, tick.dt, self._told(tick.dt, fault, requests), 0
+        verdict, dt, told, late_ns = 0, tick.dt, self._phase_input(tick.dt, fault, requests), 0
         waited_ns = told.now_ns - tick.stamp_ns
         if waited_ns > STALL_NS + self._wait_ns:
             dt += waited_ns * 1e-9
-            told = self._told(dt, fault, requests)
+            told = self._phase_input(dt, fault, requests)
         for again in (False, True):
             if again:
                 self._now[:] = self._commanded
-                told = self._told(dt + late_ns * 1e-9, fault, requests)
+                told = self._phase_input(dt + late_ns * 1e-9, fault, requests)
             verdict = loop.run_force(
                 settings,
                 self._memory,
@@ -414,7 +414,7 @@ def warm_up() -> None:
     settings = SettingsRecord(MasterConfig(), DIRECT).records
     state, command, hand = Packet(SlaveState), Packet(Command), Packet(Hand)
     hand_input.fill(ticks["hand"], HandState((0.0,), (0.0,), engage=False))
-    told = loop.Told(False, NEVER_NS, 0, 1e-3)
+    told = loop.PhaseInput(False, NEVER_NS, 0, 1e-3)
     loop.run_command(settings, memory, ticks, state.records, told, command.records)
     loop.run_force(settings, memory, ticks, state.records, told, False, np.zeros(MAX_JOINTS))
     loop.fill_hand_message(memory, ticks, -1, 0, hand.records)

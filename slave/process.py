@@ -353,8 +353,10 @@ def model_of(
             said += models.strange(tendon_configs(config, rig.tendons, rig.joints), tendons)
         for line in said:
             print(line, flush=True)
-        barred = hindrance_of(config, rig, modelled=bool(files))
-        return loop.rig_model(rig.joints, [tendon.model() for tendon in tendons], barred), past
+        not_ready_text = hindrance_of(config, rig, modelled=bool(files))
+        return loop.rig_model(
+            rig.joints, [tendon.model() for tendon in tendons], not_ready_text
+        ), past
 
     def stopped() -> str:
         asked = requests(now_ns())

@@ -185,7 +185,7 @@ class Teleoperator:
     def _master_tick(self, hand: HandState, now: int) -> None:
         latest = self._states.newest(now)
         hand_input.fill(self._inputs["hand"], hand)
-        told = master_loop.Told(latest.is_there, latest.age_ns(now), now, DT)
+        told = master_loop.PhaseInput(latest.is_there, latest.age_ns(now), now, DT)
         known = (self._master_settings, self._master, self._inputs, latest.packet.records, told)
         master_loop.run_command(*known, self._command.records)
         master_loop.run_force(*known, False, self._force)

@@ -131,7 +131,7 @@ def pressed(config, rate_hz, every, late=0):
         gained += float(force[0]) * (x - before)
         engage = time_s >= ENGAGED_S
         hand_input.fill(ticks["hand"], HandState((x,), (v,), engage))
-        told = loop.Told(has_state, now - received, now, dt)
+        told = loop.PhaseInput(has_state, now - received, now, dt)
         loop.run_command(settings, memories, ticks, states, told, commands)
         if k % every == 0:
             commands["stamp_ns"] = now
@@ -144,7 +144,7 @@ def pressed(config, rate_hz, every, late=0):
                 states[name] = value
             is_new = has_state = True
             received = now
-        told = loop.Told(has_state, now - received, now, dt)
+        told = loop.PhaseInput(has_state, now - received, now, dt)
         loop.run_force(settings, memories, ticks, states, told, is_new, force)
         near, far = memory.coupling.ports[0], slave.side.ports[0]
         given = near.put_in + far.put_in + near.granted + far.granted

@@ -173,8 +173,8 @@ def test_a_tension_far_over_its_limit_is_a_fault_if_it_lasts(tension, ticks):
 
 
 def test_a_rig_without_a_calibration_that_fits_it_is_never_engaged_and_says_why():
-    barred = loop.rig_model(((0,),), MODELS, "no calibration")
-    slave = SlaveBench(barred, CONFIG, True)
+    uncalibrated = loop.rig_model(((0,),), MODELS, "no calibration")
+    slave = SlaveBench(uncalibrated, CONFIG, True)
     for k, state in enumerate([State.READY] * 3 + [State.ENGAGED] * 20):
         output = slave.tick([sample(k * DT)], command(state, 1e-3))
         assert output.motor == ()
