@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: help demo test test-kernel check bench bench-diagnosis pictures clean
+.PHONY: help demo test test-all test-kernel check docs bench bench-diagnosis pictures clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
@@ -12,12 +12,15 @@ demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--d
 	@$(BIN)/teleop run --config configs/demo.yaml $(ARGS)
 
 # a busy machine can hold any loop up: a test with a clock fails if it does so three times in a row
-test: .venv/dev.done  ## all tests; ARGS goes to pytest
-	@$(BIN)/python -m pytest -n auto --dist loadfile -m "not real_time" $(ARGS) || [ $$? = 5 ]
-	@$(BIN)/python -m pytest --reruns 2 -m real_time $(ARGS) || [ $$? = 5 ]
+test: QUICK := and not slow
+test test-all: .venv/dev.done
+	@$(BIN)/python -m pytest -n auto --dist loadfile -m "not real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
+	@$(BIN)/python -m pytest --reruns 2 -m "real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]
+test:  ## the tests, slow matrices apart; ARGS goes to pytest
+test-all:  ## all tests
 
 test-kernel: .venv/run.done  ## the HID drivers on virtual devices, through a Linux kernel in qemu; ARGS: devices
-	@$(BIN)/python -m tests.kernel $(ARGS)
+	@$(BIN)/python -m benchmarks.kernel $(ARGS)
 
 check: .venv/dev.done  ## format, lint, types, import rules
 	$(BIN)/ruff format --check .
@@ -25,13 +28,17 @@ check: .venv/dev.done  ## format, lint, types, import rules
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: .venv/docs.done  ## the documentation as a site, links checked: .cache/site/index.html
+	@$(BIN)/python -m mkdocs build --quiet
+	@echo "written: .cache/site/index.html"
+
 bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run
 	@export NUMBA_CACHE_DIR="$$($(BIN)/python -c 'from teleop import compile_cache; print(compile_cache.choose())')"; \
 	for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 bench-diagnosis: .venv/dev.done  ## hide effects, diagnose, count what is found (hours); ARGS as in --help
 	@NUMBA_CACHE_DIR="$$($(BIN)/python -c 'from teleop import compile_cache; print(compile_cache.choose())')" \
-	$(BIN)/python -m tests.hidden.campaign $(ARGS)
+	$(BIN)/python -m benchmarks.hidden.campaign $(ARGS)
 
 pictures: .venv/dev.done  ## the pictures of the live view in docs/images, from real runs (needs Chromium)
 	@$(BIN)/python -m docs.pictures
@@ -52,4 +59,9 @@ clean:  ## remove the environment and everything made by running
 .venv/dev.done: .venv/run.done
 	@echo "Adding the tools for tests and checks (once) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+.venv/docs.done: .venv/dev.done
+	@echo "Adding the tools for the documentation (once) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@

@@ -17,14 +17,12 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.calibration import Calibration, CalibrationError, calibrate
-from estimator.sheath import Section, Sheath
-from estimator.transmission import batch, slack_profile, tables
+from estimator.array_types import Array
+from estimator.calibration.calibration import Calibration, CalibrationError, calibrate
+from estimator.law.sheath import Section, Sheath
+from estimator.law.transmission import batch, slack_profile, tables
 from tests.brute.chain import Chain, Force, Position
-
-Array = NDArray[np.float64]
 
 LOW = 0.2  # [N]
 FIRST, OTHERS = 1.0, 3.0  # [s] of the first pull, and of each branch after it

@@ -10,16 +10,14 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator import online
+from estimator.array_types import Array
 from estimator.effects import elasticity, friction
 from estimator.effects.effect import Effect, Values
-from estimator.extension import extended
-from estimator.sheath import Sheath
-from estimator.transmission import batch, slack_profile, tables
-
-Array = NDArray[np.float64]
+from estimator.law.sheath import Sheath
+from estimator.law.transmission import batch, slack_profile, tables
+from estimator.online import online
+from estimator.online.extension import extended
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
 NODES = 64

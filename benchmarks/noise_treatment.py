@@ -14,15 +14,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.displacement import push_displacement
-from estimator.identification import fit_bench
-from estimator.sheath import Sheath
+from estimator.array_types import Array
+from estimator.calibration.identification import fit_bench
+from estimator.law.displacement import push_displacement
+from estimator.law.sheath import Sheath
+from estimator.law.transmission import batch, read_out, slack_profile, tables
 from estimator.signals import noise_sigma, treat
-from estimator.transmission import batch, read_out, slack_profile, tables
-
-Array = NDArray[np.float64]
 
 SIGMA = 0.03  # [N]
 TRAVEL_SIGMA = 1e-6  # [m]

@@ -12,13 +12,13 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
-from slave.plant.effects import knobs_at
-from slave.plant.effects.elasticity import Creep, NonlinearStiffness
-from slave.plant.effects.friction import (
+from slave.rigs.simulated.plant.effects import knobs_at
+from slave.rigs.simulated.plant.effects.elasticity import Creep, NonlinearStiffness
+from slave.rigs.simulated.plant.effects.friction import (
     ConstantDrag,
     FrictionStep,
     Presliding,
@@ -27,17 +27,15 @@ from slave.plant.effects.friction import (
     TensionDependentFriction,
     ViscousFriction,
 )
-from slave.plant.joint import Joint, JointState, advance, joint_at_rest
-from slave.plant.sheath import SheathConfig
-from slave.rigs.simulated import (
+from slave.rigs.simulated.plant.joint import Joint, JointState, advance, joint_at_rest
+from slave.rigs.simulated.plant.sheath import SheathConfig
+from slave.rigs.simulated.simulated import (
     JointConfig,
     SimulatedRig,
     SimulatedRigConfig,
     TendonPlantConfig,
     build_joint,
 )
-
-Array = NDArray[np.float64]
 
 NODES = (10, 30, 60, 120, 300)
 STEPS = 2000

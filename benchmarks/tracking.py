@@ -16,16 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import online
 from estimator.compiled import compiled
+from estimator.law.sheath import Sheath
+from estimator.online import online
 from estimator.records import Records, as_records
-from estimator.sheath import Sheath
 from slave import control, fault_detection, gate
 from slave.control import Control, ControlConfig, JointEstimate
 from slave.fault_detection import FaultDetectionConfig, FaultDetector, MotorChecks
 from slave.gate import GateConfig
-from slave.plant.sheath import SectionConfig
-from slave.rigs.simulated import JointConfig
+from slave.rigs.simulated.plant.sheath import SectionConfig
+from slave.rigs.simulated.simulated import JointConfig
 from slave.tendons import EstimatedTendon, RigLayout, rig_layout
 from teleop.messages import MAX_JOINTS, MAX_TENDONS
 from tests.slave.control_bench import DT, Command, follow, joint, sine, staircase

@@ -21,7 +21,8 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 from PIL import Image
 
-from teleop import cli, config
+from teleop import config
+from teleop.app import cli
 from teleop.messages import PROFILE_POINTS
 from teleop.recording.reader import read_messages
 from teleop.session import State

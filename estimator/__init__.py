@@ -1,1 +1,82 @@
-"""The transmission as mathematics: tension law, calibration, online estimator. No clock, no I/O."""
+"""Tendon-sheath transmission: its law, the estimator of tip force, calibration and diagnosis.
+
+    import estimator as est
+
+Names are imported when they are first used, so that a control loop loads only what it needs.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from estimator.calibration.calibration import Calibration as Calibration
+    from estimator.calibration.calibration import calibrate as calibrate
+    from estimator.calibration.sheath_fit import FitError as FitError
+    from estimator.calibration.sheath_fit import SheathFit as SheathFit
+    from estimator.calibration.sheath_fit import fit_sheath as fit_sheath
+    from estimator.diagnosis.api import RecordError as RecordError
+    from estimator.diagnosis.api import diagnose as diagnose
+    from estimator.diagnosis.outcome import Diagnosis as Diagnosis
+    from estimator.effects import CATALOGUE as CATALOGUE
+    from estimator.law.sheath import Section as Section
+    from estimator.law.sheath import Sheath as Sheath
+    from estimator.law.simulation import Simulation as Simulation
+    from estimator.law.simulation import simulate as simulate
+    from estimator.measured_data import MeasuredData as MeasuredData
+    from estimator.measured_data import Samples as Samples
+    from estimator.online.estimator import Estimator as Estimator
+    from estimator.online.online import Estimates as Estimates
+    from estimator.online.tendon_model import TendonModel as TendonModel
+
+_PLACES = {
+    "Calibration": "calibration.calibration",
+    "calibrate": "calibration.calibration",
+    "FitError": "calibration.sheath_fit",
+    "SheathFit": "calibration.sheath_fit",
+    "fit_sheath": "calibration.sheath_fit",
+    "RecordError": "diagnosis.api",
+    "diagnose": "diagnosis.api",
+    "Diagnosis": "diagnosis.outcome",
+    "CATALOGUE": "effects",
+    "Section": "law.sheath",
+    "Sheath": "law.sheath",
+    "Simulation": "law.simulation",
+    "simulate": "law.simulation",
+    "MeasuredData": "measured_data",
+    "Samples": "measured_data",
+    "Estimator": "online.estimator",
+    "Estimates": "online.online",
+    "TendonModel": "online.tendon_model",
+}
+
+__all__ = [
+    "CATALOGUE",
+    "Calibration",
+    "Diagnosis",
+    "Estimates",
+    "Estimator",
+    "FitError",
+    "MeasuredData",
+    "RecordError",
+    "Samples",
+    "Section",
+    "Sheath",
+    "SheathFit",
+    "Simulation",
+    "TendonModel",
+    "calibrate",
+    "diagnose",
+    "fit_sheath",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its module (PEP 562)."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'estimator' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"estimator.{_PLACES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -2,12 +2,8 @@
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from estimator.array_types import Array
 from estimator.compiled import compiled
-
-Array = NDArray[np.float64]
 
 
 @compiled

@@ -12,11 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
-
-Array = NDArray[np.float64]
 
 _MAD_TO_SIGMA = 1.4826  # of a normal distribution
 _SECOND_DIFFERENCE = math.sqrt(6.0)  # its sigma over that of white noise

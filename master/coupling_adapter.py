@@ -12,8 +12,8 @@ A tick has two phases. `count_hand` does all that the next command must tell of 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, Flag, Record
 from master.hand_input import Axes, HandInput, all_finite
@@ -39,7 +39,7 @@ def count_hand(
     hand: HandInput,
     force_scale: float,
     position_scale: float,
-    written: NDArray[np.float64],
+    written: Array,
     axes: int,
     coupled: bool,
     dt: float,
@@ -80,10 +80,10 @@ def render(
     settings: BilateralSettings,
     side: Side,
     force_scale: float,
-    wanted: NDArray[np.float64],
+    wanted: Array,
     axes: int,
     coupled: bool,
-    out: NDArray[np.float64],
+    out: Array,
 ) -> None:
     """Write the forces [N] that the coupling gives the hand to the first `axes` of `out`.
 
@@ -109,9 +109,7 @@ def render(
 
 
 @compiled
-def remember(
-    rendered: RenderMemory, force_scale: float, force: NDArray[np.float64], axes: int
-) -> None:
+def remember(rendered: RenderMemory, force_scale: float, force: Array, axes: int) -> None:
     """Remember the forces that the coupling asked for, and their scale."""
     for k in range(axes):
         rendered.force[k] = force[k]

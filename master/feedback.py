@@ -16,9 +16,7 @@ A value that is not finite goes through as it is, for the gate to refuse.
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from teleop.force_attenuation import ConfidenceConfig, attenuated
 from teleop.messages import STATUS_NAMES, SlaveState
@@ -52,7 +50,7 @@ def tip_forces(
     state: SlaveState,
     has_state: bool,
     axes: int,
-    out: NDArray[np.float64],
+    out: Array,
 ) -> None:
     """Write the force at each tip [N] that may be felt to the first `axes` of `out`, shape (8,).
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from enum import IntFlag
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from master.hand_input import all_finite
 from teleop.messages import MAX_JOINTS
@@ -63,15 +63,15 @@ SLEW = int(Verdict.SLEW)
 @compiled
 def step(
     config: GateConfig,
-    last: NDArray[np.float64],
-    wanted: NDArray[np.float64],
+    last: Array,
+    wanted: Array,
     axes: int,
     fresh: bool,
     may_render: bool,
     dt: float,
     fades: bool,
-    rest: NDArray[np.float64],
-    out: NDArray[np.float64],
+    rest: Array,
+    out: Array,
 ) -> int:
     """Let `wanted` through as far as it is safe.
 
@@ -140,7 +140,7 @@ def _faded(last: float, target: float, by: float) -> float:
 
 
 @compiled
-def _length(force: NDArray[np.float64], axes: int) -> float:
+def _length(force: Array, axes: int) -> float:
     """Return the length of a vector, scaled so that no square overflows or vanishes."""
     largest = 0.0
     for k in range(axes):

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import I64, Field, Flag, Record, Records
 from master.device import HandState
 from teleop.messages import MAX_JOINTS
 
-Axes = Annotated[NDArray[np.float64], Field("f8", MAX_JOINTS)]
+Axes = Annotated[Array, Field("f8", MAX_JOINTS)]
 """A field with one number for each axis of a device; what is beyond its axes is zero."""
 
 
@@ -60,14 +60,14 @@ def fill(records: Records, hand: HandState | None) -> None:
     )
 
 
-def fill_axes(field: NDArray[np.float64], values: Sequence[float]) -> None:
+def fill_axes(field: Array, values: Sequence[float]) -> None:
     """Set a field to one number for each axis, and to zero beyond them."""
     field[:] = 0.0
     field[: len(values)] = values
 
 
 @compiled
-def all_finite(values: NDArray[np.float64], axes: int) -> bool:
+def all_finite(values: Array, axes: int) -> bool:
     """Return whether the first `axes` of `values` are finite."""
     for k in range(axes):  # noqa: SIM110 - compiled
         if not np.isfinite(values[k]):

@@ -14,9 +14,7 @@ The other force of the master's own is the one that keeps the device's weight,
 `OperatorSettings.weight`.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import Flag, Record
 from master.hand_input import Axes, HandInput
@@ -51,7 +49,7 @@ def update_limits(
 
 @compiled
 def wall_forces(
-    settings: OperatorSettings, limits: WorkspaceLimits, hand: HandInput, out: NDArray[np.float64]
+    settings: OperatorSettings, limits: WorkspaceLimits, hand: HandInput, out: Array
 ) -> None:
     """Write the force of the limits on the hand [N] to `out`, shape (8,), axis by axis."""
     for k in range(hand.axes):

@@ -12,8 +12,8 @@ one master in a `MasterState`, which both phases change in place.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, I64, Flag, Record, Records, one
 from master import coupling_adapter, feedback, gate, local, operator, presence
@@ -101,7 +101,7 @@ def run_force(
     states: Records,
     told: PhaseInput,
     new_state: bool,
-    out: NDArray[np.float64],
+    out: Array,
 ) -> int:
     """Run `force` on arrays of one record each: what a loop calls."""
     _take(ticks[0], told)
@@ -204,7 +204,7 @@ def force(
     tick: TickInput,
     state: SlaveState,
     new_state: bool,
-    out: NDArray[np.float64],
+    out: Array,
 ) -> int:
     """Run the second phase of a tick: from the slave's newest state to the force on the hand.
 
@@ -280,7 +280,7 @@ def _wanted_forces(
     memory: MasterState,
     tick: TickInput,
     state: SlaveState,
-    out: NDArray[np.float64],
+    out: Array,
 ) -> bool:
     """Write the forces that the hand should feel [N] to `out`; return whether all are finite."""
     feedback.tip_forces(settings.bilateral.confidence, state, tick.has_state, memory.axes, out)

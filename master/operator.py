@@ -21,6 +21,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, U64, Field, Flag, Record, Records, one
 from master.hand_input import Axes, HandInput, fill_axes
@@ -133,8 +134,8 @@ def step(
     state: SlaveState,
     has_state: bool,
     engaged: bool,
-    out_position: NDArray[np.float64],
-    out_velocity: NDArray[np.float64],
+    out_position: Array,
+    out_velocity: Array,
 ) -> None:
     """Find the tip command of one tick.
 

@@ -34,7 +34,6 @@ from teleop.config import load
 from teleop.coupling import Bilateral, LedgerPublisher
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.events import publish_event
-from teleop.launch.summary import loop_lines, trouble
 from teleop.link import NEVER_NS, Link
 from teleop.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
 from teleop.meter import LoopMeter, format_reason
@@ -44,6 +43,7 @@ from teleop.realtime import enter_loop, go_realtime
 from teleop.remote.requests import RequestListener, Requests, SettingRequest
 from teleop.run_config import RunConfig
 from teleop.session import OutlineReader, Reason, SessionOutline, State
+from teleop.summary import loop_lines, trouble
 from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, LEDGER, REPORT, STATE, Role
 
 DIRECT = Bilateral()
@@ -278,7 +278,7 @@ class Master:
         """Do what nobody waits for, once the force is written."""
         side = self._outline()
         self._requests.relay(Role.MASTER, side, requests.words)
-        if hand is not None:
+        if hand is not None and not self._link.skip_unsubscribed(HAND):
             age = self._states.age_ns(tick.stamp_ns)
             loop.fill_hand_message(
                 self._memory,
@@ -288,8 +288,8 @@ class Master:
                 self._hand.records,
             )
             self._link.publish_packet(HAND, self._hand)
-        if self._ledger.is_due(tick.stamp_ns):
-            self._link.publish_packet(LEDGER, self._ledger.packet)
+        if self._ledger.is_due(tick.stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
+            self._link.publish_packet(LEDGER, self._ledger.filled())
         if side != self._published:
             self._publish_session(side)
         self._report(tick.stamp_ns, side)

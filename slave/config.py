@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from slave import models
+from slave import model_files
 from slave.calibration import file
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import JointTendons
@@ -15,7 +15,7 @@ from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
 from slave.rigs import RigConfig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.rigs.simulated import SimulatedRigConfig, TendonPlantConfig
+from slave.rigs.simulated.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
@@ -26,7 +26,7 @@ QUANTISED = math.sqrt(12.0)  # a step over the standard deviation that rounding 
 
 AS_BUILT = "as-built"
 
-NO_FILES: models.Given = {}
+NO_FILES: model_files.Given = {}
 
 DIRECT = DirectConfig()
 FELT_WITH = "they are felt with coupling: {type: direct}"
@@ -80,7 +80,7 @@ class SlaveConfig:
 
 
 def tendon_configs(
-    config: SlaveConfig, count: int, joints: JointTendons = (), files: models.Given = NO_FILES
+    config: SlaveConfig, count: int, joints: JointTendons = (), files: model_files.Given = NO_FILES
 ) -> tuple[TendonConfig, ...]:
     """Return the models for `count` tendons; `UsageError` if there are none, or too few.
 
@@ -90,7 +90,9 @@ def tendon_configs(
     known: tuple[TendonConfig | None, ...] = (None,) * count
     if not files or config.tendons or config.calibration:
         known = _configured(config, count)
-    found = tuple(tendon for tendon in models.applied(known, joints, files) if tendon is not None)
+    found = tuple(
+        tendon for tendon in model_files.apply(known, joints, files) if tendon is not None
+    )
     if len(found) < count:
         raise UsageError(f"--model: not of every tendon, and slave.tendons: {UNCALIBRATED}")
     return found
@@ -159,9 +161,9 @@ def doubts(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
     if not isinstance(config.calibration, Path):
         return []
     calibration = file.load(config.calibration)
-    if calibration.believed:
+    if calibration.accepted:
         return []
-    return [f"WARNING: {config.calibration.name} is not to be believed: {calibration.remark}"]
+    return [f"WARNING: {config.calibration.name} is not accepted: {calibration.remark}"]
 
 
 def as_built(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:

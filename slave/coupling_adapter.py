@@ -2,10 +2,10 @@
 
 import math
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
-from estimator.tendon_estimate import INVALID_INPUT
+from estimator.online.tendon_estimate import INVALID_INPUT
 from slave.control.joint import JointEstimates
-from slave.rig import Array
 from teleop.force_attenuation import ConfidenceConfig, attenuated
 
 

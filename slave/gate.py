@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from enum import IntFlag
 from typing import TypeAlias
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, Record, Records
 from slave.control.joint import JointEstimates
-from slave.rig import Array
 from slave.tendons import RigLayout
 from teleop.config import MAY_BE_INFINITE
 

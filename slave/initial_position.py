@@ -8,20 +8,17 @@ else.
 import math
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from estimator.array_types import Array
 from estimator.arrays import copy
 from estimator.compiled import compiled
 from estimator.records import F64, Field, Flag, Record
-from slave.rig import Array
 from teleop.messages import MAX_TENDONS
 
 
 class InitialPosition(Record):
     """The newest reading of all encoders together."""
 
-    position: Annotated[NDArray[np.float64], Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
+    position: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
     has_position: Flag = False  # whether there is one yet
     age: F64 = 0.0  # [s] minus infinity where it is known without encoders
 

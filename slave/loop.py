@@ -13,13 +13,13 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator import online
+from estimator.array_types import Array
 from estimator.arrays import copy
 from estimator.compiled import compiled
+from estimator.online import online
+from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import F64, I64, Field, Flag, Record, Records, as_records, one, record_dtype
-from estimator.tendon_estimate import INVALID_INPUT
 from slave import control, coupling_adapter, fault_detection, gate, initial_position
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
@@ -31,8 +31,6 @@ from teleop import coupling, session
 from teleop.coupling import Bilateral, Side
 from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command, SlaveState
 from teleop.session import Reason, Session, State
-
-Array = NDArray[np.float64]
 
 DIRECT = Bilateral()
 

@@ -20,19 +20,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator import online
 from estimator.records import Records, as_bytes, one
-from slave import loop, models
+from slave import loop, model_files
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
 from slave.gate import Verdict
 from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
-from slave.rigs.effect_words import late
-from slave.rigs.simulated import SimulatedRigConfig
+from slave.rigs.simulated.effect_text import late
+from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.score import Score
-from slave.state_messages import fill_tendon_state
+from slave.state_messages import fill_tendon_state, fill_tension_profile
 from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
 from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns, quiet_garbage
@@ -42,9 +41,15 @@ from teleop.config import load
 from teleop.coupling import Bilateral, LedgerPublisher
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.events import publish_event
-from teleop.launch.summary import force_line, loop_lines, trouble
 from teleop.link import Link
-from teleop.messages import MAX_JOINTS, PROFILE_POINTS, Command, SlaveState, TendonState
+from teleop.messages import (
+    MAX_JOINTS,
+    PROFILE_POINTS,
+    Command,
+    SlaveState,
+    TendonState,
+    TensionProfile,
+)
 from teleop.meter import LoopMeter, format_reason
 from teleop.packet import Packet
 from teleop.process import Stop, destination, seconds, supervised, write_summary
@@ -52,6 +57,7 @@ from teleop.realtime import enter_loop, go_realtime
 from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.run_config import RunConfig
 from teleop.session import OutlineReader, Reason, SessionOutline, State
+from teleop.summary import force_line, loop_lines, trouble
 from teleop.topics import COMMAND, LEDGER, REPORT, STATE, TENDONS, Role
 
 DYNAMICS_COMPILE_S = 14.0  # [s] more
@@ -103,6 +109,8 @@ class SlaveProcess:
         self._before = [part.copy() for part in self._changing]
         self._rows = loop.EstimatedSample.array(ROWS)
         self._samples = 0
+        self._ahead: RigSample | None = None  # that the memory is estimated from already
+        self._is_estimated = False  # whether the rows of this tick are
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
         self._answer_ns = self._state.records["answer_ns"]
@@ -168,7 +176,8 @@ class SlaveProcess:
         return numbers | {"force_error": self._score.summary(), "rig": self._rig.summary()}
 
     def _take_back(self) -> None:
-        """Forget the tick that was just stepped."""
+        """Forget the tick that was just stepped, and what was estimated ahead for it."""
+        self._is_estimated = False
         for now, before in zip(self._changing, self._before, strict=True):
             now[:] = before
 
@@ -183,27 +192,36 @@ class SlaveProcess:
             requests.reset,
         )
         slave, rows, samples = self._slave, self._rows, self._samples
-        slave.estimate(*self._estimated, rows, samples)
+        if not self._is_estimated:
+            slave.estimate(*self._estimated, rows, samples)
+        self._is_estimated = False
         return loop.tick(
             *self._ticked, rows, samples, given, commands.packet.records, self._state.records
         )
 
     def _read(self, time_s: float) -> Reason:
         """Take over the rig's new samples; return what is wrong with it."""
-        self._samples = 0
+        ahead, self._ahead, self._samples = self._ahead, None, 0
+        samples: tuple[RigSample, ...] = ()
+        fault = Reason.NONE
         try:
             samples = self._rig.read(time_s)
         except RigFinished:
             self.ended = Reason.RIG_FINISHED.text
-            return Reason.RIG_FINISHED
+            fault = Reason.RIG_FINISHED
         except RigFault as error:
-            return self._failed(error)
+            fault = self._failed(error)
+        if ahead is not None:
+            if len(samples) == 1 and samples[0] is ahead:
+                self._samples, self._is_estimated = 1, True
+                return fault
+            self._take_back()  # it was not given: it came too early or too late for that
         if len(samples) > len(self._rows):  # behind a stall; it stays that long
             self._rows = loop.EstimatedSample.array(2 * len(samples))
         for sample in samples:
             loop.fill_sample(self._rows, self._samples, sample)
             self._samples += 1
-        return Reason.NONE
+        return fault
 
     def _failed(self, error: RigFault) -> Reason:
         self._end(TeleopError(f"rig: {error}"))
@@ -217,8 +235,7 @@ class SlaveProcess:
         """Do what nobody waits for, once the answer is out; return how long the rig took [ns]."""
         slave, rows, samples = self._slave, self._rows, self._samples
         begin_ns = now_ns()
-        if not self.error and not self.ended:
-            self._advance_rig()
+        ahead = None if self.error or self.ended else self._advance_rig()
         rig_ns = now_ns() - begin_ns
         loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, samples
@@ -227,23 +244,34 @@ class SlaveProcess:
             before[:] = now
         side = self._outline()
         for k in range(samples):
+            if self._link.skip_unsubscribed(TENDONS):
+                continue
             fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
             self._link.publish_packet(TENDONS, self._tendon_state)
         self._score.add_rows(slave.layout, rows, samples)
         self._requests.relay(Role.SLAVE, side, requests.words)
-        if self._ledger.is_due(tick.stamp_ns):
-            self._link.publish_packet(LEDGER, self._ledger.packet)
+        if self._ledger.is_due(tick.stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
+            self._link.publish_packet(LEDGER, self._ledger.filled())
         self._telemetry(time_s)
         self._report(tick.stamp_ns)
+        if ahead is not None:
+            self._estimate_ahead(ahead)
         return rig_ns
 
-    def _advance_rig(self) -> None:
+    def _estimate_ahead(self, sample: RigSample) -> None:
+        """Estimate from the sample that the rig gives next; last, as the memory then has it."""
+        loop.fill_sample(self._rows, 0, sample)
+        self._slave.estimate(*self._estimated, self._rows, 1)
+        self._ahead = sample
+
+    def _advance_rig(self) -> RigSample | None:
         try:
-            self._rig.advance()
+            return self._rig.advance()
         except RigFault as error:  # told at once: there is no next tick
             self._samples = 0
             self._step(now_ns(), 0.0, self._failed(error), Requests())
             self._link.publish_packet(STATE, self._state)
+            return None
 
     def _report(self, stamp_ns: int) -> None:
         side = self._outline()
@@ -272,7 +300,7 @@ def run(slave: SlaveProcess, clock: EventClock, stop_for: Callable[[str], None])
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop slave`."""
     add_config_arguments(parser)
-    models.add_argument(parser)
+    model_files.add_argument(parser)
     parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
     parser.add_argument(
         "--json", type=destination, metavar="FILE", help="write the summary to FILE"
@@ -284,9 +312,9 @@ def main(args: argparse.Namespace) -> int:
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
     config.check_rate(shared.rate_hz)
-    files = models.given(args.model)
+    files = model_files.parse(args.model)
     if files and config.initialise.at_start:
-        raise UsageError("--model: slave.initialise.at_start finds the sheaths anew; give but one")
+        raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")
     prepare(config, with_dynamics=bool(files) or has_model_file(config))
     # before the link: its threads inherit the priority
     granted = go_realtime(shared.realtime)
@@ -337,7 +365,7 @@ def model_of(
     requests: RequestListener,
     stop: Stop,
     rate_hz: float,
-    files: models.Given,
+    files: model_files.Given,
 ) -> tuple[RigModel, Past]:
     """Return what is known of a rig when the loop begins, and what it has measured before.
 
@@ -350,7 +378,9 @@ def model_of(
         tendons = tendon_configs(config, rig.tendons, rig.joints, files)
         said = introduced(tendons)
         if files and (config.tendons or config.calibration):
-            said += models.strange(tendon_configs(config, rig.tendons, rig.joints), tendons)
+            said += model_files.friction_warnings(
+                tendon_configs(config, rig.tendons, rig.joints), tendons
+            )
         for line in said:
             print(line, flush=True)
         not_ready_text = hindrance_of(config, rig, modelled=bool(files))
@@ -388,7 +418,7 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
     """Return what the models of diagnoses do in the loop, and what is doubtful about them."""
     said: dict[str, None] = {}
     for tendon in tendons:
-        for sentence in models.sentences(tendon):
+        for sentence in model_files.describe(tendon):
             said[f"{tendon.model_file}: {sentence}"] = None
         if tendon.model_file is not None and tendon.tension_noise == 0.0:
             line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"
@@ -401,7 +431,9 @@ def prepare(config: SlaveConfig, with_dynamics: bool) -> None:
 
     Models of a diagnosis may have effects `with_dynamics`, which take longer.
     """
-    about_s = COMPILE_S + RIG_COMPILE_S[type(config.rig)] + DYNAMICS_COMPILE_S * with_dynamics
+    about_s = (
+        COMPILE_S + RIG_COMPILE_S.get(type(config.rig), 0.0) + DYNAMICS_COMPILE_S * with_dynamics
+    )
     # the collector would look in vain through a million objects of the compiler: 10 % of its time
     with quiet_garbage(), announced("the slave's loop", about_s, partial(_compile_rest, config)):
         _compile_tick()
@@ -437,7 +469,8 @@ def _compile_follow_up() -> None:
     loop.monitor_calibration(slave.settings, slave.layout, slave.watched, slave.memory, rows, 1)
     fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
     Score().add_rows(slave.layout, rows, 1)
-    online.profile_at(one(slave.prepared), one(slave.estimators), np.zeros(PROFILE_POINTS))
+    points, profile = np.zeros(PROFILE_POINTS), Packet(TensionProfile)
+    fill_tension_profile(slave.prepared, slave.estimators, slave.memory, 0, points, profile.records)
     state.seal(0, 0, 0)
 
 

@@ -3,10 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from estimator.array_types import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +71,13 @@ class Rig(Protocol):
         on, and in a calibration, by command or at the slave's start, with nobody engaged.
         """
 
-    def advance(self) -> None:
+    def advance(self) -> RigSample | None:
         """Do what nobody waits for: called once a tick, when the answer to the master is out.
 
-        A simulated rig computes the next step of its plant here. Most others have nothing to do.
+        A simulated rig computes the next step of its plant here, and returns the sample that the
+        next `read` gives if it comes when that is due: that very object, which is estimated from
+        in advance. Only a rig whose sample gets no newer by waiting may do so; a real one returns
+        None, and most have nothing to do.
         """
 
     def summary(self) -> dict[str, int | float | str]:

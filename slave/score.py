@@ -4,12 +4,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, I64, Record, Records, one
-
-Array = NDArray[np.float64]
 
 PULLED = 200.0  # times the noise: of a smaller full scale a percentage tells of the noise alone
 

@@ -1,13 +1,19 @@
 """From what a tick found to the messages that listeners get."""
 
 import math
-from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from estimator.compiled import compiled
+from estimator.law.sheath import Sheath
+from estimator.law.transmission import tension_at
 from estimator.records import Records
-from estimator.sheath import Sheath
 from teleop import messages
 from teleop.messages import MAX_SECTIONS, MAX_TENDONS, PROFILE_POINTS, padded
+
+Array = NDArray[np.float64]
 
 
 @compiled
@@ -48,13 +54,35 @@ def fill_tendon_state(
         state.bench_distal_displacement[i] = row.bench_displacement[i] if used else 0.0
 
 
-def tension_profile(
-    tendon: int, length: float, front: float, tension: Sequence[float]
-) -> messages.TensionProfile:
-    """Return T(x) of one tendon at `PROFILE_POINTS` evenly spread points."""
-    return messages.TensionProfile(
-        tendon=tendon, length=length, front=front, tension=padded(tension, PROFILE_POINTS)
-    )
+@compiled
+def fill_tension_profile(
+    prepared: Records,
+    estimators: Records,
+    memories: Records,
+    tendon: int,
+    points: Array,
+    profiles: Records,
+) -> None:
+    """Fill in a `TensionProfile` of one tendon, all but its head.
+
+    Parameters
+    ----------
+    prepared, estimators, memories : Records
+        Of a `Slave`.
+    tendon : int
+        Which one, from 0.
+    points : array of shape (PROFILE_POINTS,)
+        Arc lengths [m], evenly spread over its sheath.
+    profiles : Records
+        The message, shape (1,).
+    """
+    profile: Any = profiles[0]
+    profile.tendon = tendon
+    profile.length = points[PROFILE_POINTS - 1]
+    profile.front = memories[0].tendons[tendon].estimate.front
+    tension = tension_at(prepared[tendon].tables, estimators[tendon].profile, points)
+    for i in range(PROFILE_POINTS):
+        profile.tension[i] = tension[i]
 
 
 def sheath(tendon: int, joint: int, model: Sheath) -> messages.Sheath:

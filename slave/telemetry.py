@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from estimator import online
 from estimator.records import one
 from slave import state_messages
 from slave.calibration import monitor
@@ -15,8 +14,9 @@ from slave.loop import NOT_CALIBRATED, NOT_READY_TEXT, RigModel, Slave, SlaveMem
 from slave.rig import Rig
 from teleop.events import publish_event
 from teleop.link import Link
-from teleop.messages import PROFILE_POINTS
+from teleop.messages import PROFILE_POINTS, TensionProfile
 from teleop.meter import format_reason
+from teleop.packet import Packet
 from teleop.session import OutlineReader, Reason, SessionOutline, State
 from teleop.topics import PROFILE, SHEATH, Role
 
@@ -49,6 +49,7 @@ class Telemetry:
         self._profile_s = max(PROFILE_PERIOD_S / len(model.models), PROFILE_LEAST_S)
         self._next_profile_s = self._next_sheath_s = 0.0
         self._tendon = 0
+        self._profile = Packet(TensionProfile)
         self.detail = self.stop_text = ""
         self._published: tuple[SessionOutline, str] | None = None
         self._advice = int(Advice.NONE)
@@ -77,8 +78,9 @@ class Telemetry:
         if time_s >= self._next_sheath_s:
             self._next_sheath_s = time_s + SHEATH_PERIOD_S
             for k, model in enumerate(self._model.models):
-                message = state_messages.sheath(k, self._joint_of[k], model.sheath)
-                self._link.publish(SHEATH, message)
+                if not self._link.skip_unsubscribed(SHEATH):
+                    message = state_messages.sheath(k, self._joint_of[k], model.sheath)
+                    self._link.publish(SHEATH, message)
 
     def _detail(self, reason: Reason) -> str:
         """Return what the reason of a state is about: why it is not usable, which tendon it is."""
@@ -110,12 +112,13 @@ class Telemetry:
     def _publish_profile(self) -> None:
         k = self._tendon
         self._tendon = (k + 1) % len(self._model.models)
-        x = self._points[k]
-        slave = self._slave
-        tension = online.profile_at(one(slave.prepared, k), one(slave.estimators, k), x)
-        front = float(self._memory.tendons[k].estimate.front)
-        message = state_messages.tension_profile(k, x[-1], front, tension.tolist())
-        self._link.publish(PROFILE, message)
+        if self._link.skip_unsubscribed(PROFILE):
+            return
+        slave, records = self._slave, self._profile.records
+        state_messages.fill_tension_profile(
+            slave.prepared, slave.estimators, slave.memory, k, self._points[k], records
+        )
+        self._link.publish_packet(PROFILE, self._profile)
 
 
 def calibrating(rig: Rig) -> Callable[[Progress], None]:

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from estimator import extension
-from estimator.extension import Extended
-from estimator.online import TendonModel
-from estimator.sheath import Section, Sheath, SheathError
-from slave.diagnosis import model_file
-from slave.plant.sheath import SectionConfig
+from estimator.law.sheath import Section, Sheath, SheathError
+from estimator.online import extension
+from estimator.online.extension import Extended
+from estimator.online.online import TendonModel
+from slave.rigs.simulated.plant.sheath import SectionConfig
+from teleop.data import model_file
 from teleop.errors import UsageError
 from teleop.messages import MAX_SECTIONS
 
@@ -24,7 +24,7 @@ _IN_MODEL_FILE = (
 
 @dataclass(frozen=True, slots=True)
 class TendonConfig:
-    """What the estimator believes of one tendon and its sheath.
+    """Parameters of one tendon and its sheath, as the estimator uses them.
 
     Either the effective friction K of the whole sheath, as a calibration gives it, or a friction
     coefficient and the sections it acts along, or the model file of a diagnosis.

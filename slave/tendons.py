@@ -7,8 +7,8 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.online.tendon_estimate import TendonEstimate
 from estimator.records import F64, I64, Field, Flag, Record, Records, one
-from estimator.tendon_estimate import TendonEstimate
 from teleop.messages import MAX_JOINTS
 
 SIGNS = (1.0, -1.0)  # of a joint's travel in that of its tendons a and b

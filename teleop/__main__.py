@@ -15,7 +15,7 @@ _INTERRUPTED = 128 + signal.SIGINT
 def main() -> int:
     """Run `teleop`; returns the exit code."""
     signal.signal(signal.SIGINT, _end)
-    from teleop import cli
+    from teleop.app import cli
 
     try:
         return cli.main(begin=_interruptible)

@@ -23,7 +23,6 @@ Anything else is a `UsageError` of one line: file, dotted key, what it is, what 
 
 import argparse
 import dataclasses
-import difflib
 import math
 import re
 import types
@@ -34,6 +33,8 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 
 from teleop import strict_yaml
 from teleop.errors import UsageError
+from teleop.extensions import Extension, ExtensionError, names_of, resolve_class
+from teleop.suggestions import did_you_mean
 
 # of teleop.run_config.RunConfig
 SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "realtime")
@@ -351,6 +352,12 @@ class _Builder:
         if "type" not in data and type(preset) in classes:
             return type(preset)
         tag = data.get("type")
+        others = [c for c in classes if issubclass(c, Extension)]
+        if others and isinstance(tag, str) and (":" in tag or tag in names_of(others[0])):
+            try:
+                return resolve_class(tag, others[0])
+            except ExtensionError as error:
+                raise self.source.error((*keys, "type"), str(error)) from error
         if not isinstance(tag, str) or tag not in by_tag:
             given = "is missing" if tag is None else f"{_shown(tag)} is unknown"
             suggestion = _suggest(tag, by_tag)
@@ -360,7 +367,8 @@ class _Builder:
 
 def _by_tag(classes: Iterable[Any]) -> dict[str, Any]:
     """Return the dataclasses of a union by what their key `type` must say."""
-    return {get_args(get_type_hints(c)["type"])[0]: c for c in classes}
+    built_in = [c for c in classes if not issubclass(c, Extension)]
+    return {get_args(get_type_hints(c)["type"])[0]: c for c in built_in}
 
 
 def _default(item: "dataclasses.Field[Any]") -> Any:
@@ -385,9 +393,9 @@ def _is_word(value: Any) -> bool:
 def _suggest(given: Any, known: Iterable[Any], listed: bool = True) -> str:
     """Return what is allowed, and what was perhaps meant."""
     names = [str(k) for k in known]
-    close = difflib.get_close_matches(str(given), names, n=1)
-    meant = f"; did you mean {close[0]!r}?" if close else ""
-    return meant + (f" (allowed: {', '.join(sorted(names))})" if listed else "")
+    return did_you_mean(str(given), names) + (
+        f" (allowed: {', '.join(sorted(names))})" if listed else ""
+    )
 
 
 def _described(members: Iterable[Any]) -> list[str]:

@@ -36,7 +36,7 @@ TEXT_BYTES = 256
 
 # What TendonState.phase counts, in the paper's words
 PHASE_NAMES = ("slack", "virgin", "pull", "pull to release", "release", "release to pull")
-# The bits of SlaveState.status and TendonState.status, lowest first: estimator.online.Status
+# The bits of SlaveState.status and TendonState.status, lowest first: estimator.online.online.Status
 STATUS_NAMES = ("tension only", "uninitialised", "tip moved", "slack", "invalid input")
 
 # The stages of a command's way to the hand, in Latency's arrays
@@ -298,7 +298,7 @@ class TendonState(Message):
     elongation: Tendons = NO_TENDONS  # [m] estimated
     front: Tendons = NO_TENDONS  # [m] X', how deep the newest reversal has travelled
     phase: TendonFlags = NO_TENDON_FLAGS  # index into PHASE_NAMES
-    status: TendonFlags = NO_TENDON_FLAGS  # estimator.online.Status flags
+    status: TendonFlags = NO_TENDON_FLAGS  # estimator.online.online.Status flags
     bench_distal_tension: Tendons = NO_TENDONS  # [N] NaN where no bench sensor
     bench_distal_displacement: Tendons = NO_TENDONS  # [m] NaN where no bench sensor
 

@@ -13,8 +13,8 @@ compile_cache.choose()  # before anything imports numba
 settings.register_profile("short", deadline=None, max_examples=50)  # a busy machine takes long
 settings.load_profile("short")
 REAL_TIME = (  # loops, sockets, clocks
+    "examples/test_session_examples.py",
     "system",
-    "faults",
     "master/test_process.py",
     "master/test_unplug.py",
     "master/hid/test_command.py",
@@ -23,11 +23,12 @@ REAL_TIME = (  # loops, sockets, clocks
     "master/hid/test_seeker.py",
     "master/hid/test_writer.py",
     "slave/test_process.py",
-    "teleop/test_benchmarks.py",
+    "tools/bench/test_benchmarks.py",
     "teleop/test_clock.py",
     "teleop/test_impair.py",
-    "teleop/test_keys.py",
-    "teleop/test_launch.py",
+    "teleop/test_impair_run.py",
+    "app/test_keys.py",
+    "app/test_launch.py",
     "teleop/link/test_frozen_and_killed.py",
     "teleop/link/test_rivals.py",
     "teleop/link/test_sessions.py",

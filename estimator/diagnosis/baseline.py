@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.diagnosis.bench import Bench, Fit, Model, residual, simulated
+from estimator.diagnosis.dataset import Dataset, Fit, Model, residual, simulated
 from estimator.diagnosis.fit import improved, own_start
 from estimator.diagnosis.model import scene_of
 from estimator.diagnosis.record import Record
@@ -14,11 +13,9 @@ from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Effect,
-    Scene,
+    EffectContext,
     Values,
 )
-
-Array = NDArray[np.float64]
 
 FRICTIONS = (0.2, 0.45, 0.8, 1.2, 1.8)
 TIP_SHARES = (0.0, 0.35, 0.75)
@@ -27,34 +24,34 @@ TRIED = 5  # of the starts, in full
 ROUNDS = 15
 
 
-def baseline(bench: Bench, effects: tuple[tuple[Effect, Values], ...] = ()) -> Fit:
+def baseline(dataset: Dataset, effects: tuple[tuple[Effect, Values], ...] = ()) -> Fit:
     """Return the best fit of the plain law, or of one with effects begun at their values."""
-    about = [scene_of(record, None, 1e-4) for record in bench.records]
-    starts = [model._replace(effects=effects) for model in _starts(bench)]
-    costs = [_cost(bench, about, model) for model in starts]
+    about = [scene_of(record, None, 1e-4) for record in dataset.records]
+    starts = [model._replace(effects=effects) for model in _starts(dataset)]
+    costs = [_cost(dataset, about, model) for model in starts]
     order = np.argsort(costs)[:TRIED]
-    fits = [improved(bench, about, starts[k], ROUNDS) for k in order]
-    return min(fits, key=lambda fit: float(np.sum(residual(bench, fit) ** 2)))
+    fits = [improved(dataset, about, starts[k], ROUNDS) for k in order]
+    return min(fits, key=lambda fit: float(np.sum(residual(dataset, fit) ** 2)))
 
 
-def by_most(bench: Bench, fit: Fit) -> Fit:
+def by_most(dataset: Dataset, fit: Fit) -> Fit:
     """Return a fit that goes by most of the records, begun at one that goes by all.
 
     Where something happened at one time, what came before it and what came after it are each fitted
     badly by one model; this one fits the longer part.
     """
-    about = [scene_of(record, None, 1e-4) for record in bench.records]
-    return improved(bench, about, fit.model, ROUNDS, robust=True)
+    about = [scene_of(record, None, 1e-4) for record in dataset.records]
+    return improved(dataset, about, fit.model, ROUNDS, robust=True)
 
 
-def _cost(bench: Bench, about: list[Scene], model: Model) -> float:
-    return float(np.sum(residual(bench, simulated(bench, about, model)) ** 2))
+def _cost(dataset: Dataset, about: list[EffectContext], model: Model) -> float:
+    return float(np.sum(residual(dataset, simulated(dataset, about, model)) ** 2))
 
 
-def _starts(bench: Bench) -> list[Model]:
-    first = bench.records[0]
+def _starts(dataset: Dataset) -> list[Model]:
+    first = dataset.records[0]
     if first.driver == PROXIMAL_TENSION:
-        return [Model((K,), ((),) * len(bench.records), ()) for K in FRICTIONS]
+        return [Model((K,), ((),) * len(dataset.records), ()) for K in FRICTIONS]
     starts = []
     for K in FRICTIONS:
         for share in _tip_shares(first):
@@ -62,7 +59,7 @@ def _starts(bench: Bench) -> list[Model]:
             tip = share * total * math.exp(K)
             plain = -math.expm1(-K) / K
             compliance = max((1.0 - share) * total / plain, 1e-6)
-            own = tuple(own_start(record, compliance) for record in bench.records)
+            own = tuple(own_start(record, compliance) for record in dataset.records)
             starts.append(Model((K, compliance, tip), own, ()))
     return starts
 

@@ -6,24 +6,24 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.diagnosis import experiments
 from estimator.diagnosis.baseline import baseline
-from estimator.diagnosis.bench import (
+from estimator.diagnosis.dataset import (
     NOISE,
-    Bench,
+    Dataset,
     Fit,
-    bench_of,
+    contexts,
+    contexts_without,
+    dataset_of,
     mean_noise,
     rescaled,
-    scenes,
-    scenes_without,
     tolerance,
     whole,
 )
-from estimator.diagnosis.course import wanders
+from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.fit import improved, own_only, refitted
+from estimator.diagnosis.free_friction import wanders
 from estimator.diagnosis.intervals import parameters
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
@@ -37,23 +37,20 @@ from estimator.diagnosis.outcome import (
     Verdict,
 )
 from estimator.diagnosis.record import Record, RecordError, felt, in_short_blocks
+from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (
     Errors,
-    better_by,
     bootstrapped_gain,
     errors,
     gain_of,
     joined,
     left_of,
+    log_likelihood_ratio,
     surely_better,
 )
 from estimator.diagnosis.search import Candidate, Report, candidates
-from estimator.diagnosis.structure import structure
-from estimator.diagnosis.visible import visible
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect
-
-Array = NDArray[np.float64]
 
 MOST = 3  # causes, one after another
 MARGIN = 15.0  # ln of probability that a cause must bring, its parameters paid for
@@ -83,12 +80,12 @@ def diagnose(
     report: Report = quiet,
     workers: int = 1,
 ) -> Diagnosis:
-    """Say what a model of a bench gets wrong.
+    """Say what a model of a dataset gets wrong.
 
     Parameters
     ----------
     records : sequence of Record
-        From one bench, with the same channels; they share its physics.
+        From one dataset, with the same channels; they share its physics.
     effects : sequence of Effect
         That may be the cause.
     validate : sequence of Record
@@ -104,44 +101,46 @@ def diagnose(
         If the records have different channels.
     """
     if len({tuple(sorted(record.signals)) for record in [*records, *validate]}) > 1:
-        raise RecordError("the records have different channels: give those of one bench")
-    bench = bench_of(records)
+        raise RecordError("the records have different channels: give those of one dataset")
+    dataset = dataset_of(records)
     report("fitting the plain law", 0.0)
-    plain = baseline(bench)
-    noisy = [felt(record, _again(record, bench, plain)) for record in records]
+    plain = baseline(dataset)
+    noisy = [felt(record, _again(record, dataset, plain)) for record in records]
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
-        bench = bench_of(noisy)
-        plain = baseline(bench)
-    if _brief(bench, plain):
-        bench = bench_of([in_short_blocks(record) for record in bench.records])
-        plain = baseline(bench)
+        dataset = dataset_of(noisy)
+        plain = baseline(dataset)
+    if _brief(dataset, plain):
+        dataset = dataset_of([in_short_blocks(record) for record in dataset.records])
+        plain = baseline(dataset)
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
     for _ in range(MOST):
-        if _is_noise(bench, errors(bench, fit)) or (steps and _is_all(bench, fit, plain)):
+        if _is_noise(dataset, errors(dataset, fit)) or (steps and _is_all(dataset, fit, plain)):
             break
         rest = [effect for effect in usable if effect.name not in fit.names]
-        found = candidates(bench, fit, rest, report, workers)
-        step = _step(bench, plain, fit, found)
+        found = candidates(dataset, fit, rest, report, workers)
+        step = _step(dataset, plain, fit, found)
         if step is not None and not steps:
-            without = _without(bench, step.fit, step.effect)
-            if _matters(bench, step.fit, without, step.effect) < MARGIN:  # was in a wrong valley
+            without = _without(dataset, step.fit, step.effect)
+            if (
+                _matters(dataset, step.fit, without, step.effect) < MARGIN
+            ):  # the previous fit was a local minimum
                 plain = fit = without
                 continue
-        first = first or _ranking(bench, plain, fit, found)
+        first = first or _ranking(dataset, plain, fit, found)
         if step is None:
-            two = _by_two(bench, plain, fit, found, rest, report, workers)
+            two = _by_two(dataset, plain, fit, found, rest, report, workers)
             steps, fit = [*steps, *two], two[-1].fit if two else fit
             break
         steps.append(step)
         fit = step.fit
-    steps, fit = _needed(bench, steps, fit)
-    return _outcome(bench, plain, fit, steps, first, usable, validate)
+    steps, fit = _needed(dataset, steps, fit)
+    return _outcome(dataset, plain, fit, steps, first, usable, validate)
 
 
 def _by_two(
-    bench: Bench,
+    dataset: Dataset,
     plain: Fit,
     fit: Fit,
     found: Sequence[Candidate],
@@ -160,44 +159,46 @@ def _by_two(
         return []
     lead = ahead[0]
     rest = [effect for effect in rest if effect.name != lead.effect.name]
-    more = candidates(bench, lead.fit, rest, report, workers)
-    second = _step(bench, plain, lead.fit, more)
-    if second is None or not _within(bench, errors(bench, second.fit), FURTHER):
+    more = candidates(dataset, lead.fit, rest, report, workers)
+    second = _step(dataset, plain, lead.fit, more)
+    if second is None or not _within(dataset, errors(dataset, second.fit), FURTHER):
         return []
-    return [Step(lead.effect, (), _ranking(bench, plain, fit, list(found)), lead.fit), second]
+    return [Step(lead.effect, (), _ranking(dataset, plain, fit, list(found)), lead.fit), second]
 
 
-def _needed(bench: Bench, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
+def _needed(dataset: Dataset, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
     """Return the causes without those that later ones have made needless, and the fit of them."""
     for step in steps[:-1] if len(steps) > 1 else ():
-        without = _without(bench, fit, step.effect)
-        if _matters(bench, fit, without, step.effect) < MARGIN:
+        without = _without(dataset, fit, step.effect)
+        if _matters(dataset, fit, without, step.effect) < MARGIN:
             steps = [one for one in steps if one is not step]
             fit = without
     return steps, fit
 
 
-def _without(bench: Bench, fit: Fit, effect: Effect) -> Fit:
+def _without(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
     """Return a model without one of its effects, fitted from where it was with it."""
     rest = tuple(one for one in fit.model.effects if one[0].name != effect.name)
     model = fit.model._replace(effects=rest)
-    return improved(rescaled(bench, fit), scenes(bench, fit), model, LAST)
+    return improved(rescaled(dataset, fit), contexts(dataset, fit), model, LAST)
 
 
-def _matters(bench: Bench, fit: Fit, without: Fit, effect: Effect) -> float:
+def _matters(dataset: Dataset, fit: Fit, without: Fit, effect: Effect) -> float:
     """Return ln of how much more probable held-out data are with an effect, parameters paid for."""
-    return better_by(errors(bench, fit), errors(bench, without)) - _price(bench, effect)
+    return log_likelihood_ratio(errors(dataset, fit), errors(dataset, without)) - _bic_penalty(
+        dataset, effect
+    )
 
 
-def _price(bench: Bench, effect: Effect) -> float:
-    samples = sum(len(record.time) for record in bench.records)
+def _bic_penalty(dataset: Dataset, effect: Effect) -> float:
+    samples = sum(len(record.time) for record in dataset.records)
     return 0.5 * len(effect.parameters) * math.log(samples)
 
 
-def _again(record: Record, bench: Bench, fit: Fit) -> Callable[[Record], Simulated]:
+def _again(record: Record, dataset: Dataset, fit: Fit) -> Callable[[Record], Simulated]:
     """Return a function that simulates a record again with another drive."""
-    k = next(i for i, other in enumerate(bench.records) if other is record)
-    about = scenes_without(bench, fit)[k]
+    k = next(i for i, other in enumerate(dataset.records) if other is record)
+    about = contexts_without(dataset, fit)[k]
 
     def again(other: Record) -> Simulated:
         return simulate(other, about, fit.model.shared, fit.model.own[k], ())
@@ -205,10 +206,10 @@ def _again(record: Record, bench: Bench, fit: Fit) -> Callable[[Record], Simulat
     return again
 
 
-def _brief(bench: Bench, plain: Fit) -> bool:
+def _brief(dataset: Dataset, plain: Fit) -> bool:
     """Return whether what is wrong is nearly all in one block, or in two side by side."""
     most = total = 0.0
-    for record, one in zip(bench.records, plain.simulated, strict=True):
+    for record, one in zip(dataset.records, plain.simulated, strict=True):
         excess = np.zeros(record.block[-1] + 1)
         for channel in record.compared:
             good = record.good[channel]
@@ -220,81 +221,81 @@ def _brief(bench: Bench, plain: Fit) -> bool:
     return most > BRIEF * total
 
 
-def _is_all(bench: Bench, fit: Fit, plain: Fit) -> bool:
+def _is_all(dataset: Dataset, fit: Fit, plain: Fit) -> bool:
     """Return whether too little is left for another cause to be told from what a model is not."""
-    found = errors(bench, fit)
-    if left_of(found, errors(bench, plain)) < LEAST_LEFT:
+    found = errors(dataset, fit)
+    if left_of(found, errors(dataset, plain)) < LEAST_LEFT:
         return True
-    return _within(bench, found, FURTHER)
+    return _within(dataset, found, FURTHER)
 
 
-def _is_noise(bench: Bench, found: dict[str, Errors]) -> bool:
+def _is_noise(dataset: Dataset, found: dict[str, Errors]) -> bool:
     """Return whether errors are what noise makes, and a simulation that is off by ACCURACY."""
-    return _within(bench, found, NOISE)
+    return _within(dataset, found, NOISE)
 
 
-def _within(bench: Bench, found: dict[str, Errors], times: float) -> bool:
-    noise, floor = mean_noise(bench), tolerance(bench)
+def _within(dataset: Dataset, found: dict[str, Errors], times: float) -> bool:
+    noise, floor = mean_noise(dataset), tolerance(dataset)
     return all(math.sqrt(one.mean) * noise[c] < times * floor[c] for c, one in found.items())
 
 
-def _score(bench: Bench, base: dict[str, Errors], one: Candidate) -> float:
+def _score(dataset: Dataset, base: dict[str, Errors], one: Candidate) -> float:
     """Return ln of how much more probable held-out data are, parameters paid for."""
-    return better_by(one.held_out, base) - _price(bench, one.effect)
+    return log_likelihood_ratio(one.held_out, base) - _bic_penalty(dataset, one.effect)
 
 
-def _step(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | None:
+def _step(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | None:
     """Return the cause that explains most, with those that cannot be told from it, if any does."""
-    base = errors(bench, fit)
-    order = sorted(found, key=lambda one: -_score(bench, base, one))
+    base = errors(dataset, fit)
+    order = sorted(found, key=lambda one: -_score(dataset, base, one))
     if not order:
         return None
-    best = _simplest(bench, plain, base, order)
+    best = _simplest(dataset, plain, base, order)
     if (
-        _score(bench, base, best) < MARGIN
+        _score(dataset, base, best) < MARGIN
         or gain_of(best.held_out, base) < LEAST_GAIN
         or surely_better(best.held_out, base) < SURE
     ):
         return None
-    most = left_of(best.held_out, errors(bench, plain))
+    most = left_of(best.held_out, errors(dataset, plain))
     rivals: list[str] = []
     for other in order:
         if other.effect.name in (best.effect.name, *rivals) or len(rivals) == RIVALS:
             continue
-        behind = _score(bench, base, best) - _score(bench, base, other)
-        more = left_of(other.held_out, errors(bench, plain)) - most
+        behind = _score(dataset, base, best) - _score(dataset, base, other)
+        more = left_of(other.held_out, errors(dataset, plain)) - most
         unsure = surely_better(best.held_out, other.held_out) < SURE and more < UNSURE_LEFT
         if behind < ALIKE or more < ALIKE_LEFT or unsure:
             rivals.append(other.effect.name)
-    return Step(best.effect, tuple(rivals), _ranking(bench, plain, fit, found), best.fit)
+    return Step(best.effect, tuple(rivals), _ranking(dataset, plain, fit, found), best.fit)
 
 
 def _simplest(
-    bench: Bench, plain: Fit, base: dict[str, Errors], order: list[Candidate]
+    dataset: Dataset, plain: Fit, base: dict[str, Errors], order: list[Candidate]
 ) -> Candidate:
     """Return of the best causes, which are as good as each other, that of the fewest parameters.
 
     One with more can be bent into another: an antagonist of hardly any friction is joint friction.
     """
-    best, at_first = order[0], errors(bench, plain)
+    best, at_first = order[0], errors(dataset, plain)
     most = left_of(best.held_out, at_first) + ALIKE_LEFT
-    least = _score(bench, base, best) - ALIKE
+    least = _score(dataset, base, best) - ALIKE
     alike = [
         one
         for one in order
-        if _score(bench, base, one) > least and left_of(one.held_out, at_first) < most
+        if _score(dataset, base, one) > least and left_of(one.held_out, at_first) < most
     ]
     return min(alike, key=lambda one: len(one.effect.parameters))
 
 
-def _ranking(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
-    base, at_first = errors(bench, fit), errors(bench, plain)
-    noise = mean_noise(bench)
+def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
+    base, at_first = errors(dataset, fit), errors(dataset, plain)
+    noise = mean_noise(dataset)
     ranked = [
         Ranked(
             one.effect.name,
             one.effect.label,
-            _score(bench, base, one),
+            _score(dataset, base, one),
             {c: math.sqrt(e.mean) * noise[c] for c, e in one.held_out.items()},
             left_of(one.held_out, at_first),
             {
@@ -310,7 +311,7 @@ def _ranking(bench: Bench, plain: Fit, fit: Fit, found: list[Candidate]) -> tupl
 
 
 def _outcome(
-    bench: Bench,
+    dataset: Dataset,
     plain: Fit,
     fit: Fit,
     steps: list[Step],
@@ -318,15 +319,15 @@ def _outcome(
     usable: Sequence[Effect],
     validate: Sequence[Record],
 ) -> Diagnosis:
-    full = rescaled(whole(bench), fit)
-    last = improved(full, scenes(bench, plain), fit.model, LAST)
-    folds = _folds(bench, plain, last)
-    before, after = (joined([errors(one.bench, one.fits[k]) for one in folds]) for k in (0, 1))
+    full = rescaled(whole(dataset), fit)
+    last = improved(full, contexts(dataset, plain), fit.model, LAST)
+    folds = _folds(dataset, plain, last)
+    before, after = (joined([errors(one.dataset, one.fits[k]) for one in folds]) for k in (0, 1))
     left = left_of(after, before)
-    astray = not _is_noise(bench, after) and wanders(bench, fit)
+    astray = not _is_noise(dataset, after) and wanders(dataset, fit)
     if not steps:
-        verdict = Verdict.CLEAN if _is_noise(bench, before) else Verdict.UNEXPLAINED
-    elif astray or (left > EXPLAINED and not _is_noise(bench, after)):
+        verdict = Verdict.CLEAN if _is_noise(dataset, before) else Verdict.UNEXPLAINED
+    elif astray or (left > EXPLAINED and not _is_noise(dataset, after)):
         verdict = Verdict.UNEXPLAINED
     elif any(step.rivals for step in steps):
         verdict = Verdict.AMBIGUOUS
@@ -334,7 +335,7 @@ def _outcome(
         verdict = Verdict.NAMED
     numbers = {
         one.name: Number(one.value, one.low, one.high, one.parameter.unit)
-        for one in parameters(full, scenes(bench, plain), last)
+        for one in parameters(full, contexts(dataset, plain), last)
     }
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
     return Diagnosis(
@@ -342,7 +343,7 @@ def _outcome(
         steps=tuple(steps),
         ranking=first,
         parameters=numbers,
-        bench=bench,
+        dataset=dataset,
         baseline=plain,
         extended=last if steps else plain,
         before=_fitnesses(folds, 0, validate),
@@ -350,37 +351,39 @@ def _outcome(
         gain={
             channel: Gain(*bootstrapped_gain(after[channel], before[channel])) for channel in before
         },
-        noise=mean_noise(bench),
+        noise=mean_noise(dataset),
         left=left,
         wanders=astray,
-        structure=structure(bench, fit),
-        visible=visible(bench, plain, usable) if verdict is Verdict.CLEAN else {},
-        experiments=experiments.settling(alike, bench.records[0].signals),
-        troubles=tuple(trouble for record in bench.records for trouble in record.troubles),
+        structure=structure(dataset, fit),
+        detection_limits=detection_limits(dataset, plain, usable)
+        if verdict is Verdict.CLEAN
+        else {},
+        experiments=experiments.settling(alike, dataset.records[0].signals),
+        troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
     )
 
 
 class Fold(NamedTuple):
-    """A bench of which one half is fitted, and the plain and the extended model fitted to it."""
+    """A dataset of which one half is fitted, and the plain and the extended model fitted to it."""
 
-    bench: Bench
+    dataset: Dataset
     fits: tuple[Fit, Fit]
 
 
-def _folds(bench: Bench, plain: Fit, fit: Fit) -> tuple[Fold, Fold]:
+def _folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, Fold]:
     """Return both ways to fit one half of the samples and to be judged by the other."""
-    about = scenes(bench, plain)
-    full = whole(bench)
+    about = contexts(dataset, plain)
+    full = whole(dataset)
 
-    def fold(half: Bench) -> Fold:
+    def fold(half: Dataset) -> Fold:
         before, after = (
             refitted(rescaled(half, one), rescaled(full, one), about, one, LAST)
             for one in (plain, fit)
         )
         return Fold(half, (before, after))
 
-    swapped = tuple(replace(record, train=~record.train) for record in bench.records)
-    return fold(bench), fold(bench._replace(records=swapped))
+    swapped = tuple(replace(record, train=~record.train) for record in dataset.records)
+    return fold(dataset), fold(dataset._replace(records=swapped))
 
 
 def _fitnesses(folds: tuple[Fold, ...], which: int, validate: Sequence[Record]) -> Fitnesses:
@@ -393,10 +396,10 @@ def _fitnesses(folds: tuple[Fold, ...], which: int, validate: Sequence[Record]) 
 
 def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fitness]:
     found = {}
-    for channel in folds[0].bench.records[0].compared:
+    for channel in folds[0].dataset.records[0].compared:
         off, full = [], 0.0
         for fold in folds:
-            for record, one in zip(fold.bench.records, fold.fits[which].simulated, strict=True):
+            for record, one in zip(fold.dataset.records, fold.fits[which].simulated, strict=True):
                 rows = record.good[channel] & (record.train == fitted)
                 off.append((record.signals[channel] - one.signals[channel])[rows])
                 full = max(full, float(np.ptp(record.signals[channel])))
@@ -410,6 +413,6 @@ def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fi
 
 def _validated(fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
     """Return how far a model is off in records it was not fitted to, but for where they start."""
-    bench = whole(bench_of(validate))
-    start = own_only(bench, fit)
-    return _fitness([Fold(bench, (start, start))], 0, fitted=True)
+    dataset = whole(dataset_of(validate))
+    start = own_only(dataset, fit)
+    return _fitness([Fold(dataset, (start, start))], 0, fitted=True)

@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from estimator.diagnosis.bench import (
-    Bench,
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import (
+    Dataset,
     Fit,
     Model,
+    contexts_without,
     cost,
     residual,
-    scenes_without,
     simulated,
     whole,
 )
@@ -22,11 +23,10 @@ from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
     PROXIMAL_TENSION,
-    Scene,
+    EffectContext,
     Values,
 )
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEP = 0.02  # of a parameter's step: for derivatives
@@ -41,8 +41,8 @@ LOOSE = 0.5  # [N] at the tip that hardly moves what it pulls at
 
 
 def improved(
-    bench: Bench,
-    about: Sequence[Scene],
+    dataset: Dataset,
+    about: Sequence[EffectContext],
     start: Model,
     rounds: int = ROUNDS,
     *,
@@ -54,19 +54,21 @@ def improved(
     was and how long it took is then fitted to all samples: those that count may have none of that
     time. A `robust` fit goes by most of a record, however far it is off the rest.
     """
-    layout = Layout(bench, start)
-    fit = _descended(bench, about, layout, start, rounds, layout.smooth, robust=robust)
+    layout = Layout(dataset, start)
+    fit = _descended(dataset, about, layout, start, rounds, layout.smooth, robust=robust)
     jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
     reaches = SEARCH if rounds > ROUNDS else SEARCH[:1] if rounds > QUICK else ()
     for reach in reaches if jumping else ():
         for i in jumping:
-            fit = _stepped(bench, about, layout, fit, i, reach)
-        fit = _descended(whole(bench), about, layout, fit.model, max(2, rounds // 3), layout.when)
-        fit = _descended(bench, about, layout, fit.model, max(2, rounds // 3), ~layout.when)
+            fit = _stepped(dataset, about, layout, fit, i, reach)
+        fit = _descended(whole(dataset), about, layout, fit.model, max(2, rounds // 3), layout.when)
+        fit = _descended(dataset, about, layout, fit.model, max(2, rounds // 3), ~layout.when)
     return fit
 
 
-def refitted(part: Bench, of: Bench, about: Sequence[Scene], fit: Fit, rounds: int) -> Fit:
+def refitted(
+    part: Dataset, of: Dataset, about: Sequence[EffectContext], fit: Fit, rounds: int
+) -> Fit:
     """Return a model of the whole, fitted again to a part of the samples.
 
     What the part cannot tell stays as the whole has it: when something happened, and whatever shows
@@ -77,15 +79,15 @@ def refitted(part: Bench, of: Bench, about: Sequence[Scene], fit: Fit, rounds: i
     return _descended(part, about, layout, fit.model, rounds, told)
 
 
-def own_only(bench: Bench, fit: Fit) -> Fit:
-    """Return a model of other records of the bench: only what each has for itself is fitted."""
-    about = scenes_without(bench, fit)
-    if not bench.base.own:
-        return simulated(bench, about, fit.model._replace(own=((),) * len(bench.records)))
-    own = tuple(own_start(record, fit.model.shared[1]) for record in bench.records)
+def own_only(dataset: Dataset, fit: Fit) -> Fit:
+    """Return a model of other records of the dataset: only what each has for itself is fitted."""
+    about = contexts_without(dataset, fit)
+    if not dataset.base.own:
+        return simulated(dataset, about, fit.model._replace(own=((),) * len(dataset.records)))
+    own = tuple(own_start(record, fit.model.shared[1]) for record in dataset.records)
     model = fit.model._replace(own=own)
-    layout = Layout(bench, model)
-    return _descended(bench, about, layout, model, ROUNDS, layout.own)
+    layout = Layout(dataset, model)
+    return _descended(dataset, about, layout, model, ROUNDS, layout.own)
 
 
 def own_start(record: Record, compliance: float) -> Values:
@@ -101,54 +103,54 @@ def own_start(record: Record, compliance: float) -> Values:
     return (taut, float(np.min(loose)))
 
 
-def moved(bench: Bench, model: Model, by: Array) -> Model:
+def moved(dataset: Dataset, model: Model, by: Array) -> Model:
     """Return a model with all its numbers moved, in their own steps, as far as they may be."""
-    layout = Layout(bench, model)
+    layout = Layout(dataset, model)
     low, high = layout.bounds()
     return layout.unpack(np.clip(layout.pack(model) + by, low, high))
 
 
-def slopes_of(bench: Bench, about: Sequence[Scene], fit: Fit) -> Array:
+def slopes_of(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Array:
     """Return the derivatives of the residual by all parameters, each in its own step."""
-    layout = Layout(bench, fit.model)
+    layout = Layout(dataset, fit.model)
     _, high = layout.bounds()
 
     def off(x: Array) -> Array:
-        return residual(bench, simulated(bench, about, layout.unpack(x)))
+        return residual(dataset, simulated(dataset, about, layout.unpack(x)))
 
-    return _differences(off, layout.pack(fit.model), residual(bench, fit), high)
+    return _differences(off, layout.pack(fit.model), residual(dataset, fit), high)
 
 
-def _uncertain(bench: Bench, about: Sequence[Scene], fit: Fit) -> Array:
+def _uncertain(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Array:
     """Return how uncertain each number of a model is, in its step, for residuals of 1."""
-    J = slopes_of(bench, about, fit)
+    J = slopes_of(dataset, about, fit)
     information = J.T @ J + WEAK * np.eye(J.shape[1])
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
 
 
 def _stepped(
-    bench: Bench, about: Sequence[Scene], layout: Layout, fit: Fit, i: int, reach: float
+    dataset: Dataset, about: Sequence[EffectContext], layout: Layout, fit: Fit, i: int, reach: float
 ) -> Fit:
     """Return the best of a fit and those with one number up to `reach` [s] more or less.
 
     Of equal ones the latest: what happened at rest shows with the first motion after it.
     """
-    bench = whole(bench)
+    dataset = whole(dataset)
     x = layout.pack(fit.model)
-    best, least = fit, cost(bench, fit)
+    best, least = fit, cost(dataset, fit)
     for off in np.linspace(-reach, reach, STEPS):
         moved = x.copy()
         moved[i] += off / layout.step(i)
-        other = simulated(bench, about, layout.unpack(moved))
-        found = cost(bench, other)
+        other = simulated(dataset, about, layout.unpack(moved))
+        found = cost(dataset, other)
         if found < least or (off > 0.0 and found < (1.0 + EQUAL) * least):
             best, least = other, min(found, least)
     return best
 
 
 def _descended(
-    bench: Bench,
-    about: Sequence[Scene],
+    dataset: Dataset,
+    about: Sequence[EffectContext],
     layout: Layout,
     start: Model,
     rounds: int,
@@ -167,7 +169,7 @@ def _descended(
     known: dict[bytes, Array] = {}  # of the numbers tried last: slopes are asked for at these
 
     def off(x: Array) -> Array:
-        return residual(bench, simulated(bench, about, layout.unpack(full(x))))
+        return residual(dataset, simulated(dataset, about, layout.unpack(full(x))))
 
     def tried(x: Array) -> Array:
         known.clear()
@@ -190,7 +192,7 @@ def _descended(
         gtol=1e-9,
         max_nfev=rounds,
     )
-    return simulated(bench, about, layout.unpack(full(np.asarray(found.x))))
+    return simulated(dataset, about, layout.unpack(full(np.asarray(found.x))))
 
 
 def _differences(off: Callable[[Array], Array], x: Array, at: Array, high: Array) -> Array:

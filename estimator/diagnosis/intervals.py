@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.diagnosis.bench import (
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import (
     ACCURACY,
-    Bench,
+    Dataset,
     Fit,
     Model,
     cost,
@@ -19,9 +19,7 @@ from estimator.diagnosis.bench import (
 )
 from estimator.diagnosis.fit import SEARCH, slopes_of
 from estimator.diagnosis.layout import Layout
-from estimator.effects.effect import Parameter, Scene
-
-Array = NDArray[np.float64]
+from estimator.effects.effect import EffectContext, Parameter
 
 COVER = 1.96  # standard uncertainties on each side of a value
 FARTHEST = 60.0  # [s] that a time is tried to be wrong by
@@ -38,38 +36,38 @@ class Named(NamedTuple):
     high: float
 
 
-def parameters(bench: Bench, about: Sequence[Scene], fit: Fit) -> tuple[Named, ...]:
+def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tuple[Named, ...]:
     """Return all numbers of a model but those of single records, with their intervals.
 
     From the scatter of the residuals and their correlation from one sample to the next, and from
     what a simulation that is off by `ACCURACY` could make of a number at worst; of a time that no
     slope leads to, by how far it can be moved until the residuals are as much larger.
     """
-    layout = Layout(bench, fit.model)
-    J, r = slopes_of(bench, about, fit), residual(bench, fit)
+    layout = Layout(dataset, fit.model)
+    J, r = slopes_of(dataset, about, fit), residual(dataset, fit)
     inverse = np.linalg.pinv(J)
     correlation = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-30)
     correlation = min(max(correlation, 0.0), 0.995)
     spread = float(r @ r) / max(len(r) - J.shape[1], 1) * (1.0 + correlation) / (1.0 - correlation)
     sigma = np.sqrt((inverse**2).sum(axis=1) * spread)
-    most_off = np.abs(inverse) @ _inaccuracy(bench, fit.model)
+    most_off = np.abs(inverse) @ _inaccuracy(dataset, fit.model)
     found = []
     for i, value in enumerate(layout.values(fit.model)[: layout.common]):
         p = layout.parameters[i]
         reach = math.hypot(COVER * float(sigma[i]), float(most_off[i])) * layout.step(i)
         low, high = value - reach, value + reach
         if p.jumps:
-            most = cost(bench, fit) + COVER**2 * spread
-            low = min(low, value + _reach(bench, about, layout, fit, i, -1.0, most))
-            high = max(high, value + _reach(bench, about, layout, fit, i, 1.0, most))
+            most = cost(dataset, fit) + COVER**2 * spread
+            low = min(low, value + _reach(dataset, about, layout, fit, i, -1.0, most))
+            high = max(high, value + _reach(dataset, about, layout, fit, i, 1.0, most))
         found.append(Named(layout.names[i], p, value, max(low, p.low), min(high, p.high)))
     return tuple(found)
 
 
-def _inaccuracy(bench: Bench, model: Model) -> Array:
+def _inaccuracy(dataset: Dataset, model: Model) -> Array:
     """Return by how much each residual may be off because a simulation is."""
     parts = []
-    for record, scale in zip(bench.records, bench.scale, strict=True):
+    for record, scale in zip(dataset.records, dataset.scale, strict=True):
         for channel in record.compared:
             count = int((record.train & record.good[channel]).sum())
             off = ACCURACY * float(np.ptp(record.signals[channel])) / scale[channel]
@@ -80,8 +78,8 @@ def _inaccuracy(bench: Bench, model: Model) -> Array:
 
 
 def _reach(
-    bench: Bench,
-    about: Sequence[Scene],
+    dataset: Dataset,
+    about: Sequence[EffectContext],
     layout: Layout,
     fit: Fit,
     i: int,
@@ -93,7 +91,7 @@ def _reach(
     def bears(off: float) -> bool:
         x = layout.pack(fit.model)
         x[i] += off / layout.step(i)
-        return cost(bench, simulated(bench, about, layout.unpack(x))) <= most
+        return cost(dataset, simulated(dataset, about, layout.unpack(x))) <= most
 
     near, far = 0.0, way * SEARCH[-1]
     while bears(far) and abs(far) < FARTHEST:

@@ -3,28 +3,28 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.diagnosis.bench import Bench, Model
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import Dataset, Model
 from estimator.diagnosis.model import COMPLIANCE, own_bounds
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
 class Layout:
     """The numbers of a model in a row, each counted in its step."""
 
-    def __init__(self, bench: Bench, model: Model) -> None:
-        base = bench.base
+    def __init__(self, dataset: Dataset, model: Model) -> None:
+        base = dataset.base
         effects = [effect for effect, _ in model.effects]
         self.base, self.effects, self.records = base, effects, len(model.own)
         self.names = [p.name for p in base.shared]
         self.parameters = list(base.shared)
-        span = max(float(np.ptp(record.drive)) for record in bench.records)
+        span = max(float(np.ptp(record.drive)) for record in dataset.records)
         for effect in effects:
             self.names += [f"{effect.name}.{p.name}" for p in effect.parameters]
             self.parameters += effect.within(effect.parameters, span)
-        self.common = len(self.parameters)  # those of the bench come first
-        for k, record in enumerate(bench.records):
+        self.common = len(self.parameters)  # those of the dataset come first
+        for k, record in enumerate(dataset.records):
             self.names += [f"{p.name} ({k + 1})" for p in base.own]
             self.parameters += [
                 p._replace(low=low, high=high)

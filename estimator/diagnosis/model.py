@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.diagnosis.record import Record
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
@@ -13,15 +13,13 @@ from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Effect,
+    EffectContext,
     Parameter,
-    Scene,
     Signals,
     Values,
 )
-from estimator.extended import Motion, Physics, by_tension, by_travel
-from estimator.nodes import even_weights
-
-Array = NDArray[np.float64]
+from estimator.lumped.lumped_model import Motion, Physics, by_tension, by_travel
+from estimator.lumped.nodes import even_weights
 
 FRICTION = Parameter("K", "", 0.01, 5.0, 0.05)
 COMPLIANCE = Parameter("L/EA", "m/N", 1e-7, 2e-3, 5e-6)
@@ -33,7 +31,7 @@ TIP_ZERO = Parameter("tip zero", "m", -10.0, 10.0, 1e-6)  # of each record
 
 
 class Base(NamedTuple):
-    """What every model has: parameters of the bench, and those that each record has for itself."""
+    """Parameters that every model has: of the dataset, and of each record."""
 
     shared: tuple[Parameter, ...]
     own: tuple[Parameter, ...]
@@ -67,7 +65,7 @@ def own_bounds(record: Record) -> list[tuple[float, float]]:
 
 def simulate(
     record: Record,
-    scene: Scene,
+    context: EffectContext,
     shared: Sequence[float],
     own: Sequence[float],
     effects: Sequence[tuple[Effect, Values]],
@@ -78,7 +76,7 @@ def simulate(
     ----------
     record : Record
         What drives it.
-    scene : Scene
+    context : EffectContext
         What effects may know of it.
     shared, own : sequence of float
         Values of `base_of` the record.
@@ -89,10 +87,10 @@ def simulate(
     compliance, tip = elastic if elastic else (ASSUMED, 0.0)
     physics = Physics(np.full(len(record.time), K), compliance, even_weights(), tip)
     for effect, values in effects:
-        physics = effect.physics(physics, values, scene)
+        physics = effect.physics(physics, values, context)
     drive = record.drive
     for effect, values in reversed(effects):
-        drive = effect.true(drive, values, scene)
+        drive = effect.invert(drive, values, context)
     if record.driver == PROXIMAL_TENSION:
         motion = by_tension(physics, record.time, np.maximum(drive, 0.0), record.speed)
     else:
@@ -105,14 +103,14 @@ def simulate(
     if len(own) > 1:
         signals[DISTAL_DISPLACEMENT] = motion.distal_displacement + own[1]
     for effect, values in effects:
-        signals = effect.reads(signals, values, scene)
+        signals = effect.measure(signals, values, context)
     return Simulated({name: signals[name] for name in record.compared}, motion)
 
 
-def scene_of(record: Record, simulated: Simulated | None, compliance: float) -> Scene:
+def scene_of(record: Record, simulated: Simulated | None, compliance: float) -> EffectContext:
     """Return what effects may know of a record, with the model without them where there is one."""
     none: Mapping[str, Array] = {}
-    return Scene(
+    return EffectContext(
         record.time,
         record.driver,
         record.drive,

@@ -3,7 +3,7 @@
 from enum import StrEnum
 from typing import NamedTuple
 
-from estimator.diagnosis.bench import Bench, Fit
+from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.record import Trouble
 from estimator.effects.effect import Effect
 
@@ -71,14 +71,14 @@ class Gain(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """What a residual goes along with, strongest first."""
+    """What a residual depends on, strongest first."""
 
     what: str
     channel: str
     share: float  # of the residual's variance
 
 
-class Visible(NamedTuple):
+class DetectionLimit(NamedTuple):
     """The smallest size at which an effect would have been seen."""
 
     parameter: str
@@ -87,13 +87,13 @@ class Visible(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """What is wrong with the model of a bench, why, and what mending it is worth."""
+    """What is wrong with the model of a dataset, why, and what mending it is worth."""
 
     verdict: Verdict
     steps: tuple[Step, ...]
     ranking: tuple[Ranked, ...]  # of the first search
     parameters: dict[str, Number]
-    bench: Bench
+    dataset: Dataset
     baseline: Fit
     extended: Fit  # the baseline again where nothing was found
     before: Fitnesses
@@ -103,7 +103,7 @@ class Diagnosis(NamedTuple):
     left: float  # share of what noise does not explain that the extended model leaves
     wanders: bool  # friction changes with time, and not as the causes say
     structure: tuple[Structure, ...]  # of what the extended model leaves
-    visible: dict[str, Visible]  # by effect; of a clean bench
+    detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset
     experiments: tuple[str, ...]  # that would settle what is ambiguous
     troubles: tuple[Trouble, ...]
 
@@ -117,3 +117,9 @@ class Diagnosis(NamedTuple):
         """Names that cannot be told from one of the causes."""
         names = [name for step in self.steps for name in step.rivals]
         return tuple(dict.fromkeys(name for name in names if name not in self.causes))
+
+    def summary(self) -> str:
+        """Return the verdict, tables and next steps as Markdown text."""
+        from estimator.diagnosis import report_text  # which imports this module
+
+        return report_text.summary(self)

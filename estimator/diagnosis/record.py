@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.effects.effect import (
     CHANNELS,
     PROXIMAL_DISPLACEMENT,
@@ -23,7 +24,6 @@ from estimator.effects.effect import (
 )
 from estimator.signals import noise_sigma
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LEAST = 100  # samples
@@ -53,7 +53,7 @@ class RecordError(ValueError):
 
 
 class Trouble(NamedTuple):
-    """Samples that are kept out, and why."""
+    """Excluded samples, and why."""
 
     what: str
     channel: str
@@ -88,7 +88,7 @@ class Record:
     block
         Number of the block each sample is in, shape (n,).
     troubles
-        What was kept out.
+        What was excluded.
     thinned
         How many measured samples became one.
     """
@@ -361,7 +361,7 @@ def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Tr
     if not beside.any():
         return good, []
     first = float(time[int(np.argmax(beside))])
-    what = "samples at turns of the motor kept out"
+    what = "samples at motor reversals excluded"
     return good & ~beside, [Trouble(what, PROXIMAL_TENSION, int(beside.sum()), first)]
 
 

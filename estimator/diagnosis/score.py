@@ -5,11 +5,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.diagnosis.bench import Bench, Fit
-
-Array = NDArray[np.float64]
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import Dataset, Fit
 
 BIN = 1.0  # [s] that errors are summed over, at most; longer than they remember each other
 DRAWS = 400
@@ -30,10 +28,10 @@ class Errors(NamedTuple):
         return float(self.squares.sum() / max(self.counts.sum(), 1.0))
 
 
-def errors(bench: Bench, fit: Fit, *, held_out: bool = True) -> dict[str, Errors]:
+def errors(dataset: Dataset, fit: Fit, *, held_out: bool = True) -> dict[str, Errors]:
     """Return the errors of a model by channel, all records together."""
     parts: dict[str, list[Errors]] = {}
-    for record, one in zip(bench.records, fit.simulated, strict=True):
+    for record, one in zip(dataset.records, fit.simulated, strict=True):
         # no bin goes beyond its block: both numbers rise with time
         bins = ((record.time - record.time[0]) / BIN).astype(np.int64) + record.block
         for channel in record.compared:
@@ -60,7 +58,7 @@ def _together(found: Sequence[Errors]) -> Errors:
     )
 
 
-def better_by(a: dict[str, Errors], b: dict[str, Errors]) -> float:
+def log_likelihood_ratio(a: dict[str, Errors], b: dict[str, Errors]) -> float:
     """Return ln of how much more probable held-out data are under `a` than under `b`.
 
     Each channel's own mean square stands for its variance, so that neither the unit nor a
@@ -93,7 +91,7 @@ def surely_better(a: dict[str, Errors], b: dict[str, Errors], seed: int = 0) -> 
 def gain_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:
     """Return by which share errors are smaller under `a` than under `b`, over all channels."""
     samples = sum(one.independent * float(one.counts.sum()) for one in a.values())
-    return -math.expm1(-better_by(a, b) / max(samples / len(a), 1.0))
+    return -math.expm1(-log_likelihood_ratio(a, b) / max(samples / len(a), 1.0))
 
 
 def left_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:

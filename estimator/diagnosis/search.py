@@ -10,27 +10,24 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimator.diagnosis.baseline import by_most
-from estimator.diagnosis.bench import (
-    Bench,
+from estimator.diagnosis.dataset import (
+    Dataset,
     Fit,
     Model,
+    contexts,
+    contexts_without,
     cost,
     rescaled,
     residual,
-    scenes,
-    scenes_without,
     simulated,
 )
 from estimator.diagnosis.fit import improved, moved, slopes_of
 from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.record import thin
 from estimator.diagnosis.score import Errors, errors
-from estimator.effects.effect import Effect, Parameter, Scene, Values
-
-Array = NDArray[np.float64]
+from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
 THIN = 1200  # samples of a record in a first look
 SECOND, BARE = 10, 12  # starts of all effects, besides the best of each
@@ -71,13 +68,13 @@ class Starts(NamedTuple):
 
 
 def candidates(
-    bench: Bench, fit: Fit, effects: Sequence[Effect], report: Report, workers: int = 1
+    dataset: Dataset, fit: Fit, effects: Sequence[Effect], report: Report, workers: int = 1
 ) -> list[Candidate]:
     """Return what came of each effect that promised something, the best first.
 
     Parameters
     ----------
-    bench : Bench
+    dataset : Dataset
         What was measured.
     fit : Fit
         The model without.
@@ -88,11 +85,11 @@ def candidates(
     workers : int
         Fits side by side.
     """
-    bench = rescaled(bench, fit)
-    about = scenes(bench, fit)
-    thin_bench = bench._replace(records=tuple(thin(record, THIN) for record in bench.records))
-    there = simulated(thin_bench, scenes_without(thin_bench, fit), fit.model)
-    around = scenes(thin_bench, there)
+    dataset = rescaled(dataset, fit)
+    about = contexts(dataset, fit)
+    thin_bench = dataset._replace(records=tuple(thin(record, THIN) for record in dataset.records))
+    there = simulated(thin_bench, contexts_without(thin_bench, fit), fit.model)
+    around = contexts(thin_bench, there)
     sudden = [effect for effect in effects if any(p.jumps for p in effect.parameters)]
     gradual = [effect for effect in effects if effect not in sudden]
     led, bare = promised(thin_bench, there, around, gradual, report, workers)
@@ -115,17 +112,21 @@ def candidates(
 
     def finished(model: Model) -> Candidate:
         begun = [model] if (inside := _off_bounds(model, about[0])) is None else [model, inside]
-        return min((_candidate(bench, about, one, LONG) for one in begun), key=lambda one: one.cost)
+        return min(
+            (_candidate(dataset, about, one, LONG) for one in begun), key=lambda one: one.cost
+        )
 
     done = list(_each(finished, models, report, "finishing the best", workers))
-    rest = [_scored(bench, simulated(bench, about, one.fit.model)) for one in best[len(models) :]]
+    rest = [
+        _scored(dataset, simulated(dataset, about, one.fit.model)) for one in best[len(models) :]
+    ]
     return sorted(done + rest, key=lambda one: one.cost)
 
 
 def promised(
-    bench: Bench,
+    dataset: Dataset,
     fit: Fit,
-    about: Sequence[Scene],
+    about: Sequence[EffectContext],
     effects: Sequence[Effect],
     report: Report,
     workers: int,
@@ -136,20 +137,20 @@ def promised(
     parameters with it, or a part of that way where the whole leads uphill; and the best as it is,
     since where a record starts, for one, nothing is linear.
     """
-    r = residual(bench, fit)
-    J = slopes_of(bench, about, fit)
-    J[:, ~Layout(bench, fit.model).smooth] = 0.0  # no slope leads to when something happened
+    r = residual(dataset, fit)
+    J = slopes_of(dataset, about, fit)
+    J[:, ~Layout(dataset, fit.model).smooth] = 0.0  # no slope leads to when something happened
     solve = np.linalg.pinv(J)
-    without = cost(bench, fit)
+    without = cost(dataset, fit)
     begin = [(effect, values) for effect in effects for values in effect.starts(about[0])]
 
     def start(model: Model) -> Start:
-        return Start(model, cost(bench, simulated(bench, about, model)))
+        return Start(model, cost(dataset, simulated(dataset, about, model)))
 
     def promise(one: tuple[Effect, Values]) -> tuple[Start, Start] | None:
         effect, values = one
-        begun = simulated(bench, about, _with(fit.model, effect, values))
-        change = residual(bench, begun) - r
+        begun = simulated(dataset, about, _with(fit.model, effect, values))
+        change = residual(dataset, begun) - r
         if not np.isfinite(change).all():
             return None
         alone = change - J @ (solve @ change)
@@ -162,7 +163,7 @@ def promised(
             wanted = r + step * change
             base = -(solve @ wanted)
             foreseen = float(np.sum((wanted + J @ base) ** 2))
-            return foreseen, _with(moved(bench, fit.model, base), effect, scaled)
+            return foreseen, _with(moved(dataset, fit.model, base), effect, scaled)
 
         share = min((1.0, -(float(alone @ r)) / power), key=lambda share: led(share)[0])
         best = start(led(share)[1])
@@ -209,7 +210,7 @@ def _with(model: Model, effect: Effect, values: Values) -> Model:
     return model._replace(effects=(*model.effects, (effect, values)))
 
 
-def _off_bounds(model: Model, scene: Scene) -> Model | None:
+def _off_bounds(model: Model, context: EffectContext) -> Model | None:
     """Return a model whose last effect has its usual shape again where a bound has stopped it.
 
     A thin record does not have what is short, such as a memory: there it may end at a bound that
@@ -220,7 +221,7 @@ def _off_bounds(model: Model, scene: Scene) -> Model | None:
         p.neutral is None and not p.jumps and _at_bound(value, p)
         for value, p in zip(values, effect.parameters, strict=True)
     ]
-    starts = list(effect.starts(scene)) if any(stopped) else []
+    starts = list(effect.starts(context)) if any(stopped) else []
     if not starts:
         return None
     usual = np.median(np.array(starts), axis=0).tolist()
@@ -237,12 +238,14 @@ def _at_bound(value: float, parameter: Parameter) -> bool:
     )
 
 
-def _candidate(bench: Bench, about: Sequence[Scene], start: Model, rounds: int) -> Candidate:
-    return _scored(bench, improved(bench, about, start, rounds))
+def _candidate(
+    dataset: Dataset, about: Sequence[EffectContext], start: Model, rounds: int
+) -> Candidate:
+    return _scored(dataset, improved(dataset, about, start, rounds))
 
 
-def _scored(bench: Bench, fit: Fit) -> Candidate:
-    return Candidate(fit.model.effects[-1][0], fit, errors(bench, fit), cost(bench, fit))
+def _scored(dataset: Dataset, fit: Fit) -> Candidate:
+    return Candidate(fit.model.effects[-1][0], fit, errors(dataset, fit), cost(dataset, fit))
 
 
 def _best_of_each(found: Iterable[Candidate]) -> list[Candidate]:

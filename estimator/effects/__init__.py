@@ -5,9 +5,18 @@ docs/diagnosis.md shows one from beginning to end.
 """
 
 from estimator.effects import elasticity, ends, friction, sensors
-from estimator.effects.effect import CHANNELS, Effect, Parameter, Scene, Signals, Values
+from estimator.effects.effect import CHANNELS, Effect, EffectContext, Parameter, Signals, Values
 
-__all__ = ["CATALOGUE", "CHANNELS", "NAMES", "Effect", "Parameter", "Scene", "Signals", "Values"]
+__all__ = [
+    "CATALOGUE",
+    "CHANNELS",
+    "NAMES",
+    "Effect",
+    "EffectContext",
+    "Parameter",
+    "Signals",
+    "Values",
+]
 
 CATALOGUE: tuple[Effect, ...] = (
     *friction.EFFECTS,

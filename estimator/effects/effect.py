@@ -2,10 +2,10 @@
 
 An effect changes what is simulated in one of three places, and is neutral where it says nothing:
 
-* `physics` changes the tendon, its sheath or what holds the tip (`estimator.extended.Physics`);
-* `reads` is what its sensor makes of the true signals;
-* `true` takes that away again from the signal that drives the simulation, `correction` from one
-  sample of the housing's readings at a time (estimator.reading_correction).
+* `physics` changes the tendon, its sheath or what holds the tip (`lumped_model.Physics`);
+* `measure` is what its sensor makes of the true signals;
+* `invert` takes that away again from the signal that drives the simulation, `correction` from one
+  sample of the housing's readings at a time (estimator.online.reading_correction).
 
 Several effects act one after another, in the order in which they are given.
 """
@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator.extended import Physics
-from estimator.reading_correction import CorrectionKind
+from estimator.array_types import Array
+from estimator.lumped.lumped_model import Physics
+from estimator.online.reading_correction import CorrectionKind
 
-Array = NDArray[np.float64]
 Values = tuple[float, ...]
 
 PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT = "proximal_tension", "proximal_displacement"
@@ -46,7 +45,7 @@ class Parameter(NamedTuple):
     """Whether it must be searched step by step, since no slope leads to it."""
 
 
-class Scene(NamedTuple):
+class EffectContext(NamedTuple):
     """What is known of a record where an effect begins to be looked for."""
 
     time: Array  # [s]
@@ -69,15 +68,15 @@ class Scene(NamedTuple):
         return [float(t) for t in self.time[0] + shares * (self.time[-1] - self.time[0])]
 
 
-def _same_physics(physics: Physics, _values: Values, _scene: Scene) -> Physics:
+def _same_physics(physics: Physics, _values: Values, _context: EffectContext) -> Physics:
     return physics
 
 
-def _same_signals(signals: Signals, _values: Values, _scene: Scene) -> Signals:
+def _same_signals(signals: Signals, _values: Values, _context: EffectContext) -> Signals:
     return signals
 
 
-def _same_drive(drive: Array, _values: Values, _scene: Scene) -> Array:
+def _same_drive(drive: Array, _values: Values, _context: EffectContext) -> Array:
     return drive
 
 
@@ -106,7 +105,7 @@ class Effect:
     advice
         What a person does who has it on their bench.
     starts
-        Values to begin fits from; one that decides in which valley a fit ends is spread here.
+        Values to begin fits from; where it decides the local minimum, several.
     needs
         Channels without which the effect is not defined.
     within
@@ -122,10 +121,10 @@ class Effect:
     parameters: tuple[Parameter, ...]
     source: str
     advice: str
-    starts: Callable[[Scene], Iterable[Values]]
-    physics: Callable[[Physics, Values, Scene], Physics] = _same_physics
-    reads: Callable[[Signals, Values, Scene], Signals] = _same_signals
-    true: Callable[[Array, Values, Scene], Array] = _same_drive
+    starts: Callable[[EffectContext], Iterable[Values]]
+    physics: Callable[[Physics, Values, EffectContext], Physics] = _same_physics
+    measure: Callable[[Signals, Values, EffectContext], Signals] = _same_signals
+    invert: Callable[[Array, Values, EffectContext], Array] = _same_drive
     where: str = ""
     needs: frozenset[str] = frozenset()
     within: Callable[[tuple[Parameter, ...], float], tuple[Parameter, ...]] = _as_they_are

@@ -2,16 +2,16 @@
 
 import numpy as np
 
+from estimator.array_types import Array
 from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
-    Array,
     Effect,
+    EffectContext,
     Parameter,
-    Scene,
     Values,
 )
-from estimator.extended import Physics
-from estimator.nodes import EDGES, PLACES
+from estimator.lumped.lumped_model import Physics
+from estimator.lumped.nodes import EDGES, PLACES
 
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 
@@ -24,19 +24,19 @@ def section_weights(cuts: tuple[float, ...], densities: tuple[float, ...]) -> Ar
     return np.asarray(weights / weights.sum())
 
 
-def _two_sections(physics: Physics, values: Values, _scene: Scene) -> Physics:
+def _two_sections(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     ratio, cut = values
     return physics._replace(weights=section_weights((cut,), (1.0, float(np.exp(ratio)))))
 
 
-def _three_sections(physics: Physics, values: Values, _scene: Scene) -> Physics:
+def _three_sections(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     second, third, cut, width = values
     end = cut + (0.98 - cut) * width
     densities = (1.0, float(np.exp(second)), float(np.exp(third)))
     return physics._replace(weights=section_weights((cut, end), densities))
 
 
-def _gradual(physics: Physics, values: Values, _scene: Scene) -> Physics:
+def _gradual(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     weights = np.exp(values[0] * PLACES) * np.diff(EDGES)
     return physics._replace(weights=weights / weights.sum())
 
@@ -135,7 +135,7 @@ SHEATH_COMPRESSION = Effect(
     ),
     source="a spring wound sheath that buckles; range assumed",
     advice="Anchor the sheath, use an over-tube, or one of a stiffer winding.",
-    starts=lambda scene: [(5e-7, share * scene.peak) for share in (0.1, 0.35, 0.6)],
+    starts=lambda context: [(5e-7, share * context.peak) for share in (0.1, 0.35, 0.6)],
     physics=lambda physics, values, _: physics._replace(compression=values[0], threshold=values[1]),
     needs=TRAVEL,
 )
@@ -153,9 +153,9 @@ SLACK = Effect(
 )
 
 
-def _expansion(physics: Physics, values: Values, scene: Scene) -> Physics:
+def _expansion(physics: Physics, values: Values, context: EffectContext) -> Physics:
     per_minute, time = values
-    t = scene.time - scene.time[0]
+    t = context.time - context.time[0]
     longer = per_minute / 60.0 * time * -np.expm1(-t / time)
     return physics._replace(stretch=physics.stretch + longer)
 

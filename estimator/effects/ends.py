@@ -4,19 +4,19 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from estimator.array_types import Array
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
-    Array,
     Effect,
+    EffectContext,
     Parameter,
-    Scene,
     Values,
     changed,
     since,
 )
-from estimator.extended import Physics
+from estimator.lumped.lumped_model import Physics
 
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 BOTH_TRAVELS = frozenset({PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT})
@@ -30,7 +30,7 @@ PRETENSION = Effect(
     parameters=(Parameter("tension", "N", 0.0, 60.0, 0.5),),
     source="docs/theory.md (T15)",
     advice="Begin each record with a full pull and release; that wipes the start out.",
-    starts=lambda scene: [(float(scene.measured[PROXIMAL_TENSION][0]),), (2.0,), (6.0,)],
+    starts=lambda context: [(float(context.measured[PROXIMAL_TENSION][0]),), (2.0,), (6.0,)],
     physics=lambda physics, values, _: physics._replace(start=values[0]),
     where="the same all along",
 )
@@ -47,8 +47,8 @@ def _left_by(way: str, where: str, came_from: Callable[[float, float], list[floa
         source=PRETENSION.source,
         advice=PRETENSION.advice,
         starts=lambda _: [(share,) for share in (0.01, 0.04, 0.2)],
-        physics=lambda physics, values, scene: physics._replace(
-            earlier=np.array(came_from(values[0], float(np.ptp(scene.drive))))
+        physics=lambda physics, values, context: physics._replace(
+            earlier=np.array(came_from(values[0], float(np.ptp(context.drive))))
         ),
         where=f"left by a {way}",
     )
@@ -76,14 +76,14 @@ JOINT_BACKLASH = Effect(
     source="range assumed: 0.1 to 2 degrees",
     advice="Take the play out, or measure at the pulley and at the link.",
     starts=lambda _: [(3e-5,), (1.5e-4,)],
-    reads=lambda signals, values, _: changed(
+    measure=lambda signals, values, _: changed(
         signals, DISTAL_DISPLACEMENT, lambda q: play(q, values[0])
     ),
     needs=BOTH_TRAVELS,
 )
 
 
-def _held(physics: Physics, values: Values, _scene: Scene) -> Physics:
+def _held(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     return physics._replace(load_low=-values[0], load_high=values[0])
 
 
@@ -100,7 +100,7 @@ JOINT_FRICTION = Effect(
 )
 
 
-def _second_tendon(physics: Physics, values: Values, _scene: Scene) -> Physics:
+def _second_tendon(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     tension, K, stiffness = values
     # less the tension in which the tip was balanced at the start
     low, high = tension * np.expm1(-K), tension * np.expm1(K)
@@ -125,7 +125,7 @@ ANTAGONIST_TENSION = Effect(
 )
 
 
-def _heavy(physics: Physics, values: Values, _scene: Scene) -> Physics:
+def _heavy(physics: Physics, values: Values, _context: EffectContext) -> Physics:
     return physics._replace(mass=values[0], damping=values[1])
 
 
@@ -145,42 +145,42 @@ TIP_INERTIA = Effect(
 )
 
 
-def _moved(physics: Physics, values: Values, scene: Scene) -> Physics:
+def _moved(physics: Physics, values: Values, context: EffectContext) -> Physics:
     size, onset, duration = values
-    offset = size * since(scene.time, onset + 0.5 * duration, max(duration, 0.02))
+    offset = size * since(context.time, onset + 0.5 * duration, max(duration, 0.02))
     return physics._replace(tip_offset=physics.tip_offset + offset)
 
 
-def _moved_and_back(physics: Physics, values: Values, scene: Scene) -> Physics:
+def _moved_and_back(physics: Physics, values: Values, context: EffectContext) -> Physics:
     size, onset, duration, stay = values
     over = max(duration, 0.02)
-    there = since(scene.time, onset + 0.5 * duration, over)
-    back = since(scene.time, onset + stay + 1.5 * duration, over)
+    there = since(context.time, onset + 0.5 * duration, over)
+    back = since(context.time, onset + stay + 1.5 * duration, over)
     return physics._replace(tip_offset=physics.tip_offset + size * (there - back))
 
 
-def _moved_starts(scene: Scene) -> Iterable[Values]:
-    return [(2e-4, onset, 0.5) for onset in scene.instants(2 * ONSETS)]
+def _moved_starts(context: EffectContext) -> Iterable[Values]:
+    return [(2e-4, onset, 0.5) for onset in context.instants(2 * ONSETS)]
 
 
-def _back_starts(scene: Scene) -> Iterable[Values]:
-    widths = [width for width in STAYS if 3.0 * width < scene.time[-1] - scene.time[0]]
-    visits = [(stands_out(scene, width), width) for width in widths]
+def _back_starts(context: EffectContext) -> Iterable[Values]:
+    widths = [width for width in STAYS if 3.0 * width < context.time[-1] - context.time[0]]
+    visits = [(stands_out(context, width), width) for width in widths]
     return [(size, onset, 0.5, width) for onset, width in visits for size in (-2e-4, 2e-4)]
 
 
-def stands_out(scene: Scene, width: float) -> float:
+def stands_out(context: EffectContext, width: float) -> float:
     """Return when [s] a while of `width` [s] begins whose residual differs most from the rest."""
-    count = max(2, round(width / float(np.median(np.diff(scene.time)))))
+    count = max(2, round(width / float(np.median(np.diff(context.time)))))
     most, begin = 0.0, 0
-    for channel, simulated in scene.simulated.items():
-        off = scene.measured[channel] - simulated
+    for channel, simulated in context.simulated.items():
+        off = context.measured[channel] - simulated
         off = (off - np.median(off)) / max(float(np.std(off)), 1e-30)
         total = np.concatenate([[0.0], np.cumsum(off)])
         within = np.abs(total[count:] - total[:-count])
         if within.max() > most:
             most, begin = float(within.max()), int(np.argmax(within))
-    return float(scene.time[begin])
+    return float(context.time[begin])
 
 
 _MOVED = (

@@ -2,20 +2,20 @@
 
 from collections.abc import Iterable
 
-from estimator.effects.effect import Effect, Parameter, Scene, Values, since
-from estimator.extended import Physics
+from estimator.effects.effect import Effect, EffectContext, Parameter, Values, since
+from estimator.lumped.lumped_model import Physics
 
 ONSETS = 16
 
 
-def _step(physics: Physics, values: Values, scene: Scene) -> Physics:
+def _step(physics: Physics, values: Values, context: EffectContext) -> Physics:
     change, onset = values
-    share = 1.0 + change * since(scene.time, onset)
+    share = 1.0 + change * since(context.time, onset)
     return physics._replace(friction=physics.friction * share)
 
 
-def _step_starts(scene: Scene) -> Iterable[Values]:
-    return [(a, onset) for onset in scene.instants(ONSETS) for a in (-0.2, 0.2)]
+def _step_starts(context: EffectContext) -> Iterable[Values]:
+    return [(a, onset) for onset in context.instants(ONSETS) for a in (-0.2, 0.2)]
 
 
 FRICTION_STEP = Effect(
@@ -33,9 +33,9 @@ FRICTION_STEP = Effect(
 )
 
 
-def _drift(physics: Physics, values: Values, scene: Scene) -> Physics:
+def _drift(physics: Physics, values: Values, context: EffectContext) -> Physics:
     (rate,) = values
-    share = 1.0 + rate * (scene.time - scene.time[0]) / 60.0
+    share = 1.0 + rate * (context.time - context.time[0]) / 60.0
     return physics._replace(friction=physics.friction * share.clip(0.05))
 
 

@@ -4,22 +4,22 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from estimator.array_types import Array
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
-    Array,
     Effect,
+    EffectContext,
     Parameter,
-    Scene,
     Signals,
     Values,
     changed,
     since,
 )
 from estimator.effects.ends import play
-from estimator.reading_correction import CorrectionKind
+from estimator.online.reading_correction import CorrectionKind
 
 ONSETS = 12
 WAVE = 5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
@@ -30,7 +30,7 @@ WORDS = {
     DISTAL_DISPLACEMENT: "the encoder at the tip",
 }
 
-Change = Callable[[Array, Values, Scene], Array]
+Change = Callable[[Array, Values, EffectContext], Array]
 
 
 def _sensor(
@@ -41,7 +41,7 @@ def _sensor(
     parameters: tuple[Parameter, ...],
     source: str,
     advice: str,
-    starts: Callable[[Scene], Iterable[Values]],
+    starts: Callable[[EffectContext], Iterable[Values]],
     forward: Change,
     inverse: Change,
     where: str = "",
@@ -50,13 +50,13 @@ def _sensor(
 ) -> Effect:
     """Return an effect of one sensor: `forward` makes its reading, `inverse` takes it back."""
 
-    def reads(signals: Signals, values: Values, scene: Scene) -> Signals:
-        if scene.driver == channel:
+    def measure(signals: Signals, values: Values, context: EffectContext) -> Signals:
+        if context.driver == channel:
             return signals
-        return changed(signals, channel, lambda signal: forward(signal, values, scene))
+        return changed(signals, channel, lambda signal: forward(signal, values, context))
 
-    def true(drive: Array, values: Values, scene: Scene) -> Array:
-        return inverse(drive, values, scene) if scene.driver == channel else drive
+    def invert(drive: Array, values: Values, context: EffectContext) -> Array:
+        return inverse(drive, values, context) if context.driver == channel else drive
 
     return Effect(
         name=name,
@@ -66,8 +66,8 @@ def _sensor(
         source=source,
         advice=advice,
         starts=starts,
-        reads=reads,
-        true=true,
+        measure=measure,
+        invert=invert,
         where=where,
         needs=needs | {channel},
         correction=correction if channel in (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT) else None,
@@ -106,8 +106,8 @@ def _bias(name: str, channel: str) -> Effect:
     )
 
 
-def _ramp(values: Values, scene: Scene) -> Array:
-    return np.asarray(values[0] * (scene.time - scene.time[0]) / 60.0)
+def _ramp(values: Values, context: EffectContext) -> Array:
+    return np.asarray(values[0] * (context.time - context.time[0]) / 60.0)
 
 
 def _drift(name: str, channel: str) -> Effect:
@@ -120,22 +120,22 @@ def _drift(name: str, channel: str) -> Effect:
         "range assumed: 0.01 to 0.05 % of full scale per kelvin",
         f"Let {WORDS[channel]} warm up, and tare it between runs.",
         lambda _: [(0.2,)],
-        lambda T, values, scene: T + _ramp(values, scene),
-        lambda T, values, scene: T - _ramp(values, scene),
+        lambda T, values, context: T + _ramp(values, context),
+        lambda T, values, context: T - _ramp(values, context),
     )
 
 
-def _delayed(signal: Array, values: Values, scene: Scene) -> Array:
-    return np.interp(scene.time - values[0], scene.time, signal)
+def _delayed(signal: Array, values: Values, context: EffectContext) -> Array:
+    return np.interp(context.time - values[0], context.time, signal)
 
 
-def _advanced(signal: Array, values: Values, scene: Scene) -> Array:
-    return np.interp(scene.time + values[0], scene.time, signal)
+def _advanced(signal: Array, values: Values, context: EffectContext) -> Array:
+    return np.interp(context.time + values[0], context.time, signal)
 
 
-def _lagged(signal: Array, values: Values, scene: Scene) -> Array:
+def _lagged(signal: Array, values: Values, context: EffectContext) -> Array:
     (tau,) = values
-    steps = np.diff(scene.time, prepend=scene.time[0])
+    steps = np.diff(context.time, prepend=context.time[0])
     if tau < 1e-6:
         return signal
     kept = np.exp(-steps / tau)
@@ -150,8 +150,8 @@ def _lagged(signal: Array, values: Values, scene: Scene) -> Array:
     return out
 
 
-def _led(signal: Array, values: Values, scene: Scene) -> Array:
-    return signal + values[0] * np.gradient(signal, scene.time)
+def _led(signal: Array, values: Values, context: EffectContext) -> Array:
+    return signal + values[0] * np.gradient(signal, context.time)
 
 
 def _lag(channel: str, forward: Change, inverse: Change, equation: str, how: str) -> Effect:
@@ -170,9 +170,9 @@ def _lag(channel: str, forward: Change, inverse: Change, equation: str, how: str
     )
 
 
-def _limit_starts(channel: str) -> Callable[[Scene], Iterable[Values]]:
-    def starts(scene: Scene) -> Iterable[Values]:
-        measured = scene.measured[channel]
+def _limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Values]]:
+    def starts(context: EffectContext) -> Iterable[Values]:
+        measured = context.measured[channel]
         return [(float(np.quantile(measured, 0.995)),), (0.9 * float(measured.max()),)]
 
     return starts
@@ -189,7 +189,7 @@ def _saturation(channel: str) -> Effect:
         "Use a cell of a wider range, or pull less.",
         _limit_starts(channel),
         lambda T, values, _: np.minimum(T, values[0]),
-        lambda T, _values, _scene: T,
+        lambda T, _values, _context: T,
         WORDS[channel],
     )
 
@@ -212,9 +212,9 @@ def _scale(channel: str) -> Effect:
     )
 
 
-def _slipped(values: Values, scene: Scene) -> Array:
+def _slipped(values: Values, context: EffectContext) -> Array:
     slip, onset = values
-    return slip * since(scene.time, onset)
+    return slip * since(context.time, onset)
 
 
 def _slip(channel: str) -> Effect:
@@ -229,9 +229,9 @@ def _slip(channel: str) -> Effect:
         ),
         "range assumed: 0.01 to 1 mm",
         f"Return to a hard stop and compare; tighten the coupling of {WORDS[channel]}.",
-        lambda scene: [(5e-5, t) for t in scene.instants(2 * ONSETS)],
-        lambda q, values, scene: q + _slipped(values, scene),
-        lambda q, values, scene: q - _slipped(values, scene),
+        lambda context: [(5e-5, t) for t in context.instants(2 * ONSETS)],
+        lambda q, values, context: q + _slipped(values, context),
+        lambda q, values, context: q - _slipped(values, context),
         WORDS[channel],
         frozenset({PROXIMAL_DISPLACEMENT}),
     )
@@ -268,18 +268,18 @@ def waves(phase: Array, residual: Array, gain: Array, others: Array, wanted: Arr
     return chosen[:3]
 
 
-def _common(scene: Scene) -> tuple[Array, Array, Array]:
+def _common(context: EffectContext) -> tuple[Array, Array, Array]:
     """Return travel, residual of T_in, and what the model's own parameters could do to it."""
-    residual = scene.measured[PROXIMAL_TENSION] - scene.simulated[PROXIMAL_TENSION]
-    T = scene.simulated[PROXIMAL_TENSION]
-    taut = 0.02 * scene.peak < T
-    stiffness = np.where(taut, 1.0 / np.maximum(scene.compliance, 1e-6), 0.0)
-    others = np.column_stack([stiffness, stiffness * (scene.drive - scene.drive[0]), T])
-    return scene.drive, residual, others
+    residual = context.measured[PROXIMAL_TENSION] - context.simulated[PROXIMAL_TENSION]
+    T = context.simulated[PROXIMAL_TENSION]
+    taut = 0.02 * context.peak < T
+    stiffness = np.where(taut, 1.0 / np.maximum(context.compliance, 1e-6), 0.0)
+    others = np.column_stack([stiffness, stiffness * (context.drive - context.drive[0]), T])
+    return context.drive, residual, others
 
 
-def _eccentric_starts(scene: Scene) -> Iterable[Values]:
-    q, residual, others = _common(scene)
+def _eccentric_starts(context: EffectContext) -> Iterable[Values]:
+    q, residual, others = _common(context)
     return [
         (-sine, -cosine, 1.0 / number)
         for sine, cosine, number in waves(
@@ -288,7 +288,7 @@ def _eccentric_starts(scene: Scene) -> Iterable[Values]:
     ]
 
 
-def _eccentric(travel: Array, values: Values, _scene: Scene) -> Array:
+def _eccentric(travel: Array, values: Values, _context: EffectContext) -> Array:
     sine, cosine, radius = values
     phase = travel / radius
     wave = sine * np.sin(phase) + cosine * np.cos(phase)
@@ -307,14 +307,14 @@ PULLEY_ECCENTRICITY = Effect(
     source="range assumed: 10 to 200 um",
     advice="Turn the pulley twice or more in a record, then true it or keep the table.",
     starts=_eccentric_starts,
-    true=_eccentric,
+    invert=_eccentric,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
     correction=CorrectionKind.PULLEY_ECCENTRICITY,
 )
 
 
-def _ripple_starts(scene: Scene) -> Iterable[Values]:
-    q, residual, others = _common(scene)
+def _ripple_starts(context: EffectContext) -> Iterable[Values]:
+    q, residual, others = _common(context)
     span = max(float(np.ptp(q)), 1e-6)
     numbers = np.arange(WAVE / span, min(2e4, 1500.0 / span), 0.6 / span)
     step = max(1, len(q) // 3000)
@@ -327,9 +327,9 @@ def _rippling(parameters: tuple[Parameter, ...], span: float) -> tuple[Parameter
     return (*amplitudes, number._replace(low=low))
 
 
-def _ripple(signals: Signals, values: Values, scene: Scene) -> Signals:
+def _ripple(signals: Signals, values: Values, context: EffectContext) -> Signals:
     sine, cosine, number = values
-    phase = number * scene.drive
+    phase = number * context.drive
     wave = sine * np.sin(phase) + cosine * np.cos(phase)
     return changed(signals, PROXIMAL_TENSION, lambda T: T + wave)
 
@@ -346,16 +346,16 @@ COGGING_RIPPLE = Effect(
     source="range assumed: 0.5 to 3 % of the stall torque",
     advice="Nothing at the tip; a table over the motor's angle takes it out of the reading.",
     starts=_ripple_starts,
-    reads=_ripple,
+    measure=_ripple,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
     within=_rippling,
     correction=CorrectionKind.TENSION_RIPPLE,
 )
 
 
-def _rub(signals: Signals, values: Values, scene: Scene) -> Signals:
+def _rub(signals: Signals, values: Values, context: EffectContext) -> Signals:
     force, width = values
-    lead = (scene.drive - play(scene.drive, width)) / (0.5 * width)
+    lead = (context.drive - play(context.drive, width)) / (0.5 * width)
     return changed(signals, PROXIMAL_TENSION, lambda T: T + force * lead)
 
 
@@ -370,7 +370,7 @@ SHEATH_RUB = Effect(
     source="the paper's cell sits under the sheath; range assumed",
     advice="Measure the tendon's own tension, or fix the sheath behind the cell.",
     starts=lambda _: [(0.15, width) for width in (1e-5, 1e-4, 6e-4)],
-    reads=_rub,
+    measure=_rub,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
     correction=CorrectionKind.SHEATH_RUB,
 )

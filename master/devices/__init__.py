@@ -5,11 +5,13 @@ from typing import Any
 
 from master.device import Device, DeviceFault
 from master.devices.combined import CombinedConfig, CombinedDevice
+from master.devices.extension import DeviceExtension
 from master.devices.hid.config import HidConfig
 from master.devices.hid.device import HidDevice
 from master.devices.single import SingleConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.errors import UsageError
+from teleop.extensions import opening_failed
 
 DeviceConfig = SingleConfig | CombinedConfig
 
@@ -20,7 +22,7 @@ def open_combined(config: CombinedConfig) -> Device:
 
 
 def _open(config: DeviceConfig) -> Device:
-    return DEVICES[type(config)](config)
+    return config.open() if isinstance(config, DeviceExtension) else DEVICES[type(config)](config)
 
 
 DEVICES: dict[type, Callable[[Any], Device]] = {
@@ -36,3 +38,7 @@ def open_device(config: DeviceConfig) -> Device:
         return _open(config)
     except DeviceFault as fault:
         raise UsageError(f"master.device: {fault}") from fault
+    except Exception as error:
+        if isinstance(config, DeviceExtension):
+            raise UsageError(opening_failed("master.device", config, error)) from error
+        raise

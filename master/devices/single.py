@@ -1,7 +1,8 @@
 """The configs of the devices that open one piece of hardware each."""
 
+from master.devices.extension import DeviceExtension
 from master.devices.hid.config import HidConfig
 from master.devices.virtual import VirtualConfig
 
 # all of them, joined by `|`; the key `type` in a config chooses
-SingleConfig = VirtualConfig | HidConfig
+SingleConfig = VirtualConfig | HidConfig | DeviceExtension

@@ -14,7 +14,7 @@ from slave.calibration.direction import calibrated, described, rounded
 from slave.calibration.drags import put_right
 from slave.calibration.file import Direction
 from slave.calibration.memory import Phase
-from slave.calibration.pulled import Pulled
+from slave.calibration.pulled import PulledTendon
 from slave.calibration.run import Record, Refused
 from slave.tendon_config import TendonConfig
 
@@ -57,15 +57,15 @@ def analyse(
 
 
 def _joint(record: Record, config: InitialiseConfig, j: int, before: float | None) -> JointResult:
-    pulled = [Pulled(record, j, side) for side in range(len(record.joints[j]))]
+    pulled = [PulledTendon(record, j, side) for side in range(len(record.joints[j]))]
     directions, tendons = evaluate(pulled, config)
     return JointResult(j, directions, tendons, _range(pulled, directions, config, before))
 
 
 def evaluate(
-    pulled: Sequence[Pulled], config: InitialiseConfig
+    pulled: Sequence[PulledTendon], config: InitialiseConfig
 ) -> tuple[tuple[Direction, ...], tuple[TendonConfig, ...]]:
-    """Return what was found of all tendons of a joint, and what the estimators shall believe.
+    """Return what was found of all tendons of a joint, and what the estimators use.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def evaluate(
 
 
 def _range(
-    pulled: Sequence[Pulled],
+    pulled: Sequence[PulledTendon],
     directions: tuple[Direction, ...],
     config: InitialiseConfig,
     before: float | None,
@@ -122,7 +122,7 @@ def _range(
     return rounded(found)
 
 
-def _drawn_out(mine: Pulled, other: Pulled, direction: Direction) -> float:
+def _drawn_out(mine: PulledTendon, other: PulledTendon, direction: Direction) -> float:
     """Return the travel [m] of the unstretched tendon with the joint at the other tendon's stop."""
     rows = np.flatnonzero(other.rows(Phase.SEEK))[-5:]
     return float(np.median(mine.travel[rows] - direction.M_rel.value * mine.tension[rows]))

@@ -28,7 +28,7 @@ from slave.config import SlaveConfig
 from slave.rig import Rig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.rigs.simulated import SimulatedRigConfig
+from slave.rigs.simulated.simulated import SimulatedRigConfig
 from teleop.clock import Grid, Tick, now_ns
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
@@ -111,7 +111,7 @@ def main(args: argparse.Namespace) -> int:
     file.save(out, found.calibration)
     if args.figure is not None:
         draw(args.figure, found)
-    print("\n".join(in_words(found, out, replaced)))
+    print("\n".join(format_report(found, out, replaced)))
     return 0
 
 
@@ -225,7 +225,7 @@ def draw(path: Path, found: Initialised) -> None:
     figure(found.record, found.calibration).savefig(path, dpi=150)
 
 
-def in_words(found: Initialised, out: Path, replaced: Calibration | None = None) -> list[str]:
+def format_report(found: Initialised, out: Path, replaced: Calibration | None = None) -> list[str]:
     """Return the result as lines to read; `replaced` is the calibration that was in `out`."""
     calibration = found.calibration
     took = float(found.record.time[-1] - found.record.time[0])

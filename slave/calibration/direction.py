@@ -8,23 +8,20 @@ While the joint rests against its stop, what the motor travels is elongation, an
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator import calibration as blocked_tip
 from estimator import signals
-from estimator.calibration import CalibrationError, Measured
-from estimator.sheath import Sheath
+from estimator.calibration import calibration as blocked_tip
+from estimator.calibration.calibration import CalibrationError, Measured
+from estimator.law.sheath import Sheath
 from slave.calibration import refusals
 from slave.calibration.config import KnownSheathConfig
 from slave.calibration.file import Direction, Value
 from slave.calibration.memory import Phase
-from slave.calibration.pulled import Pulled, Rows, loops, slope_of
+from slave.calibration.pulled import PulledTendon, Rows, loops, slope_of
 from slave.calibration.refusals import TENDON_NAMES
 from slave.calibration.run import Refused
-from slave.plant.sheath import SectionConfig
+from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.tendon_config import TendonConfig
-
-Array = NDArray[np.float64]
 
 BEYOND = 0.15  # of the rise of tension behind the contact: there the tip surely rests at the stop
 SURE = 3.0  # standard uncertainties
@@ -39,7 +36,9 @@ QUICK_RELEASES = 2  # of the quick form, with the one behind the first pull
 DIGITS = 6
 
 
-def calibrated(pulled: Pulled, known: KnownSheathConfig, low: float) -> blocked_tip.Calibration:
+def calibrated(
+    pulled: PulledTendon, known: KnownSheathConfig, low: float
+) -> blocked_tip.Calibration:
     """Return what one tendon's pulls and releases say; `low` [N] is what it was released to.
 
     Raises
@@ -60,9 +59,9 @@ def calibrated(pulled: Pulled, known: KnownSheathConfig, low: float) -> blocked_
 
 
 def described(
-    pulled: Pulled, known: KnownSheathConfig, found: blocked_tip.Calibration, remark: str = ""
+    pulled: PulledTendon, known: KnownSheathConfig, found: blocked_tip.Calibration, remark: str = ""
 ) -> tuple[Direction, TendonConfig]:
-    """Return what was found of a tendon for the file, and what the estimator shall believe.
+    """Return what was found of a tendon for the file, and what the estimator uses.
 
     `remark` is what is to be said of it already.
     """
@@ -92,9 +91,9 @@ def described(
 
 
 def _tendon_config(
-    pulled: Pulled, found: blocked_tip.Calibration, known: KnownSheathConfig
+    pulled: PulledTendon, found: blocked_tip.Calibration, known: KnownSheathConfig
 ) -> TendonConfig:
-    """Return what the estimator shall believe; sections where curvature is uneven."""
+    """Return what the estimator uses; sections where curvature is uneven."""
     model = found.sheath(known.length)
     even = len(model.sections) == 1
     moving = pulled.rows(Phase.PULL, Phase.RELEASE)
@@ -119,7 +118,7 @@ def _sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
     )
 
 
-def _fitted(pulled: Pulled, known: KnownSheathConfig, low: float) -> blocked_tip.Calibration:
+def _fitted(pulled: PulledTendon, known: KnownSheathConfig, low: float) -> blocked_tip.Calibration:
     there = loops(pulled, low)
     again = int(pulled.record.releases[:, pulled.joint].max()) > QUICK_RELEASES
     try:
@@ -145,14 +144,14 @@ def _fitted(pulled: Pulled, known: KnownSheathConfig, low: float) -> blocked_tip
     return best
 
 
-def _surely_beyond(pulled: Pulled) -> Rows:
+def _surely_beyond(pulled: PulledTendon) -> Rows:
     """Return the first pull without its beginning, where the joint may still have moved."""
     top = float(pulled.tension[pulled.first_pull].max())
     least = pulled.contact.tension + BEYOND * (top - pulled.contact.tension)
     return pulled.first_pull & (pulled.tension > least)
 
 
-def _require_straight(pulled: Pulled, known: KnownSheathConfig) -> None:
+def _require_straight(pulled: PulledTendon, known: KnownSheathConfig) -> None:
     """Refuse a pull that is no tendon's: one that is bent, or softer than without friction.
 
     Tissue grows stiffer as it is pressed, a tendon does not; and m = M_pull EA/L is below 1.
@@ -181,7 +180,7 @@ def _require_straight(pulled: Pulled, known: KnownSheathConfig) -> None:
 
 
 def _require_stiff(
-    pulled: Pulled, found: blocked_tip.Calibration, known: float, error: float
+    pulled: PulledTendon, found: blocked_tip.Calibration, known: float, error: float
 ) -> None:
     """Refuse a loop that is softer than the tendon is without friction, L/EA `known` in m/N."""
     stiffness = found.stiffness_per_length

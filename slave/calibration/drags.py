@@ -9,13 +9,19 @@ as much the other way in the other drag: their mean does not depend on it.
 import math
 from collections.abc import Sequence
 
-from estimator.calibration import AGREEMENT, Calibration, CalibrationError, Measured, together
-from estimator.drag import friction_of_both
-from slave.calibration.pulled import Pulled
+from estimator.calibration.calibration import (
+    AGREEMENT,
+    Calibration,
+    CalibrationError,
+    Measured,
+    together,
+)
+from estimator.calibration.drag import friction_of_both
+from slave.calibration.pulled import PulledTendon
 
 
 def put_right(
-    pulled: Sequence[Pulled], found: Sequence[Calibration], gain_error: float
+    pulled: Sequence[PulledTendon], found: Sequence[Calibration], gain_error: float
 ) -> tuple[list[Calibration], str]:
     """Return the calibrations of two antagonists by loops and drags, and what is to be said.
 
@@ -23,7 +29,7 @@ def put_right(
 
     Parameters
     ----------
-    pulled : sequence of Pulled
+    pulled : sequence of PulledTendon
         Tendon a, tendon b.
     found : sequence of Calibration
         By their loops.
@@ -41,7 +47,9 @@ def put_right(
         )
 
 
-def _sum(pulled: Sequence[Pulled], found: Sequence[Calibration], gain_error: float) -> Measured:
+def _sum(
+    pulled: Sequence[PulledTendon], found: Sequence[Calibration], gain_error: float
+) -> Measured:
     """Return K_a + K_b by all drags there are."""
     sums = [
         _of_drag(mine, other, calibration.M_pull.value)
@@ -62,7 +70,7 @@ def _sum(pulled: Sequence[Pulled], found: Sequence[Calibration], gain_error: flo
     return Measured(0.5 * (first.value + second.value), 0.5 * noise)
 
 
-def _of_drag(mine: Pulled, other: Pulled, M_pull: float) -> Measured:
+def _of_drag(mine: PulledTendon, other: PulledTendon, M_pull: float) -> Measured:
     """Return K_a + K_b by one drag; `M_pull` [m/N] is of the tendon that is pulled."""
     rows = mine.dragging
     tension = mine.tension[rows]

@@ -1,4 +1,4 @@
-"""Calibration files: what the estimators shall believe of a rig's tendons, and on what grounds."""
+"""Calibration files: the parameters of a rig's tendons, and their evidence."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,7 +55,7 @@ class Calibration:
     time: str = ""  # ISO 8601, UTC
     method: str = ""
     source: str = ""  # where it was not measured on the rig itself
-    believed: bool = True  # whether the method itself believes what it found
+    accepted: bool = True  # whether the method accepts its own result
     remark: str = ""
     tendons: tuple[TendonConfig, ...]  # numbered as the rig numbers them; one alone is for all
     directions: tuple[Direction, ...] = ()
@@ -114,8 +114,8 @@ def fits(calibration: Calibration, rig: Named, by_name: bool = True) -> str | No
     if calibration.rig != rig.name:
         of = f"of the rig {calibration.rig!r}" if calibration.rig else "of no rig that it names"
         return f"it is {of}, this one is {rig.name!r}"
-    if not calibration.believed:
-        return f"it is not to be believed: {calibration.remark}"
+    if not calibration.accepted:
+        return f"it is not accepted: {calibration.remark}"
     return None
 
 

@@ -26,15 +26,15 @@ from enum import IntEnum
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimator import tendon_estimate
+from estimator.array_types import Array
 from estimator.arrays import copy, interpolated, median
 from estimator.compiled import compiled
-from estimator.online import TendonModel
+from estimator.law.transmission import Phase
+from estimator.online import tendon_estimate
+from estimator.online.online import TendonModel
+from estimator.online.tendon_estimate import TendonEstimate
 from estimator.records import F64, I64, Field, Flag, Record, Records, one
-from estimator.tendon_estimate import TendonEstimate
-from estimator.transmission import Phase
 from slave.tendons import EstimatedTendon, RigLayout
 
 MOBILISED = 0.999  # of the length: the front has reached the tip
@@ -59,7 +59,6 @@ MOST = 99  # transitions that can be asked to decide
 PIECES = 200  # of each section, for its integrals
 FACTORS = np.linspace(0.5, 2.0, 61)  # of all friction, that are told apart
 
-Array = NDArray[np.float64]
 
 _UNUSABLE = (
     tendon_estimate.TENSION_ONLY

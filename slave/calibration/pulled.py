@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.calibration import Measured
+from estimator.array_types import Array
+from estimator.calibration.calibration import Measured
 from slave.calibration.memory import Contact, Phase
 from slave.calibration.refusals import tendon_name
 from slave.calibration.run import Record
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 
 BEFORE = (2e-3, 3e-4)  # [m] of travel before the contact, from and to: there the joint surely moved
@@ -30,7 +30,7 @@ class Loop(NamedTuple):
     travel: Array  # [m]
 
 
-class Pulled(NamedTuple):
+class PulledTendon(NamedTuple):
     """One tendon of one joint in a record."""
 
     record: Record
@@ -62,7 +62,7 @@ class Pulled(NamedTuple):
         """What its load cell read [N] while the other tendon was pulled against its stop."""
         if len(self.record.joints[self.joint]) == 1:
             return None
-        slack = Pulled(self.record, self.joint, 1 - self.side).rows(Phase.RELEASE, Phase.PULL)
+        slack = PulledTendon(self.record, self.joint, 1 - self.side).rows(Phase.RELEASE, Phase.PULL)
         return float(np.mean(self.record.tension[slack, self.tendon]))
 
     @property
@@ -103,7 +103,7 @@ class Pulled(NamedTuple):
         return float(np.median(self.tension[rows])) if rows.any() else self.contact.tension
 
 
-def loops(pulled: Pulled, low: float) -> list[Loop]:
+def loops(pulled: PulledTendon, low: float) -> list[Loop]:
     """Return what was pulled and released against the stop while the tip rested, in turn.
 
     As a whole, unless the joint left its stop on the way down, as a return spring makes it: then
@@ -128,7 +128,7 @@ def loops(pulled: Pulled, low: float) -> list[Loop]:
     ]
 
 
-def _loop(pulled: Pulled, pulls: list[Rows], releases: list[Rows]) -> Loop:
+def _loop(pulled: PulledTendon, pulls: list[Rows], releases: list[Rows]) -> Loop:
     """Return branches in turn, without the samples at their turns.
 
     There one count of the encoder is worth much tension, and samples on either side of the turn

@@ -31,10 +31,11 @@ def withheld(name: str, verdict: Verdict, asked: float, seeking: bool) -> str:
         )
     limit = "displacement_min" if asked < 0.0 else "displacement_max"
     if seeking:
-        what = f"its motor came to slave.gate.{limit} before a stop was found; is there one, and"
-    else:
-        what = f"its motor stands at slave.gate.{limit};"
-    return f"{name}: {what} is the limit wide enough?"
+        return (
+            f"{name}: no stop found before slave.gate.{limit}: check that it exists, or widen the "
+            "limit"
+        )
+    return f"{name}: its motor is at slave.gate.{limit}: widen the limit"
 
 
 def weak_motor(name: str, behind: float, tension: float, config: InitialiseConfig) -> str:

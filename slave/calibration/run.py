@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.records import as_record
 from slave import gate, initial_position
 from slave.calibration import memory, procedure
@@ -24,7 +25,6 @@ from teleop.clock import Tick
 from teleop.errors import TeleopError, UsageError
 from teleop.process import INTERRUPTED
 
-Array = NDArray[np.float64]
 Codes = NDArray[np.int64]
 
 SILENCE_MAX_S = 0.5  # [s] without a sample that can be used

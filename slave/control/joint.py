@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from math import isfinite, nan
 from typing import TypeAlias
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, I64, Record, Records
-from slave.rig import Array
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
 
 SLACK = 0.05  # [N] at the housing: below, a tendon tells nothing of its joint
@@ -28,7 +28,7 @@ class JointEstimate(Record):
     force: F64 = nan  # [N] of the environment on the tendons, positive against pulling by `a`
     low: F64 = nan  # [N] ends of the interval that is certain for the force
     high: F64 = nan  # [N]
-    status: I64 = 0  # bits of estimator.tendon_estimate.Status, of all its tendons
+    status: I64 = 0  # bits of estimator.online.tendon_estimate.Status, of all its tendons
 
 
 JointEstimates: TypeAlias = Sequence[JointEstimate] | Records

@@ -22,11 +22,11 @@ from collections.abc import Sequence
 from math import copysign, isfinite
 from typing import Annotated
 
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, Field, Flag, Record
 from slave.control.config import ControlConfig
 from slave.control.joint import fused
-from slave.rig import Array
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
 from teleop.messages import MAX_JOINTS
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import nan
 from typing import NamedTuple
 
-from estimator.online import Status, TendonEstimate
+from estimator.online.online import Status, TendonEstimate
 from slave.rig import RigSample
 
 _INVALID = int(Status.INVALID_INPUT)

@@ -6,10 +6,10 @@ e(T) of a release and nothing else (docs/theory.md (T2), (T4)),
     M_pull (T + tau) - tau L/EA  <=  e  <=  M_rel (T + tau) - tau L/EA.
 """
 
-from estimator import tables
 from estimator.compiled import compiled
+from estimator.law import tables
+from estimator.law.sheath import Sheath
 from estimator.records import F64, Record
-from estimator.sheath import Sheath
 
 
 class Compliance(Record):

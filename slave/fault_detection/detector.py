@@ -5,7 +5,7 @@ from math import isfinite
 from typing import Annotated
 
 from estimator.compiled import compiled
-from estimator.online import TendonModel
+from estimator.online.online import TendonModel
 from estimator.records import Field, Record, Records, one
 from slave.fault_detection.average import update_average
 from slave.fault_detection.cell import check_cell, is_suspect

@@ -9,9 +9,7 @@ from collections.abc import Sequence
 from math import isfinite, nan
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, Field, Flag, Record
 from slave.fault_detection.config import FaultDetectionConfig
@@ -42,7 +40,7 @@ def take_motor_readings(
     motors: MotorChecks,
     layout: RigLayout,
     tendons: Sequence[EstimatedTendon],
-    sent: NDArray[np.float64],
+    sent: Array,
 ) -> None:
     """Take one sample: where each motor had been sent when its reading came for the first time.
 
@@ -73,7 +71,7 @@ def check_motors(
     config: FaultDetectionConfig,
     motors: MotorChecks,
     layout: RigLayout,
-    sent: NDArray[np.float64],
+    sent: Array,
     has_sent: bool,
     had_samples: bool,
     dt: float,

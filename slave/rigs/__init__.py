@@ -4,11 +4,13 @@ from collections.abc import Callable
 from typing import Any
 
 from slave.rig import Rig, RigFault
+from slave.rigs.extension import RigExtension
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
-from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
+from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.errors import UsageError
+from teleop.extensions import opening_failed
 
-RigConfig = SimulatedRigConfig | ReplayedRigConfig
+RigConfig = SimulatedRigConfig | ReplayedRigConfig | RigExtension
 
 RIGS: dict[type[Any], Callable[[Any], Rig]] = {
     SimulatedRigConfig: SimulatedRig,
@@ -28,6 +30,10 @@ def compile_rig(config: RigConfig) -> None:
 def open_rig(config: RigConfig) -> Rig:
     """Open the rig that `config` describes; `UsageError` if it is not there."""
     try:
-        return RIGS[type(config)](config)
+        return config.open() if isinstance(config, RigExtension) else RIGS[type(config)](config)
     except RigFault as fault:
         raise UsageError(f"slave.rig: {fault}") from fault
+    except Exception as error:
+        if isinstance(config, RigExtension):
+            raise UsageError(opening_failed("slave.rig", config, error)) from error
+        raise

@@ -5,13 +5,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from slave.rig import RigFinished, RigSample
-from slave.table import Columns, read_tables
+from teleop.data.table import Columns, read_tables
 from teleop.messages import MAX_JOINTS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

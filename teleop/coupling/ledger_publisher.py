@@ -25,17 +25,21 @@ class LedgerPublisher:
     """
 
     def __init__(self, role: Role, sides: Records, joints: int) -> None:
-        self.packet = Packet(Ledger)
-        self._fields: Any = self.packet.records
+        self._packet = Packet(Ledger)
+        self._fields: Any = self._packet.records
         self._fields["role"], self._fields["joints"] = role, joints
         self._ports, self._joints = sides["ports"], joints
         self._due_ns = 0
 
     def is_due(self, stamp_ns: int) -> bool:
-        """Return whether the packet was filled in anew, as it is at `stamp_ns` [ns]."""
+        """Return whether a message is due at `stamp_ns` [ns]; the next is then a period later."""
         if stamp_ns < self._due_ns:
             return False
         self._due_ns = stamp_ns + LEDGER_PERIOD_NS
+        return True
+
+    def filled(self) -> Packet[Ledger]:
+        """Return the message about the ledger as it is now."""
         for name in _TOLD:
             self._fields[name][:, : self._joints] = self._ports[name][:, : self._joints]
-        return True
+        return self._packet

@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
+from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, U64, Field, Flag, Record
 from teleop.coupling import direct, passivity, wave
@@ -14,8 +12,6 @@ from teleop.coupling.config import PASSIVITY, WAVE, BilateralSettings
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.port import Port
 from teleop.messages import MAX_JOINTS
-
-Array = NDArray[np.float64]
 
 
 class Side(Record):

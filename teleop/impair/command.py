@@ -28,11 +28,11 @@ from teleop.errors import UsageError
 from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import WAIT_S, DelayQueue
 from teleop.impair.direction import Direction
-from teleop.launch.summary import impair_lines
 from teleop.link.bridge import Bank, ask
 from teleop.process import Stop, destination, seconds, supervised, write_summary
 from teleop.realtime import go_realtime, limit_computing
 from teleop.run_config import RunConfig
+from teleop.summary import impair_lines
 
 DIRECTIONS = ("to_slave", "to_master")
 ACTIONS = ("cut", "mend", "set", "status")

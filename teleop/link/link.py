@@ -112,6 +112,20 @@ class Link:
         publisher.put(packet.seal(self.nonce, publisher.sequence, stamp))
         return stamp
 
+    def skip_unsubscribed(self, topic: Topic[Any]) -> bool:
+        """Return whether nobody subscribes to `topic`; its next message then counts as sent.
+
+        For what a loop sends to listeners only: it need not be put together. Its sequence number is
+        used up, so that a listener whose connection broke finds the gap.
+        """
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            publisher = self._publishers[topic.name] = self._declare(topic)
+        if publisher.has_subscriber:
+            return False
+        publisher.sequence += 1
+        return True
+
     def publish_raw(self, topic: Topic[Any], data: bytes) -> None:
         """Send a message packed elsewhere: for a replay, which waits for room rather than drop it.
 
@@ -200,7 +214,7 @@ class Link:
             raise ValueError(f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}")
         live = topic.live and not patient
         publisher = declare_publisher(self._zenoh, self._key(topic), live, patient)
-        return _Publisher(publisher.put)
+        return _Publisher(publisher)
 
     def _endpoints(self) -> tuple[list[str], list[str]]:
         """Return where to listen and where to connect."""
@@ -246,10 +260,19 @@ class Link:
 
 
 class _Publisher:
-    """A declared publisher and the sequence number of its last message."""
+    """A declared publisher, the sequence number of its last message, and whether anybody listens.
 
-    __slots__ = ("put", "sequence")
+    Zenoh's thread writes `has_subscriber`: at once if somebody does, then whenever it changes.
+    """
 
-    def __init__(self, put: Callable[[bytes], None]) -> None:
-        self.put = put
+    __slots__ = ("_listener", "has_subscriber", "put", "sequence")
+
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self.put: Callable[[bytes], None] = publisher.put
         self.sequence = 0
+        self.has_subscriber = False
+        direct = zenoh.handlers.Callback(self._on_change, indirect=False)
+        self._listener: Any = publisher.declare_matching_listener(direct)
+
+    def _on_change(self, status: zenoh.MatchingStatus) -> None:
+        self.has_subscriber = status.matching

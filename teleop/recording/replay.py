@@ -20,7 +20,6 @@ from teleop.clock import now_ns
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import UsageError
-from teleop.launch.status import StatusLine
 from teleop.link import Link
 from teleop.messages import LAYOUT
 from teleop.process import Stop
@@ -28,6 +27,7 @@ from teleop.recording.readdress import Readdress
 from teleop.recording.reader import RecordingInfo, open_recording, read_messages
 from teleop.recording.scan import RecordingError
 from teleop.run_config import RunConfig
+from teleop.status_line import StatusLine
 from teleop.topics import Role
 
 _LOOK_S = 0.05  # [s] between two looks at whether to stop, who is there and how far it is

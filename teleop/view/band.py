@@ -10,9 +10,8 @@ The law is that of docs/theory.md; an extended model with friction beside it may
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from estimator.array_types import Array
 
 
 def friction_along(length: Array, radius: Array, K: float, points: int) -> Array:

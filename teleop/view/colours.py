@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.array_types import Array
+
 # viridis (S. van der Walt, N. Smith, 2015; CC0) at nine evenly spaced points, sRGB
 _VIRIDIS = np.array(
     [
@@ -33,7 +35,7 @@ STATES = {
 }
 
 
-def rgba(tension: NDArray[np.float64], scale_N: float) -> NDArray[np.uint32]:
+def rgba(tension: Array, scale_N: float) -> NDArray[np.uint32]:
     """Return the colour of each tension as 0xRRGGBBAA, the shape kept.
 
     Dark violet is 0 N, yellow `scale_N`; lightness rises steadily between them, so the scale reads

@@ -2,15 +2,13 @@
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from teleop.view.colours import rgba
 from teleop.view.config import ViewConfig
 from teleop.view.plane import ticks
 from teleop.view.sender import Sender
 from teleop.view.stage import Stage
-
-Array = NDArray[np.float64]
 
 _STEPS = 65
 _HALF_WIDTH = 0.035  # of its height

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from teleop.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
 from teleop.view.batch import AnyTopic, Rows, thinned
@@ -18,8 +18,6 @@ from teleop.view.config import ViewConfig
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
 from teleop.view.stage import ARROW, Lever
-
-Array = NDArray[np.float64]
 
 _WEDGE = 0.5  # [rad] of the environment, as drawn
 _WEDGE_STEPS = 12

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from teleop.view.sender import Sender
-
-Array = NDArray[np.float64]
 
 _TICK = 0.02
 

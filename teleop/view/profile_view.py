@@ -2,8 +2,8 @@
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from teleop.messages import PROFILE_POINTS
 from teleop.view.band import tension_band
 from teleop.view.batch import Rows
@@ -12,8 +12,6 @@ from teleop.view.config import ViewConfig
 from teleop.view.plane import Plane
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
-
-Array = NDArray[np.float64]
 
 WIDTH = 1.8
 _APART_NS = 50_000_000  # [ns] between a profile and the tip's interval, at most

@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from teleop.errors import UsageError
-
-Array = NDArray[np.float64]
 
 APPLICATION = "teleop"
 TIMELINE = "time"

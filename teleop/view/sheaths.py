@@ -1,8 +1,6 @@
 """What is known of the sheaths so far: their shapes, whose they are, and where they are drawn."""
 
-import numpy as np
-from numpy.typing import NDArray
-
+from estimator.array_types import Array
 from teleop.messages import PROFILE_POINTS
 from teleop.view.band import friction_along
 from teleop.view.batch import Rows
@@ -16,7 +14,7 @@ class Sheaths:
     def __init__(self, config: ViewConfig) -> None:
         self._config = config
         self.shapes: dict[int, Shape] = {}
-        self.friction: dict[int, NDArray[np.float64]] = {}  # tendon -> k(x) at the profile's points
+        self.friction: dict[int, Array] = {}  # tendon -> k(x) at the profile's points
         self.stage: Stage | None = None
 
     def learn(self, rows: Rows) -> bool:

@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from teleop.messages import PROFILE_POINTS
 from teleop.view.config import ViewConfig
-from teleop.view.shape import Array, centreline
+from teleop.view.shape import centreline
 
 SEGMENTS = PROFILE_POINTS - 1
 PIECES = 4  # straight pieces drawn for each segment of one colour
@@ -51,13 +51,13 @@ class Lever:
     length: float  # [m] as drawn
     radius: float  # [m] of the pulley it is drawn on: angle = travel / radius
 
-    def tip(self, travel: NDArray[np.float64]) -> Array:
+    def tip(self, travel: Array) -> Array:
         """Return the link's far end, shape (n, 3), at each travel [m]."""
         angle = np.asarray(travel)[..., None] / self.radius
         turned: Array = np.cos(angle) * self.along + np.sin(angle) * self.aside
         return self.pivot + self.length * turned
 
-    def onward(self, travel: NDArray[np.float64]) -> Array:
+    def onward(self, travel: Array) -> Array:
         """Return unit vectors along which the far end moves as the travel grows, shape (n, 3)."""
         angle = np.asarray(travel)[..., None] / self.radius
         turned: Array = -np.sin(angle) * self.along + np.cos(angle) * self.aside
@@ -194,10 +194,10 @@ def _least_run(cloud: Array) -> Array:
     return -axis if axis[np.abs(axis).argmax()] < 0 else axis
 
 
-def from_z(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def from_z(directions: Array) -> Array:
     """Return quaternions (x, y, z, w) that turn the z axis into each direction, shape (n, 4)."""
     x, y, z = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).T
     turned = np.stack([-y, x, np.zeros_like(x), 1.0 + z], axis=1)
     turned[z < -1 + 1e-9] = (1.0, 0.0, 0.0, 0.0)
-    unit: NDArray[np.float64] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    unit: Array = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     return unit

@@ -4,6 +4,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from teleop.view.batch import Rows
 from teleop.view.colours import FRONT, rgba
 from teleop.view.config import ViewConfig
@@ -66,7 +67,7 @@ class Tubes:
         )
 
 
-def sliding(front: NDArray[np.float64], length: NDArray[np.float64]) -> NDArray[np.bool_]:
+def sliding(front: Array, length: Array) -> NDArray[np.bool_]:
     """Return for each segment of the profile whether its tendon slides: those before X'.
 
     The newest movement has got as far as X'; beyond it friction still holds what the last one
@@ -77,7 +78,7 @@ def sliding(front: NDArray[np.float64], length: NDArray[np.float64]) -> NDArray[
     return slides
 
 
-def along(line: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+def along(line: Array, place: Array) -> Array:
     """Return the points of a line at `place`, 0 at its start and 1 at its end."""
     whole = np.linspace(0.0, 1.0, len(line))
     return np.stack([np.interp(place, whole, line[:, k]) for k in range(3)], axis=1)

@@ -13,8 +13,8 @@ import random
 import numpy as np
 import pytest
 
-from estimator.online import TendonModel
-from estimator.sheath import Sheath
+from estimator.law.sheath import Sheath
+from estimator.online.online import TendonModel
 from master.config import MasterConfig
 from master.device import HandState
 from master.operator import OperatorConfig

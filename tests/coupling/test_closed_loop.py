@@ -8,13 +8,14 @@ import pytest
 from teleop import session
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
 from teleop.session import Reason, State
-from teleop.transparency.hand import DT, Arm
-from teleop.transparency.hand import reach as reaching
-from teleop.transparency.rig import Rig, free, tissue, wall
-from teleop.transparency.run import SETTLED, run
-from teleop.transparency.system import Network, Teleoperator, settings
+from teleop.tools.transparency.hand import DT, Arm
+from teleop.tools.transparency.hand import reach as reaching
+from teleop.tools.transparency.rig import Rig, free, tissue, wall
+from teleop.tools.transparency.run import SETTLED, run
+from teleop.tools.transparency.system import Network, Teleoperator, settings
 
-ROUND_TRIPS = [0.0, 0.020, 0.100, 0.200, 0.300]  # [s]
+SLOW = [pytest.param(s, marks=pytest.mark.slow) for s in (0.020, 0.100, 0.200)]
+ROUND_TRIPS = [0.0, *SLOW, 0.300]  # [s]
 MET = {"free": free, "tissue": tissue(), "wall": wall(2000.0), "hard wall": wall(1e4)}
 PASSIVITY = Bilateral(coupling=PassivityConfig())
 WAVE = Bilateral(coupling=WaveConfig(play=0.1))

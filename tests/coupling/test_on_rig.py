@@ -6,12 +6,12 @@ import pytest
 from slave import loop as slave_loop
 from slave.config import SlaveConfig, tendon_configs
 from slave.gate import GateConfig
-from slave.plant.environment import WallConfig
-from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
+from slave.rigs.simulated.plant.environment import WallConfig
+from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig
-from teleop.transparency.hand import DT, Arm, reach
-from teleop.transparency.run import SETTLED, run
-from teleop.transparency.system import Network, Settings, Teleoperator, settings
+from teleop.tools.transparency.hand import DT, Arm, reach
+from teleop.tools.transparency.run import SETTLED, run
+from teleop.tools.transparency.system import Network, Settings, Teleoperator, settings
 from tests.slave.control_bench import joint
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.sheath import Sheath
+from estimator.law.sheath import Sheath
 from tests.brute.chain import Chain, Force, Position, Spring
 
 RATE = 500.0

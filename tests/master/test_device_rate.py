@@ -168,7 +168,9 @@ def span(values, trace, until=END_S):
     return np.ptp(values[(trace.time > until - LAST_S) & (trace.time <= until)])
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.010, 0.020, 0.040])
+@pytest.mark.parametrize(
+    "late_s", [0.0, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.010, 0.020)), 0.040]
+)
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("name", COUPLINGS)
 def test_at_no_rate_more_comes_out_of_both_ports_than_went_in_and_a_wall_is_stable(

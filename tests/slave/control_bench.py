@@ -7,19 +7,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import online
+from estimator.law.sheath import Sheath
+from estimator.online import online
 from estimator.records import Records, as_record, one
-from estimator.sheath import Sheath
 from slave import control, fault_detection, gate
 from slave.control import Control, ControlConfig, JointEstimate
 from slave.fault_detection import FaultDetectionConfig
 from slave.gate import GateConfig
-from slave.plant.body import BodyConfig
-from slave.plant.environment import EnvironmentConfig, FreeConfig
-from slave.plant.sensors import LoadCellConfig
-from slave.plant.sheath import SectionConfig, SheathConfig
 from slave.rig import RigSample
-from slave.rigs.simulated import (
+from slave.rigs.simulated.plant.body import BodyConfig
+from slave.rigs.simulated.plant.environment import EnvironmentConfig, FreeConfig
+from slave.rigs.simulated.plant.sensors import LoadCellConfig
+from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
+from slave.rigs.simulated.simulated import (
     JointConfig,
     SimulatedRig,
     SimulatedRigConfig,

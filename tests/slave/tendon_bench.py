@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.compiled import compiled
-from slave.plant.chain import recover, respond
-from slave.plant.response import tension_on
-from slave.plant.sheath import SectionConfig, SheathConfig
-from slave.plant.tendon import POSITION, TENSION, at_rest, build_chain
+from slave.rigs.simulated.plant.chain import recover, respond
+from slave.rigs.simulated.plant.response import tension_on
+from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
+from slave.rigs.simulated.plant.tendon import POSITION, TENSION, at_rest, build_chain
 
 L, EA = 1.5, 9000.0
 

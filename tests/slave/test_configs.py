@@ -9,7 +9,7 @@ import pytest
 from slave.calibration import file
 from slave.config import SlaveConfig, hindrance_of, tendon_configs
 from slave.rigs import open_rig
-from teleop import cli
+from teleop.app import cli
 from teleop.config import load
 
 FOLDER = Path(__file__).parents[2] / "configs"
@@ -30,7 +30,11 @@ def calibrate(name, out, options):
     return cli.main(["calibrate", *words, "--quick", "--together", "--out", str(out)])
 
 
-@pytest.fixture(scope="module", params=NAMES)
+def of_each(name):
+    return pytest.param(name, marks=pytest.mark.slow if name in {"arm", "two-arms"} else ())
+
+
+@pytest.fixture(scope="module", params=map(of_each, NAMES))
 def done(request, tmp_path_factory):
     """Return a config's name, and the file that the command in it has written."""
     out = tmp_path_factory.mktemp("configs") / "calibration.yaml"
@@ -66,8 +70,8 @@ def test_the_slave_of_the_config_as_it_is_takes_the_file(done):
     assert hindrance_of(config, rig) == ""
     true = true_sheaths(config)
     for tendon, (K, _) in zip(tendon_configs(config, rig.tendons), true, strict=True):
-        believed = tendon.model().sheath.K
-        assert abs(believed - K) <= SURE / 2.0 * tendon.friction_error * K  # that is two sigma
+        accepted = tendon.model().sheath.K
+        assert abs(accepted - K) <= SURE / 2.0 * tendon.friction_error * K  # that is two sigma
 
 
 @pytest.mark.parametrize("name", ["bowden", "demo"])

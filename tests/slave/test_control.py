@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from estimator.law.transmission import Phase
+from estimator.online.tendon_estimate import Status
 from estimator.records import as_record, one
-from estimator.tendon_estimate import Status
-from estimator.transmission import Phase
 from slave import control
 from slave.control import Control, ControlConfig, JointEstimate
 from slave.control.joint import fused

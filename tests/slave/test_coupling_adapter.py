@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from estimator.online.tendon_estimate import INVALID_INPUT
 from estimator.records import as_record, one
-from estimator.tendon_estimate import INVALID_INPUT
 from master import feedback
 from slave import coupling_adapter
 from slave.control import JointEstimate

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop import cli
+from teleop.app import cli
 
 RIGS = Path(__file__).parents[2] / "docs" / "rigs.md"
 FREE = "slave.rig.joints.0.environment={type: free}"

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator import online
+from estimator.law.sheath import Sheath
+from estimator.online import online
 from estimator.records import as_bytes
-from estimator.sheath import Sheath
 from slave import loop
 from slave.config import SlaveConfig, TendonConfig
 from slave.gate import GateConfig, Verdict

@@ -12,10 +12,10 @@ from slave import loop
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig, TendonConfig, tendon_configs
 from slave.gate import GateConfig
-from slave.plant.effects import FrictionStep, StuckCell
-from slave.plant.environment import FreeConfig, TissueConfig, WallConfig
 from slave.rigs.replayed import ReplayedRigConfig
-from slave.rigs.simulated import SimulatedRig, SimulatedRigConfig
+from slave.rigs.simulated.plant.effects import FrictionStep, StuckCell
+from slave.rigs.simulated.plant.environment import FreeConfig, TissueConfig, WallConfig
+from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.config import load
 from teleop.messages import MAX_JOINTS, Command
 from teleop.session import Reason, State

@@ -5,6 +5,7 @@ import math
 import signal
 import socket
 import time
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,7 +16,7 @@ from slave.calibration.config import InitialiseConfig
 from slave.config import SlaveConfig, TendonConfig
 from slave.process import SlaveProcess, run
 from slave.rig import RigFault, RigFinished, RigSample
-from slave.rigs.simulated import SimulatedRigConfig
+from slave.rigs.simulated.simulated import SimulatedRigConfig
 from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
@@ -60,6 +61,9 @@ class Line:
         stamp = now_ns()
         self.sent.append((topic, message))
         return stamp
+
+    def skip_unsubscribed(self, _topic):
+        return False
 
     def publish_packet(self, topic, packet):
         stamp = now_ns()
@@ -364,6 +368,47 @@ def test_a_rig_is_not_advanced_after_a_fault(fails, error, last):
     line = Line()
     driven(Witness(line, **{fails: 20}, error=error), line)
     assert order(line)[-1] == last
+
+
+class Foresighted(Bench):
+    """A rig of known samples; of reads now and then none is given, or two, whatever was foreseen.
+
+    With `tells` it says in advance which one the next read should give.
+    """
+
+    def __init__(self, tells):
+        super().__init__()
+        self.tells, self.given = tells, 0
+        self.samples = [
+            RigSample(1e-3 * k, np.array([5.0 + math.sin(0.3 * k)]), np.array([START + 1e-5 * k]))
+            for k in range(100)
+        ]
+
+    def read(self, time_s):
+        super().read(time_s)
+        count = {5: 0, 9: 2}.get(self.reads % 11, 1)
+        self.given += count
+        return tuple(self.samples[self.given - count : self.given])
+
+    def advance(self):
+        super().advance()
+        foreseen = self.samples[self.given]
+        if (self.reads + 1) % 11 == 7:  # another one comes
+            foreseen = replace(foreseen, proximal_tension=np.array([9.0]))
+        return foreseen if self.tells else None
+
+
+def test_what_is_estimated_in_advance_is_what_would_be_estimated_from_the_samples_that_come():
+    told = []
+    for tells in (False, True):
+        _, line, _ = driven(Foresighted(tells))
+        told.append([
+            (t.time_s, t.distal_tension[0], t.distal_tension_low[0], t.elongation[0], t.front[0])
+            for t in line.of(TENDONS)
+        ])  # fmt: skip
+    assert len(told[0]) > 35
+    assert told[0] == told[1]
+    assert len({tension for _, tension, *_ in told[0]}) > 20
 
 
 def test_what_a_failed_write_asked_for_is_not_told_as_done():

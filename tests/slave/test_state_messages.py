@@ -1,7 +1,7 @@
 """What the messages say in numbers is what the estimator means by them."""
 
-from estimator.online import Status
-from estimator.transmission import Phase
+from estimator.law.transmission import Phase
+from estimator.online.online import Status
 from teleop.messages import PHASE_NAMES, STATUS_NAMES
 
 

@@ -20,6 +20,11 @@ class Silent:
     def publish(self, *_):
         pass
 
+    publish_packet = publish
+
+    def skip_unsubscribed(self, _topic):
+        return False
+
 
 @pytest.fixture
 def said(monkeypatch):

@@ -12,14 +12,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from estimator import online
-from estimator.online import Status
+from estimator.online import online
+from estimator.online.online import Status
 from slave.config import as_built
-from slave.plant.body import BodyConfig
-from slave.plant.environment import LoadMotorConfig
-from slave.plant.sensors import LoadCellConfig
-from slave.plant.sheath import SectionConfig, SheathConfig
-from slave.rigs.simulated import (
+from slave.rigs.simulated.plant.body import BodyConfig
+from slave.rigs.simulated.plant.environment import LoadMotorConfig
+from slave.rigs.simulated.plant.sensors import LoadCellConfig
+from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig
+from slave.rigs.simulated.simulated import (
     JointConfig,
     SimulatedRig,
     SimulatedRigConfig,

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
 
-from teleop.launch.supervisor import wait_for
+from teleop.app.launch.supervisor import wait_for
 from teleop.link import Link, LinkConfig
 from teleop.messages import Hand, SlaveState
 from teleop.process import SUPERVISED

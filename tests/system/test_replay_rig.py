@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from slave.table import read_table
-from teleop import cli
+from teleop.app import cli
+from teleop.data.table import read_table
 from teleop.recording.reader import open_recording, read_columns
 from teleop.topics import HAND, TENDONS
 from tests.system.test_run import run

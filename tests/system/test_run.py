@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from teleop.launch.supervisor import wait_for
+from teleop.app.launch.supervisor import wait_for
 from teleop.messages import MESSAGES
 from teleop.recording.names import channel_name
 from teleop.recording.reader import read_columns

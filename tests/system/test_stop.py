@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from teleop.launch.supervisor import wait_for
+from teleop.app.launch.supervisor import wait_for
 from teleop.recording.reader import read_columns
 from teleop.session import Reason, State
 from teleop.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from teleop.app.launch.supervisor import wait_for
 from teleop.clock import now_ns
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
@@ -23,7 +24,6 @@ from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue
 from teleop.impair.direction import Direction
 from teleop.impair.model import Fate, Memory
-from teleop.launch.supervisor import wait_for
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import ask
 from teleop.messages import Command, Event, MessageError, SlaveState, text_bytes

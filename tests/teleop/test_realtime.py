@@ -176,7 +176,7 @@ IMPORTED = """
 import contextlib, importlib, sys
 
 if sys.argv[1] == "--help":
-    from teleop import cli
+    from teleop.app import cli
 
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(None):
         cli.main(["--help"])
@@ -206,7 +206,7 @@ def test_a_process_imports_only_what_it_needs(what, absent):
 
 
 def test_numeric_libraries_compute_in_one_thread_unless_told_otherwise():
-    code = "import os; from teleop import cli; cli.main(['run', '--config', 'none.yaml'])\n"
+    code = "import os; from teleop.app import cli; cli.main(['run', '--config', 'none.yaml'])\n"
     code += "print(os.environ['OPENBLAS_NUM_THREADS'], os.environ['NUMBA_NUM_THREADS'])"
     ended = subprocess.run(
         [sys.executable, "-c", code],

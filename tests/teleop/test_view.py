@@ -14,7 +14,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from teleop import cli
+from teleop.app import cli
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Heard
 from teleop.process import Stop

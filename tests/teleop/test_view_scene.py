@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from estimator import online
-from estimator.sheath import Section
-from estimator.sheath import Sheath as SheathModel
+from estimator.law.sheath import Section
+from estimator.law.sheath import Sheath as SheathModel
+from estimator.online import online
 from teleop.messages import (
     MAX_JOINTS,
     MAX_TENDONS,

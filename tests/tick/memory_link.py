@@ -37,7 +37,10 @@ class Session:
         self.stores[key] = getattr(handler, "callback", handler)
 
     def declare_publisher(self, key, **_):
-        return SimpleNamespace(put=self.sent[key].append)
+        def tell(handler):
+            handler.callback(SimpleNamespace(matching=True))
+
+        return SimpleNamespace(put=self.sent[key].append, declare_matching_listener=tell)
 
     def close(self) -> None:
         """Nothing is open."""

@@ -26,11 +26,11 @@ from master.devices.hid.drivers import DRIVERS, Attached
 from master.devices.hid.line import Line
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
+from master.devices.hid.report_text import describe
 from master.devices.hid.signs import ForceSign
-from master.devices.hid.words import describe
 from teleop.errors import UsageError
-from teleop.launch.status import StatusLine
 from teleop.process import seconds
+from teleop.status_line import StatusLine
 
 _LOOK_S = 0.005  # [s] between two looks at a device
 _ANSWERS = {"l": 1, "s": -1, "n": 0}
@@ -84,7 +84,7 @@ def listed(items: Sequence[Attached]) -> list[str]:
     rows = [("path", "model", "driver", "may be opened", "serial", "name")]
     for one in map(search.examine, items):
         item, driver = one.item, next(iter(one.fits), "-")
-        allowed = "no: teleop devices rules" if one.barred else "yes"
+        allowed = "no: teleop devices rules" if one.not_ready_reason else "yes"
         rows.append((item.path, item.model, driver, allowed, item.serial, item.name))
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return [
@@ -123,14 +123,14 @@ def probed(item: Attached, watched_s: float) -> list[str]:
     one = search.examine(item)
     data = one.descriptor
     if not data:
-        return [str(item), one.barred]
+        return [str(item), one.not_ready_reason]
     lines = [str(item)]
     lines += [f"driver {name}: {why_not or 'fits'}" for name, why_not in one.misfits.items()]
     try:
         lines += ["", f"report descriptor, {len(data)} bytes", *describe(parse(data))]
     except DescriptorError as error:
         lines.append(f"report descriptor, {len(data)} bytes, cannot be read: {error}")
-    return [*lines, "", one.barred or rate(item, watched_s)]
+    return [*lines, "", one.not_ready_reason or rate(item, watched_s)]
 
 
 def rate(item: Attached, watched_s: float) -> str:

@@ -39,7 +39,9 @@ class Examined(NamedTuple):
     item: Attached
     descriptor: bytes
     misfits: dict[str, str]  # for each driver why it does not fit; empty if it does
-    barred: str  # why this user must not open it, with the remedy; empty if that is not known
+    not_ready_reason: (
+        str  # why this user must not open it, with the remedy; empty if that is not known
+    )
 
     @property
     def fits(self) -> list[str]:

@@ -4,7 +4,7 @@ import pytest
 
 from master.devices.hid import command, search, signs
 from master.devices.hid.command import Person
-from teleop import cli
+from teleop.app import cli
 from tests.hid import descriptors
 from tests.hid.virtual.dualsense import DualSense
 from tests.hid.virtual.openffboard import OpenFFBoard

@@ -15,8 +15,8 @@ from master.devices.hid.driver import DriverError, unknown
 from master.devices.hid.inputs import Inputs
 from master.devices.hid.pid import PidConfig, PidDriver
 from master.devices.hid.pid_layout import lay_out
+from master.devices.hid.report_text import describe
 from master.devices.hid.usages import MAGNITUDE
-from master.devices.hid.words import describe
 from tests.hid.descriptors import LAYOUTS
 
 fuzz = settings(

@@ -6,7 +6,7 @@ from master.device import DeviceFault
 from master.devices.hid import seeker
 from master.devices.hid.search import NotThereError
 from master.devices.hid.seeker import Seeker
-from teleop.launch.supervisor import wait_for
+from teleop.app.launch.supervisor import wait_for
 
 
 class Thing:
@@ -46,7 +46,10 @@ def test_whatever_a_look_fails_with_another_one_follows(monkeypatch):
 
 def test_what_goes_on_failing_is_told_of(monkeypatch):
     monkeypatch.setattr(seeker, "LOOK_S", 0.001)
-    for error, words in ((DeviceFault("barred"), "barred"), (RuntimeError("odd"), "odd")):
+    for error, words in (
+        (DeviceFault("not_ready_reason"), "not_ready_reason"),
+        (RuntimeError("odd"), "odd"),
+    ):
         looking, _ = seek(Thing(), error)
         assert wait_for(lambda looking=looking: looking.trouble, 5.0)
         assert words in looking.trouble

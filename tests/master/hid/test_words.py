@@ -1,7 +1,7 @@
 import pytest
 
 from master.devices.hid.descriptor import parse
-from master.devices.hid.words import describe
+from master.devices.hid.report_text import describe
 from tests.hid.descriptors import LAYOUTS
 
 

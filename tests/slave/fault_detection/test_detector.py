@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from estimator import online
+from estimator.law.sheath import Sheath
+from estimator.online import online
 from estimator.records import as_record, one
-from estimator.sheath import Sheath
 from slave import fault_detection
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.compliance import compliance, least_elongation

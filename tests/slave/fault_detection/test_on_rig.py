@@ -5,8 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from slave.plant.effects import BrokenTendon, JammedTendon, RepeatedSamples, Saturation, StuckCell
-from slave.plant.environment import LoadMotorConfig, TissueConfig, WallConfig
+from slave.rigs.simulated.plant.effects import (
+    BrokenTendon,
+    JammedTendon,
+    RepeatedSamples,
+    Saturation,
+    StuckCell,
+)
+from slave.rigs.simulated.plant.environment import LoadMotorConfig, TissueConfig, WallConfig
 from teleop.session import Reason
 from tests.slave.control_bench import follow, joint, sine
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from estimator.law.sheath import Sheath
 from estimator.records import as_record
-from estimator.sheath import Sheath
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.compliance import compliance, largest_elongation, least_elongation
 from slave.fault_detection.slack import Slack, check_slack

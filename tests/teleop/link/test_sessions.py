@@ -188,6 +188,24 @@ def test_what_an_intruder_puts_on_the_key_is_counted_and_kept_out(config: LinkCo
         assert latest.message.state == 1
 
 
+def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config: LinkConfig) -> None:
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
+        assert master.skip_unsubscribed(COMMAND)
+        slave.subscribe_latest(COMMAND)
+        wait_until(lambda: not master.skip_unsubscribed(COMMAND))
+        first = pump(master, slave).message
+        for subscriber in slave._subscribers:
+            subscriber.undeclare()
+        wait_until(lambda: master.skip_unsubscribed(COMMAND))
+        assert master.skip_unsubscribed(COMMAND)
+        slave.subscribe_latest(COMMAND)
+        wait_until(lambda: not master.skip_unsubscribed(COMMAND))
+        again = pump(master, slave).message
+        assert first is not None
+        assert again is not None
+        assert again.sequence >= first.sequence + 3
+
+
 def test_a_port_of_someone_else_is_named_with_a_remedy(config: LinkConfig) -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", Endpoint.parse(config.slave).port))

@@ -1,0 +1,103 @@
+"""A session to do harm to: recorder, proxy, slave and master, each a process with its strings."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from teleop.app.launch.supervisor import wait_for
+from teleop.errors import TeleopError
+from teleop.link import Link
+from teleop.link.bridge import ask
+from tests.system.processes import OURS, START_S, Processes, free_ports
+
+HELD = (0.3, 2.6)  # [s] the scripted hand holds the engage switch, of every
+PERIOD = 3.0  # [s]
+MOTION = (
+    f"master.device.engage=[[{HELD[0]}, {HELD[1]}]]",
+    f"master.device.engage_period={PERIOD}",
+    "master.device.reference={type: sine, amplitude: 0.02, frequency: 0.5, offset: 0.03}",
+)
+NAMES = ("record", "impair", "slave", "master")
+
+
+class Bench(Processes):
+    """A session whose hand is always in motion and engages every `PERIOD`."""
+
+    def __init__(self, folder: Path, config: Path, *overrides: str) -> None:
+        (port,) = free_ports(1)
+        self.proxy = f"tcp/127.0.0.1:{port}"
+        super().__init__(folder, config, f"impair.endpoint={self.proxy}", *MOTION, *overrides)
+        self.link: Link | None = None
+        self._begun: list[str] = []
+
+    def __enter__(self) -> "Bench":
+        for name in NAMES:
+            self.begin(name)
+        self.link = self.look()
+        self.link.__enter__()
+        self.await_engaged()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.link is not None:
+            self.link.__exit__(None, None, None)
+        super().__exit__(*error)
+        for process in self._all:
+            process.stdin.close()
+
+    def begin(self, name: str) -> None:
+        """Start a process, or one in the place of another that has ended."""
+        number = self._begun.count(name)
+        self._begun.append(name)
+        words = ["--json", str(self.folder / f"{name}-{number}.json")]
+        if name == "record":
+            words = ["--out", str(self.folder)]
+        if name == "master":
+            words += ["--set", f"link.slave={self.proxy}"]
+        self.running[name] = process = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.faults.puppet", name, *self.shared, *words],
+            stdin=subprocess.PIPE,
+            stdout=self._log(name),
+            stderr=subprocess.STDOUT,
+            env=OURS,
+        )
+        self._all.append(process)
+
+    def await_engaged(self) -> None:
+        """Wait until the hand feels a force again."""
+        alive = self.running.values
+        assert wait_for(
+            lambda: self.engaged(self.link) or any(p.poll() is not None for p in alive()), START_S
+        ), self.outputs()
+        ended = [name for name, process in self.running.items() if process.poll() is not None]
+        assert not ended, f"{ended} ended:\n{self.outputs()}"
+
+    def pull(self, name: str, words: str) -> None:
+        """Pull a string of a process."""
+        stdin = self.running[name].stdin
+        stdin.write(f"{words}\n".encode())
+        stdin.flush()
+
+    def signal(self, name: str, number: signal.Signals) -> None:
+        os.kill(self.running[name].pid, number)
+
+    def tell(self, *words: str) -> dict:
+        """Tell the proxy something; it may be coming up."""
+        end = time.monotonic() + 10.0
+        while True:
+            try:
+                return ask(self.link_config, self.session, self.proxy, "\n".join(words))
+            except TeleopError:
+                if time.monotonic() > end:
+                    raise
+
+    def end(self) -> None:
+        """End everything in order."""
+        for name in ("master", "slave", "impair", "record"):
+            self.stop(name)
+
+    def recordings(self) -> list[Path]:
+        return sorted(self.folder.glob("*.mcap"), key=lambda path: path.stat().st_ctime)

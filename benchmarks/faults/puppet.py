@@ -1,0 +1,68 @@
+"""A process of ours with strings: it does to itself, on a word, what a test cannot do to it.
+
+    python -m benchmarks.faults.puppet COMMAND ARGUMENTS ...      as `teleop COMMAND ARGUMENTS ...`
+
+Words on standard input, one a line: `unplug`, `plug` (the haptic device), `clock S` (the machine's
+monotonic clock jumps by S seconds for this process).
+"""
+
+import sys
+import threading
+import time
+
+
+class Strings:
+    """What is pulled at."""
+
+    def __init__(self):
+        self.away = False
+        self.offset_ns = 0
+
+    def obey(self, lines):
+        for line in lines:
+            word, *numbers = line.split()
+            if word in ("plug", "unplug"):
+                self.away = word == "unplug"
+            elif word == "clock":
+                self.offset_ns += round(float(numbers[0]) * 1e9)
+
+
+def unpluggable(open_device, strings):
+    """Return `open_device` with the device's plug in our hand."""
+    from master.device import DeviceLost
+
+    class Unpluggable:
+        def __init__(self, device):
+            self.axes, self._device = device.axes, device
+
+        def read(self, time_s):
+            if strings.away:
+                raise DeviceLost("unplugged")
+            return self._device.read(time_s)
+
+        def write(self, force):
+            self._device.write((0.0,) * self.axes if strings.away else force)
+
+        def close(self):
+            self._device.close()
+
+    return lambda *arguments, **options: Unpluggable(open_device(*arguments, **options))
+
+
+def main():
+    strings = Strings()
+    clock = time.monotonic_ns
+    time.monotonic_ns = lambda: clock() + strings.offset_ns  # before our modules take hold of it
+    threading.Thread(target=strings.obey, args=(sys.stdin,), daemon=True).start()
+
+    from teleop.app import cli
+
+    if sys.argv[1] == "master":
+        from master import process
+
+        process.open_device = unpluggable(process.open_device, strings)
+    return cli.main(sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

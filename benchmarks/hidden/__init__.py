@@ -1,0 +1,1 @@
+"""Effects hidden in data of an independent chain, diagnosed and counted."""

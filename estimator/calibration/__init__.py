@@ -1,0 +1,1 @@
+"""A sheath's parameters from measured loops."""

@@ -1,0 +1,282 @@
+"""Calibration of a sheath from the housing, by pulling and releasing with the tip blocked.
+
+With the tip blocked the travel of the motor is elongation. Three ways lead from there to K:
+
+* the **pattern** (T7): how the compliance is spread over friction, fitted to the whole loop; right
+  for any curvature, needs neither EA nor L. This is the K to use;
+* the **slopes** (T6): K = ln(M_rel/M_pull), right for a uniformly curved sheath, likewise;
+* the **paper**: K from M_pull by Phee et al. 2009, eq. (13), right for a uniformly curved sheath,
+  needs EA and L.
+
+Where the first two disagree the sheath is not uniformly curved, or friction depends on direction.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from numpy.typing import ArrayLike
+
+from estimator.calibration.blocked_loop import BlockedLoop, read
+from estimator.calibration.measured import CalibrationError, Measured
+from estimator.calibration.model_averaging import UNSEEN, Rival, Weighed
+from estimator.calibration.model_averaging import together as weighed_together
+from estimator.calibration.paper_calibration import friction_from_elongation, paper_friction
+from estimator.calibration.pattern import Fitter, Pattern
+from estimator.calibration.pattern_search import Found, search
+from estimator.calibration.slopes import pull_slope, release_slope, require_straight
+from estimator.law.sheath import Sheath
+
+__all__ = [
+    "AGREEMENT",
+    "Calibration",
+    "CalibrationError",
+    "Measured",
+    "calibrate",
+    "friction_from_elongation",
+    "together",
+]
+
+AGREEMENT = 3.0
+"""Standard uncertainties by which two values of K may differ and still agree."""
+
+TOLERANCE = 0.1
+"""Largest standard uncertainty of K accepted: T_out is off by the same share."""
+
+ZERO_UNCERTAINTY = 0.02
+"""Standard uncertainty [N] of a load cell's zero that nobody has stated."""
+
+_MODEL = 0.005  # of K that the law itself is trusted to
+_BEYOND = 0.05  # of s that a loop must reach beyond the tip to see that it is the tip
+_SOFTEST = 1e-3  # [m/N] 2 m of a tendon of 2 kN
+_WORST_FIT = 0.02  # of the peak: residual tension of what is a loop of dry friction at all
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a blocked-tip loop says about a sheath.
+
+    Uncertainties are standard (one sigma): sensor noise, the scatter about the model, and for K and
+    the stiffness which pattern it is.
+
+    Attributes
+    ----------
+    K
+        The friction coordinate to use, from the pattern.
+    K_loop
+        By the slopes, ln(M_rel/M_pull).
+    K_paper
+        By eq. (13) from M_pull; None without EA and L.
+    K_paper_ratio
+        By eq. (13) from M_e, as the paper does it; None without EA and L, or where M_e EA/L is not
+        below 1.
+    M_pull, M_rel
+        Slopes de/dT_in of the mobilised branches [m/N]; M_rel from the pattern where no release
+        goes low enough to show it.
+    M_e
+        Elongation over tension at the peak of the first pull, counted from the first sample [m/N].
+    stiffness_per_length
+        EA/L [N/m], from the pattern.
+    T_peak
+        Tension of the first branch change [N].
+    zero
+        Reading of the load cell without tension [N]; friction that does not depend on tension shows
+        as a negative one (docs/theory.md, section 8).
+    pattern
+        How compliance is spread over friction.
+    rivals
+        Patterns that were weighed for it.
+    compliance_noise
+        Standard uncertainty of L/EA [m/N] that noise leaves in any of them.
+    misfit
+        Squared residuals of the best pattern there is over those that noise would leave: 1 where
+        the law says all, more where it misses something.
+    uniform
+        Whether the slopes agree with the pattern. Where not, the curvature is not uniform or
+        friction depends on direction, and K_loop and K_paper are wrong.
+    agree
+        Whether all methods at hand agree. Where `uniform` and yet not, EA or L is wrong, or their
+        uncertainty was not given.
+    """
+
+    K: Measured
+    K_loop: Measured
+    K_paper: Measured | None
+    K_paper_ratio: Measured | None
+    M_pull: Measured  # [m/N]
+    M_rel: Measured  # [m/N]
+    M_e: Measured  # [m/N]
+    stiffness_per_length: Measured  # [N/m]
+    T_peak: Measured  # [N]
+    zero: Measured  # [N]
+    pattern: Pattern
+    rivals: tuple[Rival, ...]
+    compliance_noise: float  # [m/N]
+    misfit: float
+    uniform: bool
+    agree: bool
+
+    def sheath(self, length: float, friction: float = 0.1) -> Sheath:
+        """Return the sheath as a model, `length` [m] long; see `Pattern.sheath`."""
+        return self.pattern.sheath(length, friction)
+
+
+def calibrate(
+    proximal_tension: ArrayLike,
+    proximal_displacement: ArrayLike,
+    *,
+    axial_stiffness: float | None = None,
+    length: float | None = None,
+    stiffness_uncertainty: float = 0.0,
+    zero_uncertainty: float = ZERO_UNCERTAINTY,
+    tolerance: float = TOLERANCE,
+) -> Calibration:
+    """Calibrate from pulls and releases with the tip blocked.
+
+    Parameters
+    ----------
+    proximal_tension, proximal_displacement : array_like
+        T_in [N] and q_p [m], shape (n,), in order of time: a pull to the peak from any past, a
+        release to well below the peak over e^2K, and, better, a pull to the peak again (and so on).
+    axial_stiffness, length : float, optional
+        EA [N] and L [m]; only the paper's method needs them.
+    stiffness_uncertainty : float
+        Relative standard uncertainty of EA/L, for the paper's method.
+    zero_uncertainty : float
+        Standard uncertainty of the load cell's zero [N]. It is fitted within these bounds, since at
+        the low end of the loop a hundredth of a newton is per cents.
+    tolerance : float
+        Largest standard uncertainty of K that is accepted.
+
+    Raises
+    ------
+    CalibrationError
+        If the data cannot carry it.
+    """
+    if (axial_stiffness is None) != (length is None):
+        raise CalibrationError(
+            "the paper's K needs both axial_stiffness and length: give the other"
+        )
+    loop = read(proximal_tension, proximal_displacement)
+    found = search(Fitter(loop, zero_uncertainty))
+    K, pattern = found.weighed.K, found.weighed.pattern
+    largest = K.value + 2.0 * K.uncertainty
+    _require_sheath(loop, found)
+    require_straight(loop, largest)
+    _require_decided(loop, found, tolerance)
+    M_pull = pull_slope(loop, largest)
+    M_rel = release_slope(loop, largest) or Measured(
+        pattern.slope(1.0), K.uncertainty * pattern.slope(1.0)
+    )
+    if not M_rel.value > M_pull.value:
+        raise CalibrationError(
+            f"the release slope {M_rel.value:.3g} m/N is not above the pull slope "
+            f"{M_pull.value:.3g} m/N: no friction shows; check that the tip is blocked"
+        )
+    K_loop = Measured(
+        math.log(M_rel.value / M_pull.value),
+        math.hypot(M_rel.uncertainty / M_rel.value, M_pull.uncertainty / M_pull.value),
+    )
+    M_e = _elongation_constant(loop)
+    K_paper = K_paper_ratio = None
+    if axial_stiffness is not None and length is not None:
+        K_paper = paper_friction(M_pull, axial_stiffness, length, stiffness_uncertainty)
+        if M_e.value * axial_stiffness < length:
+            K_paper_ratio = paper_friction(M_e, axial_stiffness, length, stiffness_uncertainty)
+    uniform = _agree(K, K_loop)
+    return Calibration(
+        K=K,
+        K_loop=K_loop,
+        K_paper=K_paper,
+        K_paper_ratio=K_paper_ratio,
+        M_pull=M_pull,
+        M_rel=M_rel,
+        M_e=M_e,
+        stiffness_per_length=_stiffness(found.weighed, found.compliance_noise),
+        T_peak=Measured(loop.peak, loop.sigma),
+        zero=found.zero,
+        pattern=pattern,
+        rivals=found.rivals,
+        compliance_noise=found.compliance_noise,
+        misfit=found.misfit,
+        uniform=uniform,
+        agree=uniform and (K_paper is None or _agree(K, K_paper)),
+    )
+
+
+def together(a: Calibration, b: Calibration, total: Measured) -> tuple[Calibration, Calibration]:
+    """Return the calibrations of two antagonists, put right by K_a + K_b.
+
+    `total` comes from `drag`; it knows what hides at the tips, where a blocked loop tells
+    little. What sets the two apart is known from their loops alone.
+
+    Raises
+    ------
+    CalibrationError
+        If the loops cannot be so far off.
+    """
+    K_a, K_b = a.K, b.K
+    loops = Measured(
+        K_a.value + K_b.value, math.hypot(K_a.uncertainty, K_b.uncertainty, UNSEEN, UNSEEN)
+    )
+    allowed = AGREEMENT * math.hypot(total.uncertainty, loops.uncertainty)
+    if abs(total.value - loops.value) > allowed:
+        raise CalibrationError(
+            f"K of both tendons is {total.value:.3f} by the drags, {loops.value:.3f} by the loops"
+        )
+    of_a, of_b = weighed_together(a.rivals, b.rivals, total)
+    return _standing(a, of_a), _standing(b, of_b)
+
+
+def _standing(found: Calibration, weighed: Weighed) -> Calibration:
+    """Return a calibration of which other rivals stand."""
+    uniform = _agree(weighed.K, found.K_loop)
+    return replace(
+        found,
+        K=weighed.K,
+        stiffness_per_length=_stiffness(weighed, found.compliance_noise),
+        pattern=weighed.pattern,
+        uniform=uniform,
+        agree=uniform and (found.K_paper is None or _agree(weighed.K, found.K_paper)),
+    )
+
+
+def _stiffness(weighed: Weighed, noise: float) -> Measured:
+    """Return EA/L [N/m]."""
+    value, between = weighed.compliance
+    return Measured(1.0 / value, math.hypot(between, noise) / value**2)
+
+
+def _elongation_constant(loop: BlockedLoop) -> Measured:
+    T_0 = float(loop.turns[0])
+    value = loop.travel / T_0
+    return Measured(value, value * math.hypot(loop.sigma / T_0, loop.step / loop.travel))
+
+
+def _require_decided(loop: BlockedLoop, found: Found, tolerance: float) -> None:
+    K = found.weighed.K
+    lowest = max(float(loop.turns.min()), loop.slack)
+    reach = 0.5 * math.log(loop.peak / lowest)
+    if K.value + _BEYOND > reach or K.uncertainty > tolerance:
+        raise CalibrationError(
+            f"a loop between {loop.peak:.3g} N and {lowest:.3g} N decides K = {K.value:.2f} only "
+            f"to {K.uncertainty:.2g}, its range reaching to {reach:.2f}: release further, pull "
+            "higher, or go more slowly"
+        )
+
+
+def _require_sheath(loop: BlockedLoop, found: Found) -> None:
+    compliance = found.weighed.compliance.value
+    if compliance > _SOFTEST:
+        raise CalibrationError(
+            f"EA/L is {1.0 / compliance:.3g} N/m, softer than any sheath: the tip is not blocked"
+        )
+    if found.residual > _WORST_FIT * loop.peak:
+        raise CalibrationError(
+            f"no friction and no stiffness describe this loop to better than {found.residual:.2g} "
+            f"N of {loop.peak:.3g} N: the tip moves, or the tension is not that of this tendon"
+        )
+
+
+def _agree(a: Measured, b: Measured) -> bool:
+    allowed = AGREEMENT * math.hypot(a.uncertainty, b.uncertainty, _MODEL * a.value)
+    return abs(a.value - b.value) <= allowed

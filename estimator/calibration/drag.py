@@ -1,0 +1,65 @@
+"""The friction of two antagonists together, from one of them drawing the other one out.
+
+While the joint moves freely and both tendons slide along their whole length, towards the end that
+is pulled, T_in,1 = e^(K1) T_out,1 and T_out,2 = e^(K2) T_in,2; and T_out,1 is T_out,2 and what the
+joint itself takes, f. So (docs/theory.md (T20))
+
+    T_in,2 = e^-(K1 + K2) T_in,1 - e^-K2 f,
+
+and the slope says K1 + K2: for any curvature, wherever it is along the sheath, and for any friction
+and spring of the joint that the tensions do not change.
+"""
+
+import math
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.calibration.measured import CalibrationError, Measured
+from estimator.signals import noise_sigma
+
+_LEAST = 0.3  # of the highest tension; above it the pull has wiped out what was before
+_LEAST_SAMPLES = 100
+_LAW = 0.003  # of K1 + K2 that the law itself is trusted to
+_ROUGH = 2.0  # times the noise: residuals that are no noise
+_ROUGHER = 0.01  # of the highest tension of the tendon drawn out, and so much more
+
+
+def friction_of_both(pulled: Array, drawn: Array, travel: Array) -> Measured:
+    """Return K1 + K2 from a drag in which both tensions rise and fall.
+
+    The tension of the tendon drawn out is fitted by that of the one pulled, which has the smaller
+    relative noise, and by the joint's travel, for a spring at the joint.
+
+    Parameters
+    ----------
+    pulled, drawn : ndarray
+        T_in of the tendon that is pulled, and of the one drawn out [N], shape (n,).
+    travel : ndarray
+        Of the joint [m], shape (n,).
+
+    Raises
+    ------
+    CalibrationError
+        If the tensions are not such.
+    """
+    if len(pulled) < _LEAST_SAMPLES:
+        raise CalibrationError(f"{len(pulled)} samples of a drag, {_LEAST_SAMPLES} are needed")
+    high = np.flatnonzero(pulled > _LEAST * pulled.max())
+    where = slice(int(high[0]), int(high[-1]) + 1)
+    T, q, drawn = pulled[where], travel[where], drawn[where]
+    noise = noise_sigma(drawn)
+    columns = np.column_stack([T, q - q.mean(), np.ones_like(T)])
+    fit, *_ = np.linalg.lstsq(columns, drawn, rcond=None)
+    slope = float(fit[0])
+    if not 0.0 < slope <= 1.0:
+        raise CalibrationError(f"the tendon drawn out has {slope:.3g} of the change of tension")
+    rest = float(np.std(drawn - columns @ fit))
+    if rest > _ROUGH * noise + _ROUGHER * float(drawn.max()):
+        raise CalibrationError(
+            f"the tensions of a drag are {rest:.2g} N from a straight line: one tendon does not "
+            "slide, or the joint is not free"
+        )
+    variance = np.linalg.pinv(columns.T @ columns)[0, 0]
+    uncertainty = max(rest, noise) * math.sqrt(float(variance)) / slope
+    return Measured(-math.log(slope), math.hypot(uncertainty, _LAW))

@@ -1,0 +1,227 @@
+"""Identification by re-simulation: the parameters with which the law reproduces a record.
+
+The whole record is simulated for every trial, so the memory is right at every sample and nothing is
+regressed on a residual. Two fits of the symmetric, uniform law (docs/theory.md (T11), (T13)):
+
+* `fit_bench`: K from both tensions, as a calibration bench measures them;
+* `fit_blocked_tip`: K and EA from tension and travel at the housing, the tip blocked.
+
+The record must start slack; one that starts otherwise is right from its first swing of e^2K on.
+Noise of T_in moves K by some tenths of a per cent (section 9), which the intervals do not hold.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize_scalar
+
+from estimator.array_types import Array
+from estimator.law.sheath import Sheath
+from estimator.law.transmission import batch, slack_profile, tables
+
+STARTS = (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
+"""Values of K from which the search is begun; the cost has more than one local minimum."""
+
+BELIEVABLE = 0.05
+"""Share of the signal's peak the RMSE may be for the fit to be accepted."""
+
+_LARGEST_K = 4.0
+_SAMPLES = 50
+_COVER = 1.96  # standard deviations of the normal distribution on each side of 95 %
+
+
+class IdentificationError(ValueError):
+    """A record that cannot be fitted; the message says what is missing and what to do."""
+
+
+class Parameter(NamedTuple):
+    """A fitted value and its 95 % interval, from the residual's scatter and autocorrelation."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """What a fit found, and whether to accept it.
+
+    Attributes
+    ----------
+    parameters
+        By name: "K" [-], and "axial_stiffness" [N] where travel was fitted.
+    rmse
+        Root mean square of the residuals, in the unit of the signal.
+    residuals
+        Measured less simulated, shape (n,).
+    n
+        Number of samples.
+    decided
+        Whether the record decides K at all.
+    accept
+        Whether the law describes the record: see `reason`.
+    reason
+        One line that justifies `accept`.
+    """
+
+    parameters: dict[str, Parameter]
+    rmse: float
+    residuals: Array
+    n: int
+    decided: bool
+    accept: bool
+    reason: str
+
+
+def fit_bench(proximal_tension: ArrayLike, distal_tension: ArrayLike) -> FitResult:
+    """Fit K to the tension measured at both ends.
+
+    Parameters
+    ----------
+    proximal_tension, distal_tension : array_like
+        T_in and T_out [N], shape (n,), in order of time.
+
+    Raises
+    ------
+    IdentificationError
+        If the record cannot be fitted.
+    """
+    T_in, T_out = _checked(proximal_tension, distal_tension)
+    if np.mean(T_out) > np.mean(T_in):
+        raise IdentificationError(
+            "the tip pulls harder than the housing, on the whole: are the two columns swapped?"
+        )
+
+    def residual(K: float) -> Array:
+        return T_out - _simulate(T_in, K)[0]
+
+    K = _search(lambda K: float(np.sum(residual(K) ** 2)))
+    at_best = residual(K)
+    slope = (residual(K * (1.0 + 1e-3)) - residual(K * (1.0 - 1e-3)))[:, None] / (2e-3 * K)
+    covariance = _covariance(slope, at_best)
+    decided, accept, reason = _verdict(T_in, T_out, at_best, K)
+    parameters = {"K": _interval(K, covariance[0, 0])}
+    return FitResult(parameters, _rms(at_best), at_best, len(T_in), decided, accept, reason)
+
+
+def fit_blocked_tip(
+    proximal_tension: ArrayLike, proximal_displacement: ArrayLike, length: float
+) -> FitResult:
+    """Fit K and EA to tension and travel at the housing while the tip is blocked.
+
+    Travel is elongation up to a constant, which is fitted too: e = L/EA times a shape that K alone
+    decides, so only K is searched.
+
+    Parameters
+    ----------
+    proximal_tension, proximal_displacement : array_like
+        T_in [N] and q_p [m], shape (n,), in order of time.
+    length : float
+        L [m].
+
+    Raises
+    ------
+    IdentificationError
+        If the record cannot be fitted.
+    """
+    T_in, q = _checked(proximal_tension, proximal_displacement)
+
+    def shape(K: float) -> tuple[Array, float, Array]:
+        stretch = _simulate(T_in, K)[1]
+        centred = stretch - stretch.mean()
+        compliance = float(centred @ q) / float(centred @ centred)
+        return centred, compliance, q - q.mean() - compliance * centred
+
+    K = _search(lambda K: float(np.sum(shape(K)[2] ** 2)))
+    centred, compliance, at_best = shape(K)
+    if not compliance > 0.0:
+        raise IdentificationError("travel falls while tension rises: check the sign of the encoder")
+    EA = length / compliance
+    by_K = (shape(K * (1.0 + 1e-3))[0] - shape(K * (1.0 - 1e-3))[0]) * compliance / (2e-3 * K)
+    covariance = _covariance(np.column_stack([by_K, centred * compliance]), at_best)
+    decided, accept, reason = _verdict(T_in, q - q.min(), at_best, K)
+    parameters = {
+        "K": _interval(K, covariance[0, 0]),
+        "axial_stiffness": _interval(EA, covariance[1, 1] * EA**2),
+    }
+    return FitResult(parameters, _rms(at_best), at_best, len(T_in), decided, accept, reason)
+
+
+def _checked(tension: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
+    T = np.asarray(tension, dtype=np.float64)
+    signal = np.asarray(other, dtype=np.float64)
+    if T.ndim != 1 or T.shape != signal.shape:
+        raise IdentificationError(f"rows {T.shape} and {signal.shape}: give two of equal length")
+    if len(T) < _SAMPLES:
+        raise IdentificationError(f"{len(T)} samples, at least {_SAMPLES} are needed")
+    bad = ~(np.isfinite(T) & np.isfinite(signal))
+    if bad.any():
+        raise IdentificationError(
+            f"{int(bad.sum())} samples are not finite, the first at index {int(bad.argmax())}: "
+            "remove them"
+        )
+    if not (np.ptp(T) > 0.0 and np.ptp(signal) > 0.0):
+        raise IdentificationError("a signal never changes: record while pulling and releasing")
+    return T, signal
+
+
+def _simulate(T_in: Array, K: float) -> tuple[Array, Array]:
+    """Return T_out [N] and the elongation of a tendon of L/EA = 1 m/N, from slack."""
+    table = tables(Sheath.uniform(K, 1.0, 1.0))
+    return batch(table, slack_profile(table), T_in)
+
+
+def _search(cost: Callable[[float], float]) -> float:
+    """Return the K of least cost, each start searched between its neighbours."""
+    edges = (1e-3, *STARTS, _LARGEST_K)
+    minima = [
+        minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
+        for low, high in zip(edges[:-2], edges[2:], strict=True)
+    ]
+    return float(min(minima, key=lambda minimum: float(minimum.fun)).x)
+
+
+def _covariance(slopes: Array, residuals: Array) -> Array:
+    """Return the covariance of least squares, residuals counted as the fewer they amount to.
+
+    Neighbouring residuals of a hysteresis model repeat each other; with their correlation r from
+    one sample to the next, n of them carry what n (1 - r)/(1 + r) independent ones would.
+    """
+    centred = residuals - residuals.mean()
+    power = float(centred @ centred)
+    r = float(centred[1:] @ centred[:-1]) / power if power > 0.0 else 0.0
+    r = min(max(r, 0.0), 0.9999)
+    degrees = max(len(residuals) - slopes.shape[1] - 1, 1)
+    variance = float(residuals @ residuals) / degrees * (1.0 + r) / (1.0 - r)
+    return np.asarray(np.linalg.pinv(slopes.T @ slopes) * variance)
+
+
+def _interval(value: float, variance: float) -> Parameter:
+    half = _COVER * math.sqrt(max(variance, 0.0))
+    return Parameter(value, max(value - half, 0.0), value + half)
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(residuals**2)))
+
+
+def _verdict(T_in: Array, signal: Array, residuals: Array, K: float) -> tuple[bool, bool, str]:
+    if K > 0.99 * _LARGEST_K or K < 2e-3:
+        return False, False, f"K = {K:.3g} is the end of the search: the record does not decide it"
+    if T_in.max() < math.exp(2.0 * K) * max(float(T_in.min()), 1e-3 * float(T_in.max())):
+        return False, False, "tension never swings by e^2K: the start of the record decides the fit"
+    share = _rms(residuals) / float(np.abs(signal).max())
+    if share > BELIEVABLE:
+        return (
+            True,
+            False,
+            (
+                f"residual is {share:.1%} of the peak, more than {BELIEVABLE:.0%}: "
+                "the symmetric law misses something"
+            ),
+        )
+    return True, True, f"residual is {share:.1%} of the peak"

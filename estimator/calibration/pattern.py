@@ -1,0 +1,375 @@
+"""How the compliance of a sheath is spread over friction: the pattern, and its best fit to a loop.
+
+Over the friction depth s the tension T(s, t) is a play operator of T_in (docs/theory.md (T10)),
+whatever the sheath. So, with dC the compliance between s and s + ds,
+
+    q_p = q_0 + ∫ T(s, t) dC(s),   s from 0 to K,
+
+is linear in the compliance. A stretch of constant bend radius has its compliance spread evenly over
+an interval of s, a straight one has it all at one depth. A `Shape` says where intervals end and
+which of their ends carry a straight stretch; the compliances, none of them negative, follow
+from least squares, and only the ends of the intervals, of which the last is K, are searched.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array_types import Array
+from estimator.calibration.blocked_loop import BlockedLoop
+from estimator.law.sheath import Section, Sheath
+
+LARGEST_K = 3.0
+"""Friction coordinate up to which a loop is searched."""
+
+LEAST_STEP = 0.004
+"""Shortest interval of s that is searched."""
+
+_NODE = 0.01  # of s
+_LEAST_TENSION = 1e-9  # [N]
+_SLACK = math.log(_LEAST_TENSION) - LARGEST_K
+_DIFFERENCE = 1e-3  # relative, of the intervals
+_TURN_DIFFERENCE = 2e-4  # relative, of the turning tensions
+_ZERO_DIFFERENCE = 1e-4  # [N]
+_ENDS_ROOM, _TURNS_ROOM, _ZERO_ROOM = 0.7, 0.5, 3.0  # how far refining goes: ln, ln, uncertainties
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """Compliance over friction depth, n intervals from the motor to the tip.
+
+    Attributes
+    ----------
+    ends
+        s at the end of each interval, rising; the last is K.
+    spread
+        Compliance of each interval [m/N].
+    straight
+        Compliance of the straight stretch at s = 0 and at the end of each interval [m/N].
+    """
+
+    ends: tuple[float, ...]
+    spread: tuple[float, ...]  # [m/N]
+    straight: tuple[float, ...]  # [m/N]
+
+    @property
+    def K(self) -> float:  # noqa: N802 (the paper's symbol)
+        """Friction coordinate of the tip."""
+        return self.ends[-1]
+
+    @property
+    def compliance(self) -> float:
+        """L/EA [m/N]."""
+        return math.fsum((*self.spread, *self.straight))
+
+    def slope(self, sign: float) -> float:
+        """Return ∫ e^(sign s) dC [m/N]: M_pull for -1, M_rel for +1 (T4)."""
+        begin = (0.0, *self.ends)
+        total = math.fsum(c * math.exp(sign * s) for c, s in zip(self.straight, begin, strict=True))
+        for a, b, c in zip(begin[:-1], begin[1:], self.spread, strict=True):
+            total += c * math.exp(sign * a) * math.expm1(sign * (b - a)) / (sign * (b - a))
+        return total
+
+    def ending(self, K: float) -> "Pattern":
+        """Return the pattern with more or less friction in its last bend, or else in all of them.
+
+        Its compliances stay: the loop has shown them, and hardly how far the last bend goes.
+        """
+        before = self.ends[-2] if len(self.ends) > 1 else 0.0
+        if before + LEAST_STEP < K:
+            return replace(self, ends=(*self.ends[:-1], K))
+        return replace(self, ends=tuple(end * K / self.K for end in self.ends))
+
+    def sheath(self, length: float, friction: float = 0.1) -> Sheath:
+        """Return a sheath of that pattern, `length` [m] long, motor first.
+
+        Neither EA nor mu shows at the housing, only L/EA and mu times angle: EA follows from
+        `length`, bend radii from `friction`, and T_out and elongation depend on neither.
+        """
+        per_metre = self.compliance / length
+        sections = []
+        begin = 0.0
+        for end, spread, straight in zip(
+            (0.0, *self.ends), (0.0, *self.spread), self.straight, strict=True
+        ):
+            if end > begin:
+                # A bend needs some length; what has no compliance gets next to none.
+                metres = max(spread / per_metre, 1e-6 * length)
+                sections.append(Section(metres, friction * metres / (end - begin)))
+            if straight > 0.0:
+                sections.append(Section(straight / per_metre))
+            begin = end
+        total = math.fsum(section.length for section in sections)
+        return Sheath(tuple(sections), friction, total / self.compliance)
+
+
+class Shape(NamedTuple):
+    """What of a pattern is searched, and what of it there is."""
+
+    ends: Array  # s, rising, shape (n,)
+    straight: NDArray[np.bool_]  # at s = 0 and at each end, shape (n + 1,)
+
+    @property
+    def parameters(self) -> int:
+        """Number of ends and compliances."""
+        return 2 * len(self.ends) + int(self.straight.sum())
+
+
+class Fit(NamedTuple):
+    """A shape, its best pattern, and how far the loop is from it."""
+
+    shape: Shape
+    pattern: Pattern
+    chi2: float  # squared residuals in units of the noise
+
+
+class Uncertainty(NamedTuple):
+    """Standard uncertainties that sensor noise leaves a fit of a given shape."""
+
+    K: float
+    compliance: float  # [m/N]
+    zero: float  # [N]
+
+
+class Play:
+    """T(s, t) of a loop on nodes of s, and its integrals, for given turning tensions."""
+
+    def __init__(self, loop: BlockedLoop, turns: Array, zero: float) -> None:
+        """Drive the play operators through the loop.
+
+        `turns` [N] are the tensions between branches, `zero` [N] is the reading without tension.
+        """
+        self._loop = loop
+        self._s = np.arange(0.0, LARGEST_K + 1.5 * _NODE, _NODE)[:, None]
+        y = np.full_like(self._s, _SLACK)
+        lines, logs = [], []
+        for number, branch in enumerate(loop.branches):
+            u = np.log(np.maximum(branch.T - zero, _LEAST_TENSION))
+            line = u - self._s if branch.pull else u + self._s
+            lines.append(line)
+            logs.append(np.maximum(y, line) if branch.pull else np.minimum(y, line))
+            if number < len(turns):
+                u_turn = math.log(float(turns[number]))
+                y = np.minimum(np.maximum(y, u_turn - self._s), u_turn + self._s)
+        ln_T = np.hstack(logs)
+        self._sliding = np.hstack(lines) == ln_T
+        self._T = np.exp(ln_T)
+        # Between nodes ln T is straight, and the logarithmic mean is the mean tension.
+        rise = np.diff(ln_T, axis=0)
+        rise[np.abs(rise) < 1e-9] = 1e-9
+        self._integral = np.zeros_like(self._T)
+        np.cumsum(np.diff(self._T, axis=0) / rise * _NODE, axis=0, out=self._integral[1:])
+
+    def columns(self, shape: Shape) -> Array:
+        """Return travel per compliance [N] of intervals, then of straight stretches."""
+        begin = np.concatenate([[0.0], shape.ends])
+        place = np.clip(begin / _NODE, 0.0, len(self._s) - 1.001)
+        k = place.astype(np.int64)
+        f = (place - k)[:, None]
+        T_a, T_b = self._T[k], self._T[k + 1]
+        # Cubic in between: the derivative of the integral is T.
+        total = (
+            self._integral[k] * (1 - f) ** 2 * (1 + 2 * f)
+            + self._integral[k + 1] * f**2 * (3 - 2 * f)
+            + _NODE * f * (1 - f) * (T_a * (1 - f) - T_b * f)
+        )
+        spread = np.diff(total, axis=0) / np.diff(begin)[:, None]
+        at = T_a * (1 - f) + T_b * f
+        return np.asarray(np.vstack([spread, at[shape.straight]]).T)
+
+    def slopes(self, pattern: Pattern) -> Array:
+        """Return de/dT_in of each average [m/N] (T7)."""
+        signs = np.concatenate(
+            [np.full(len(b.T), -1.0 if b.pull else 1.0) for b in self._loop.branches]
+        )
+        gain = np.where(self._sliding, np.exp(signs * self._s), 0.0)
+        running = np.zeros_like(gain)
+        np.cumsum(0.5 * _NODE * (gain[1:] + gain[:-1]), axis=0, out=running[1:])
+        begin = np.array([0.0, *pattern.ends])
+        k = np.rint(begin / _NODE).astype(np.int64)
+        density = np.array(pattern.spread) / np.diff(begin)
+        return np.asarray(
+            density @ np.diff(running[k], axis=0) + np.array(pattern.straight) @ gain[k]
+        )
+
+    def free(self, step: float) -> Array:
+        """Return travel per compliance [N] of straight stretches every `step` of s."""
+        return np.asarray(self._T[:: round(step / _NODE)].T)
+
+
+class Fitter:
+    """Least squares of patterns to one loop, every average weighted by its noise."""
+
+    def __init__(self, loop: BlockedLoop, zero_uncertainty: float) -> None:
+        """Weigh by the mean slope until `weigh` knows a pattern.
+
+        `zero_uncertainty` [N] is how well the load cell has been zeroed.
+        """
+        self._loop = loop
+        self._zero_uncertainty = max(zero_uncertainty, 1e-9)
+        self._turns = np.maximum(loop.turns[:-1], _LEAST_TENSION)
+        self.zero = 0.0
+        self._q = np.concatenate([branch.q for branch in loop.branches])
+        self._count = np.concatenate([branch.count for branch in loop.branches])
+        self._readings = np.concatenate([branch.readings for branch in loop.branches])
+        T = np.concatenate([branch.T for branch in loop.branches])
+        self._play = Play(loop, self._turns, self.zero)
+        self._set_weights(np.full_like(self._q, float(np.ptp(self._q) / np.ptp(T))))
+
+    @property
+    def n(self) -> int:
+        """Number of averages."""
+        return len(self._q)
+
+    @property
+    def state(self) -> tuple[Array, float]:
+        """The turning tensions [N] and the zero [N] in use."""
+        return self._turns, self.zero
+
+    @state.setter
+    def state(self, state: tuple[Array, float]) -> None:
+        self._turns, self.zero = state
+        self._play = Play(self._loop, self._turns, self.zero)
+
+    def weigh(self, pattern: Pattern) -> None:
+        """Weigh by the slopes of `pattern`, which make tension noise a residual of travel."""
+        self._set_weights(self._play.slopes(pattern))
+
+    def free_chi2(self, step: float) -> float:
+        """Return chi² of the best pattern of any shape: what no shape can do better than."""
+        residual, _ = self._solve(self._play.free(step))
+        return float(residual @ residual)
+
+    def fit(self, shape: Shape, evaluations: int = 25, *, hold_last: bool = False) -> Fit:
+        """Return the best fit of a shape, its ends moved; `hold_last` keeps the last width."""
+        logs = _logs(shape.ends)
+        held = logs[-1:] if hold_last else logs[:0]
+        free = logs[: len(logs) - len(held)]
+
+        def ends(x: Array) -> Array:
+            return _ends(np.concatenate([x, held]))
+
+        def residual(x: Array) -> Array:
+            return self._solve(self._play.columns(shape._replace(ends=ends(x))))[0]
+
+        from scipy.optimize import least_squares
+
+        found = least_squares(
+            residual,
+            free,
+            bounds=(math.log(LEAST_STEP) - 1e-6, math.log(LARGEST_K)),
+            diff_step=_DIFFERENCE,
+            x_scale=1.0,
+            xtol=1e-4,
+            ftol=1e-5,
+            max_nfev=evaluations,
+        )
+        return self._fitted(shape._replace(ends=ends(found.x)))
+
+    def refine(self, fit: Fit) -> tuple[Fit, Uncertainty]:
+        """Move the turning tensions and the zero too; return the fit and what noise leaves open."""
+        n = len(fit.shape.ends)
+
+        def solve(x: Array) -> tuple[Array, Array]:
+            self._play = Play(self._loop, np.exp(x[n:-1]), float(x[-1]))
+            return self._solve(self._play.columns(fit.shape._replace(ends=_ends(x[:n]))))
+
+        def residual(x: Array) -> Array:
+            return np.append(solve(x)[0], x[-1] / self._zero_uncertainty)
+
+        start = np.concatenate([_logs(fit.shape.ends), np.log(self._turns), [self.zero]])
+        steps = np.repeat(
+            [_DIFFERENCE, _TURN_DIFFERENCE, _ZERO_DIFFERENCE], [n, len(self._turns), 1]
+        )
+        room = np.repeat(
+            [_ENDS_ROOM, _TURNS_ROOM, _ZERO_ROOM * self._zero_uncertainty],
+            [n, len(self._turns), 1],
+        )
+        from scipy.optimize import least_squares
+
+        found = least_squares(
+            residual,
+            start,
+            jac=lambda x: _differences(residual, x, steps),
+            x_scale="jac",
+            bounds=(start - room, start + room),
+            max_nfev=10,
+        )
+        best = np.asarray(found.x)
+        covariance = np.linalg.pinv(found.jac.T @ found.jac)
+        K_by = np.zeros(len(best))
+        K_by[:n] = np.exp(best[:n])  # K is the sum of the intervals
+        C_by = _differences(lambda x: solve(x)[1].sum(keepdims=True), best, steps)[0]
+        self.state = np.exp(best[n:-1]), float(best[-1])
+        refined = self._fitted(fit.shape._replace(ends=_ends(best[:n])))
+        linear = self._linear_variance(refined)
+        return refined, Uncertainty(
+            math.sqrt(float(K_by @ covariance @ K_by)),
+            math.sqrt(float(C_by @ covariance @ C_by) + linear),
+            math.sqrt(float(covariance[-1, -1])),
+        )
+
+    def tension_residual(self, fit: Fit) -> float:
+        """Return the root mean square of the residuals as a tension [N], noise left in."""
+        residual, _ = self._solve(self._play.columns(fit.shape))
+        each = residual / np.sqrt(self._count)  # in units of the noise of one sample
+        return self._loop.sigma * float(np.sqrt(np.average(each**2, weights=self._count)))
+
+    def _linear_variance(self, fit: Fit) -> float:
+        """Return the variance of the sum of compliances while the ends stay [m²/N²]."""
+        used = np.array([*fit.pattern.spread, *np.array(fit.pattern.straight)[fit.shape.straight]])
+        A = self._centred(self._play.columns(fit.shape) * self._weight[:, None])[:, used > 0.0]
+        scale = np.linalg.norm(A, axis=0)
+        inverse = np.linalg.pinv((A / scale).T @ (A / scale))
+        return float((1.0 / scale) @ inverse @ (1.0 / scale))
+
+    def _set_weights(self, slope: Array) -> None:
+        self._weight = 1.0 / np.hypot(
+            slope * self._loop.sigma / np.sqrt(self._count),
+            self._loop.step / np.sqrt(self._readings),
+        )
+        self._mean = self._weight / np.linalg.norm(self._weight)
+        self._target = self._centred(self._q * self._weight)
+
+    def _centred(self, weighted: Array) -> Array:
+        """Return weighted columns without what the offset q_0 takes up."""
+        mean = self._mean if weighted.ndim == 1 else self._mean[:, None]
+        return np.asarray(weighted - mean * (self._mean @ weighted))
+
+    def _solve(self, columns: Array) -> tuple[Array, Array]:
+        A = self._centred(columns * self._weight[:, None])
+        scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+        from scipy.optimize import nnls
+
+        x, _ = nnls(A / scale, self._target, maxiter=50 * A.shape[1])
+        return self._target - (A / scale) @ x, x / scale
+
+    def _fitted(self, shape: Shape) -> Fit:
+        residual, x = self._solve(self._play.columns(shape))
+        n = len(shape.ends)
+        straight = np.zeros(n + 1)
+        straight[shape.straight] = x[n:]
+        pattern = Pattern(
+            tuple(shape.ends.tolist()), tuple(x[:n].tolist()), tuple(straight.tolist())
+        )
+        return Fit(shape, pattern, float(residual @ residual))
+
+
+def _differences(function: Callable[[Array], Array], x: Array, steps: Array) -> Array:
+    """Return the derivative of `function`, one column for each entry of `x`."""
+    return np.column_stack(
+        [(function(x + h) - function(x - h)) / (2.0 * float(h.sum())) for h in np.diag(steps)]
+    )
+
+
+def _logs(ends: Array) -> Array:
+    return np.log(np.maximum(np.diff(ends, prepend=0.0), LEAST_STEP))
+
+
+def _ends(logs: Array) -> Array:
+    ends = np.cumsum(np.exp(logs))
+    return np.asarray(ends * min(1.0, LARGEST_K / float(ends[-1])))

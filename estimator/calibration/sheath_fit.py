@@ -1,0 +1,208 @@
+"""Fit a sheath to measured data, and say whether to accept the fit."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from estimator import signals
+from estimator.array_types import Array
+from estimator.calibration.calibration import Calibration, CalibrationError, Measured, calibrate
+from estimator.calibration.identification import (
+    FitResult,
+    IdentificationError,
+    Parameter,
+    fit_bench,
+    fit_blocked_tip,
+)
+from estimator.law.sheath import Sheath
+from estimator.measured_data import MeasuredData
+from estimator.online.tendon_model import TendonModel
+
+AXIAL_STIFFNESS = 9000.0  # [N] where the data do not tell EA: the tendon of Phee et al. 2009
+COVER = 1.96  # standard uncertainties on each side of 95 %
+LEAST_ROWS = 20
+LONGEST = 100.0  # [m]
+SMOOTHED = 9  # samples, where the loop's turns are looked for
+GIVES_WAY = 0.02  # of the motor's travel: a tip that moves by more is not blocked
+TURN = 0.05  # of the peak: a tension that comes back by so much has turned
+
+
+class FitError(ValueError):
+    """Data that cannot carry a fit; the message says what is missing and what to do."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SheathFit:
+    """A sheath fitted to measured data.
+
+    Attributes
+    ----------
+    model
+        The sheath with the noise of the data, as `Estimator` takes it.
+    method
+        How it was fitted, in words.
+    parameters
+        By name, with 95 % intervals: "K" [-], "EA" [N] where the data tell it.
+    accept
+        Whether the law describes the data.
+    reason
+        One line that justifies `accept`.
+    """
+
+    model: TendonModel
+    method: str
+    parameters: Mapping[str, Parameter]
+    accept: bool
+    reason: str
+
+    @property
+    def sheath(self) -> Sheath:
+        """The fitted sheath."""
+        return self.model.sheath
+
+    @property
+    def K(self) -> Parameter:  # noqa: N802 (the paper's symbol)
+        """Effective friction of the whole sheath, with its 95 % interval."""
+        return self.parameters["K"]
+
+    @property
+    def EA(self) -> Parameter | None:  # noqa: N802 (the paper's symbol)
+        """Axial stiffness [N] with its 95 % interval; None where the data do not tell it."""
+        return self.parameters.get("EA")
+
+
+def fit_sheath(data: MeasuredData, length: float = 1.0, *, blocked_tip: bool = False) -> SheathFit:
+    """Fit the friction, and the stiffness where the channels allow, of a sheath.
+
+    With a tension measured at the tip, K is fitted by re-simulation of the law (Phee et al. 2009
+    with reversals, docs/theory.md section 3), and EA to the elongation if both ends have a
+    displacement. With the tip blocked, K and EA come from one pull-release loop at the housing
+    (docs/theory.md (T6), (T7)).
+
+    Parameters
+    ----------
+    data : MeasuredData
+        At least 20 samples; `distal_tension` is needed unless the tip was blocked.
+    length : float
+        L [m] of the sheath, above 0 and at most 100. Data tell EA/L only, so EA scales with it.
+    blocked_tip : bool
+        Whether the tip could not move while the data were measured.
+
+    Raises
+    ------
+    FitError
+        If the data cannot carry a fit.
+    """
+    if not 0.0 < length <= LONGEST:
+        raise FitError(f"length {length:g}: must be above 0 and at most {LONGEST:g} m")
+    if len(data.time) < LEAST_ROWS:
+        raise FitError(f"{len(data.time)} samples, a fit needs {LEAST_ROWS}")
+    try:
+        return _from_loop(data, length) if blocked_tip else _from_bench(data, length)
+    except (IdentificationError, CalibrationError) as error:
+        raise FitError(str(error)) from error
+
+
+def _from_loop(data: MeasuredData, length: float) -> SheathFit:
+    """Calibrate from one pull-release loop with the tip blocked (docs/theory.md (T6), (T7))."""
+    if data.proximal_displacement is None:
+        raise FitError("a fit with the tip blocked needs proximal_displacement_m")
+    loop = first_loop(data.proximal_tension)
+    _require_blocked(data, loop)
+    found = calibrate(data.proximal_tension[loop], data.proximal_displacement[loop])
+    stiffness = found.stiffness_per_length
+    EA = Measured(stiffness.value * length, stiffness.uncertainty * length)
+    values = {"K": found.K, "K by slopes": found.K_loop, "EA": EA}
+    parameters = {name: _interval(value) for name, value in values.items()}
+    model = _model(data, parameters["K"], length, EA.value)
+    return SheathFit(model, "pull-release loop, tip blocked", parameters, *loop_verdict(found))
+
+
+def _require_blocked(data: MeasuredData, loop: slice) -> None:
+    """Refuse a loop in which the tip went along, where there is a sensor to tell."""
+    if data.distal_displacement is None or data.proximal_displacement is None:
+        return
+    tip, motor = np.ptp(data.distal_displacement[loop]), np.ptp(data.proximal_displacement[loop])
+    if tip > GIVES_WAY * motor:
+        raise FitError(
+            f"the tip is not blocked: it moved {tip * 1e3:.2f} mm of the motor's "
+            f"{motor * 1e3:.2f} mm; fit without blocked_tip where distal_tension_N was measured"
+        )
+
+
+def first_loop(tension: Array) -> slice:
+    """Return the samples of the highest pull and the release behind it, what follows left out."""
+    smooth = median_filter(tension, SMOOTHED, mode="nearest")
+    peak = int(np.argmax(smooth))
+    turn = TURN * smooth[peak]
+    after = smooth[peak:]
+    pulled_again = np.flatnonzero(after > np.minimum.accumulate(after) + turn)
+    end = peak + int(pulled_again[0]) if len(pulled_again) else len(smooth)
+    before = smooth[peak::-1]
+    released_before = np.flatnonzero(before > np.minimum.accumulate(before) + turn)
+    start = peak - int(released_before[0]) if len(released_before) else -1
+    bottom = peak + int(np.argmin(smooth[peak:end]))
+    foot = start + 1 + int(np.argmin(smooth[start + 1 : peak + 1]))
+    return slice(foot, bottom + 1)
+
+
+def loop_verdict(found: Calibration) -> tuple[bool, str]:
+    """Return whether to accept a loop, and why."""
+    if found.uniform:
+        return (
+            True,
+            "both methods agree: the curvature is even enough for K and EA to be both right",
+        )
+    return False, (
+        "the methods disagree: the sheath is bent unevenly (then K is right, elongation not, which "
+        "is computed for an even bend), friction depends on direction, or the tip gives way"
+    )
+
+
+def _from_bench(data: MeasuredData, length: float) -> SheathFit:
+    """Fit K to both tensions, and EA to the elongation where both ends have a displacement."""
+    if data.distal_tension is None:
+        raise FitError(
+            "a fit needs distal_tension_N; without it, and with the tip blocked while measuring, "
+            "fit with blocked_tip"
+        )
+    result = fit_bench(data.proximal_tension, data.distal_tension)
+    _require_decided(result)
+    parameters, EA = dict(result.parameters), AXIAL_STIFFNESS
+    if data.proximal_displacement is not None and data.distal_displacement is not None:
+        stretch = data.proximal_displacement - data.distal_displacement
+        elastic = fit_blocked_tip(data.proximal_tension, stretch, length)
+        parameters["EA"] = elastic.parameters["axial_stiffness"]
+        EA = parameters["EA"].value
+    model = _model(data, parameters["K"], length, EA)
+    return SheathFit(
+        model, "symmetric law, by re-simulation", parameters, result.accept, result.reason
+    )
+
+
+def _require_decided(result: FitResult) -> None:
+    """Refuse a fit in which the record did not decide K."""
+    K = result.parameters["K"]
+    if not result.decided or not math.isfinite(K.high - K.low):
+        raise FitError(result.reason)
+
+
+def _model(data: MeasuredData, K: Parameter, length: float, EA: float) -> TendonModel:
+    """Return the model of a fitted tendon, with the noise of the data."""
+    travel = data.proximal_displacement
+    model = TendonModel(
+        Sheath.uniform(K.value, length, EA),
+        tension_noise=signals.noise_sigma(data.proximal_tension),
+        displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
+    )
+    error = max(model.friction_error, 0.5 * (K.high - K.low) / K.value)
+    return dataclasses.replace(model, friction_error=error)
+
+
+def _interval(value: Measured) -> Parameter:
+    """Return a value with its 95 % interval."""
+    half = COVER * value.uncertainty
+    return Parameter(value.value, value.value - half, value.value + half)

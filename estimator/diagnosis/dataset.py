@@ -1,0 +1,163 @@
+"""What a model is held against: the records of a dataset, and what a model makes of them."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.diagnosis.model import Base, Simulated, base_of, scene_of, simulate
+from estimator.diagnosis.record import Record, in_full
+from estimator.effects.effect import PROXIMAL_TENSION, Effect, EffectContext, Values
+
+ROUGHLY = 3e-3  # of a channel's range
+ACCURACY = 1e-3  # of it, that a simulation is taken to be off by itself
+NOISE = 1.25  # times the tolerance: an error that is nothing wrong with the model
+LEFT = 0.3  # of the root mean square that a model leaves
+TAKEN_UP = 2.0  # standard uncertainties about its start within which a slack record is taut
+TAUT_LEAST = 1e-6  # [m]
+
+
+class Dataset(NamedTuple):
+    """Records of one dataset, which share its physics."""
+
+    records: tuple[Record, ...]
+    base: Base
+    scale: tuple[dict[str, float], ...]  # what residuals count in, by record and channel
+
+
+class Model(NamedTuple):
+    """A model with its numbers."""
+
+    shared: Values  # of the dataset
+    own: tuple[Values, ...]  # of each record
+    effects: tuple[tuple[Effect, Values], ...]
+
+
+class Fit(NamedTuple):
+    """A fitted model, and what it makes of each record."""
+
+    model: Model
+    simulated: tuple[Simulated, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return tuple(effect.name for effect, _ in self.model.effects)
+
+
+class Expected(NamedTuple):
+    """Where a record that starts slack is expected to be taut [m], and how surely."""
+
+    travel: float
+    uncertainty: float
+
+
+def dataset_of(records: Sequence[Record]) -> Dataset:
+    """Return a dataset whose residuals count in the noise, or in a small share of the range.
+
+    What is not fitted yet is wrong in all channels; one that is measured very finely must not
+    decide alone then.
+    """
+    scale = tuple(
+        {
+            channel: max(noise, ROUGHLY * float(np.ptp(record.signals[channel])))
+            for channel, noise in record.noise.items()
+        }
+        for record in records
+    )
+    return Dataset(tuple(records), base_of(records[0]), scale)
+
+
+def whole(dataset: Dataset) -> Dataset:
+    """Return a dataset of which all samples are fitted."""
+    return dataset._replace(records=tuple(map(in_full, dataset.records)))
+
+
+def mean_noise(dataset: Dataset) -> dict[str, float]:
+    """Return the noise of each channel, in its unit."""
+    return {
+        channel: float(np.sqrt(np.mean([record.noise[channel] ** 2 for record in dataset.records])))
+        for channel in dataset.records[0].compared
+    }
+
+
+def tolerance(dataset: Dataset) -> dict[str, float]:
+    """Return the error of each channel that noise makes, and a simulation off by `ACCURACY`."""
+    return {
+        channel: math.hypot(
+            noise, ACCURACY * max(float(np.ptp(one.signals[channel])) for one in dataset.records)
+        )
+        for channel, noise in mean_noise(dataset).items()
+    }
+
+
+def rescaled(dataset: Dataset, fit: Fit) -> Dataset:
+    """Return a dataset whose residuals count in the noise and in a share of what a model leaves."""
+    scale = []
+    for record, one in zip(dataset.records, fit.simulated, strict=True):
+        each = {}
+        for channel in record.compared:
+            off = (one.signals[channel] - record.signals[channel])[record.good[channel]]
+            each[channel] = math.hypot(record.noise[channel], LEFT * float(off.std()))
+        scale.append(each)
+    return dataset._replace(scale=tuple(scale))
+
+
+def contexts(dataset: Dataset, fit: Fit) -> tuple[EffectContext, ...]:
+    """Return what effects may know of each record beside a model without them."""
+    elastic = fit.model.shared[1] if len(fit.model.shared) > 1 else 0.0
+    return tuple(
+        scene_of(record, simulated, elastic)
+        for record, simulated in zip(dataset.records, fit.simulated, strict=True)
+    )
+
+
+def contexts_without(dataset: Dataset, fit: Fit) -> tuple[EffectContext, ...]:
+    """Return what effects may know of records that have not been simulated yet."""
+    elastic = fit.model.shared[1] if len(fit.model.shared) > 1 else 0.0
+    return tuple(scene_of(record, None, elastic) for record in dataset.records)
+
+
+def simulated(dataset: Dataset, about: Sequence[EffectContext], model: Model) -> Fit:
+    """Return a model with what it makes of each record."""
+    done = tuple(
+        simulate(record, context, model.shared, own, model.effects)
+        for record, context, own in zip(dataset.records, about, model.own, strict=True)
+    )
+    return Fit(model, done)
+
+
+def residual(dataset: Dataset, fit: Fit) -> Array:
+    """Return what is fitted: simulated less measured where it counts, and what is expected."""
+    parts = []
+    for record, one, scale, own in zip(
+        dataset.records, fit.simulated, dataset.scale, fit.model.own, strict=True
+    ):
+        for channel in record.compared:
+            counts = record.train & record.good[channel]
+            off = one.signals[channel] - record.signals[channel]
+            parts.append(off[counts] / scale[channel])
+        expected = expected_taut(record, fit.model)
+        if expected is not None:
+            parts.append(np.array([(own[0] - expected.travel) / expected.uncertainty]))
+    return np.concatenate(parts)
+
+
+def cost(dataset: Dataset, fit: Fit) -> float:
+    """Return what a fit makes as small as it can."""
+    return float(np.sum(residual(dataset, fit) ** 2))
+
+
+def expected_taut(record: Record, model: Model) -> Expected | None:
+    """Return where the motor must be for the first tension that was read, in a slack start."""
+    if record.driver == PROXIMAL_TENSION or not record.starts_slack:
+        return None
+    sigma = record.noise[PROXIMAL_TENSION]
+    compliance = model.shared[1]
+    tension = max(0.0, float(record.signals[PROXIMAL_TENSION][:5].mean()))
+    return Expected(
+        float(record.drive[0]) - compliance * tension,
+        max(TAKEN_UP * compliance * sigma, TAUT_LEAST),
+    )

@@ -1,0 +1,70 @@
+"""How small an effect could have been and still been seen, on a dataset that has none."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import (
+    NOISE,
+    Dataset,
+    Fit,
+    contexts,
+    mean_noise,
+    residual,
+    simulated,
+    tolerance,
+)
+from estimator.diagnosis.fit import slopes_of
+from estimator.diagnosis.outcome import DetectionLimit
+from estimator.effects.effect import Effect
+
+
+def detection_limits(
+    dataset: Dataset, fit: Fit, effects: Sequence[Effect]
+) -> dict[str, DetectionLimit]:
+    """Return for each effect the size at which it would have been seen; none where it could not.
+
+    By a linear step from its starts: what the model's own parameters do not take up grows with the
+    size, until some channel is off by more than noise and the simulation's own error make it.
+    """
+    about = contexts(dataset, fit)
+    r = residual(dataset, fit)
+    basis, _ = np.linalg.qr(slopes_of(dataset, about, fit))
+    found: dict[str, DetectionLimit] = {}
+    for effect in effects:
+        first = effect.parameters[0]
+        if first.neutral is None:
+            continue
+        for values in effect.starts(about[0]):
+            if values[0] == first.neutral:
+                continue
+            model = fit.model._replace(effects=(*fit.model.effects, (effect, values)))
+            change = residual(dataset, simulated(dataset, about, model)) - r
+            change -= basis @ (basis.T @ change)
+            share = _of_least(dataset, change)
+            size = abs(values[0] - first.neutral) / share if share > 0.0 else math.inf
+            known = found.get(effect.name)
+            most = max(abs(first.low - first.neutral), abs(first.high - first.neutral))
+            if size < most and (known is None or size < known.size):
+                found[effect.name] = DetectionLimit(first.name, size, first.unit)
+    return found
+
+
+def _of_least(dataset: Dataset, change: Array) -> float:
+    """Return how many times the least that would be seen a change of the residual is."""
+    noise, floor = mean_noise(dataset), tolerance(dataset)
+    squares, counts, at = dict.fromkeys(noise, 0.0), dict.fromkeys(noise, 0), 0
+    for record, scale in zip(dataset.records, dataset.scale, strict=True):
+        for channel in record.compared:
+            count = int((record.train & record.good[channel]).sum())
+            squares[channel] += float(np.sum((scale[channel] * change[at : at + count]) ** 2))
+            counts[channel] += count
+            at += count
+        at += record.starts_slack and len(dataset.base.own) > 0
+    shares = [
+        math.sqrt(squares[c] / max(counts[c], 1) / ((NOISE * floor[c]) ** 2 - noise[c] ** 2))
+        for c in noise
+    ]
+    return max(shares) if np.isfinite(shares).all() else 0.0

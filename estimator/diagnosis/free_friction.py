@@ -1,0 +1,74 @@
+"""Friction that may take any course over time: what a cause in time has to be as good as.
+
+A step or a drift is the nearest of the catalogue to friction that wanders, and takes most of it up.
+It is not the cause if a course that is free to be anything does far better.
+"""
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import Dataset, Fit, contexts, rescaled, whole
+from estimator.diagnosis.fit import improved
+from estimator.diagnosis.score import errors, left_of
+from estimator.effects.effect import Effect, EffectContext, Parameter, Values
+from estimator.lumped.lumped_model import Physics
+
+KNOTS = 20
+OF_TIME = frozenset({"friction_step", "friction_drift"})
+ROUNDS = 25
+FAR = 0.3  # of what the described course leaves: so much less is another course
+
+
+def _knots(context: EffectContext) -> Array:
+    return np.linspace(context.time[0], context.time[-1], KNOTS)
+
+
+def _course(physics: Physics, values: Values, context: EffectContext) -> Physics:
+    share = 1.0 + np.interp(context.time, _knots(context), values)
+    return physics._replace(friction=physics.friction * share)
+
+
+COURSE = Effect(
+    name="friction_course",
+    cause="friction changes with time, neither at once nor steadily",
+    equation="K(t) = K (1 + c(t)), c linear between its knots",
+    parameters=tuple(Parameter(f"change_{k}", "", -0.9, 5.0, 0.05) for k in range(1, KNOTS + 1)),
+    source="no law: what is free to follow the data",
+    advice="Look for what comes and goes: a sheath that is moved, temperature, lubricant.",
+    starts=lambda _: [(0.0,) * KNOTS],
+    physics=_course,
+)
+
+
+def wanders(dataset: Dataset, fit: Fit) -> bool:
+    """Return whether friction takes another course over time than a model's causes say.
+
+    Both are fitted to all samples: a course that is free has no say about a time that is held out.
+    """
+    in_time = [effect for effect, _ in fit.model.effects if effect.name in OF_TIME]
+    if not in_time:
+        return False
+    full = whole(dataset)
+    described = improved(rescaled(full, fit), contexts(full, fit), fit.model, ROUNDS)
+    return any(_far_better(full, freed(full, described, one), described) for one in in_time)
+
+
+def _far_better(dataset: Dataset, free: Fit, described: Fit) -> bool:
+    a, b = (errors(dataset, one, held_out=False) for one in (free, described))
+    return left_of(a, b) < FAR
+
+
+def freed(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
+    """Return a model in which friction takes any course instead of what `effect` says of it."""
+    about = contexts(dataset, fit)
+    rest: list[tuple[Effect, Values]] = []
+    course: Values = (0.0,) * KNOTS
+    for one, values in fit.model.effects:
+        if one.name != effect.name:
+            rest.append((one, values))
+            continue
+        plain = Physics(np.ones_like(about[0].time), 1.0, np.ones(1))
+        change = one.physics(plain, values, about[0]).friction - 1.0
+        course = tuple(np.interp(_knots(about[0]), about[0].time, change).tolist())
+    model = fit.model._replace(effects=(*rest, (COURSE, course)))
+    return improved(rescaled(dataset, fit), about, model, ROUNDS)

@@ -1,0 +1,354 @@
+"""A diagnosis in words: the verdict in one sentence, tables of text, and what to do next."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+from estimator.diagnosis.dataset import NOISE, tolerance
+from estimator.diagnosis.engine import EXPLAINED
+from estimator.diagnosis.model import ASSUMED
+from estimator.diagnosis.outcome import (
+    DetectionLimit,
+    Diagnosis,
+    Fitnesses,
+    Number,
+    Ranked,
+    Step,
+    Verdict,
+)
+from estimator.effects import CATALOGUE, Effect
+from estimator.effects.effect import (
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+)
+from estimator.text_table import Table
+
+CHANNEL_WORDS = {
+    PROXIMAL_TENSION: "tension at the housing",
+    PROXIMAL_DISPLACEMENT: "travel at the housing",
+    DISTAL_TENSION: "tension at the tip",
+    DISTAL_DISPLACEMENT: "travel at the tip",
+}
+SHOWN = 8  # candidates in a table
+STRUCTURES = 2  # named in a sentence
+UNSURE = 3  # causes in a sentence, none of them sure
+MOST_DIGITS = 8
+SETS = {"fit": "fitted", "held_out": "held out", "validation": "validation"}
+
+
+def sentence(found: Diagnosis) -> str:
+    """Return the verdict in one sentence."""
+    if found.verdict is Verdict.CLEAN:
+        smallest = _smallest_detectable(found.detection_limits)
+        return f"Nothing is wrong with the model beyond noise{smallest}."
+    if found.verdict is Verdict.UNEXPLAINED:
+        if found.wanders:
+            labels = " and ".join(step.effect.label for step in found.steps)
+            return (
+                f"The model is wrong, and nothing in the catalogue explains it: friction changes "
+                f"with time, and {labels} is only the closest match in the catalogue."
+            )
+        if names := _unsure(found):
+            return (
+                f"The model is wrong, and these data do not tell why: {' or '.join(names)} would "
+                f"explain it, none of them surely; {_structure(found)}."
+            )
+        labels = " and ".join(step.effect.label for step in found.steps)
+        share = f"{found.left:.0%} of what noise does not explain"
+        still = f"with {labels} in the model {share} is left, and " if found.steps else ""
+        return (
+            f"The model is wrong, and nothing in the catalogue explains it: {still}"
+            f"{_structure(found)}."
+        )
+    causes = " and ".join(f"because {_cause(found, step)}" for step in found.steps)
+    unsure = "; these channels cannot tell which" * (found.verdict is Verdict.AMBIGUOUS)
+    return f"The model is wrong {causes}{unsure}; {_gain(found)}."
+
+
+def summary(
+    found: Diagnosis, files: Sequence[str] | None = None, compared: Table | None = None
+) -> str:
+    """Return all that is said of a diagnosis: the verdict, tables, residuals, next steps.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        What was found.
+    files : sequence of str, optional
+        What the records are called; "record 1" and so on by default.
+    compared : Table, optional
+        A calibration beside what the data say.
+    """
+    named = files or [f"record {k + 1}" for k in range(len(found.dataset.records))]
+    tables = [candidates(found)] if found.ranking else []
+    tables.append(parameters(found))
+    if compared is not None:
+        tables.append(compared)
+    if found.steps:
+        tables.append(gains(found))
+    if found.after.validation:
+        tables.append(validated(found))
+    if found.detection_limits:
+        tables.append(detection_limits(found))
+    parts = [sentence(found), *(table.markdown() for table in tables)]
+    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in remains(found)))
+    parts.append("Next:\n" + "\n".join(f"- {step}" for step in next_steps(found)))
+    if said := remarks(found, named):
+        parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in said))
+    return "\n\n".join(parts)
+
+
+def candidates(found: Diagnosis) -> Table:
+    """Return how the candidates of the first search came out, the best first."""
+    return ranked(found, found.ranking)
+
+
+def ranked(found: Diagnosis, ranking: Sequence[Ranked]) -> Table:
+    """Return how the candidates of one search came out, the best first."""
+    channels = compared(found)
+    rows = [
+        (
+            one.label,
+            f"{one.score:.0f}",
+            *(quantity(one.rmse.get(c), unit_of(c), 3) for c in channels),
+            f"{one.left:.0%}",
+        )
+        for one in best(ranking, SHOWN)
+    ]
+    head = ("candidate", "score", *(f"RMSE, {CHANNEL_WORDS[c]}" for c in channels), "unexplained")
+    return Table(head, tuple(rows))
+
+
+def parameters(found: Diagnosis) -> Table:
+    """Return the numbers of the extended model."""
+    rows = [
+        (name, quantity(number.value, number.unit, digits(number)), interval(number))
+        for name, number in found.parameters.items()
+    ]
+    return Table(("parameter", "value", "95 % interval"), tuple(rows))
+
+
+def gains(found: Diagnosis) -> Table:
+    """Return by how much held-out errors fell."""
+    rows = [
+        (CHANNEL_WORDS[channel], f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
+        for channel, gain in found.gain.items()
+    ]
+    return Table(("channel", "held-out RMSE falls by", "95 % interval"), tuple(rows))
+
+
+def validated(found: Diagnosis) -> Table:
+    """Return the errors of both models in data that were not fitted, by channel."""
+    rows = [
+        (
+            CHANNEL_WORDS[channel],
+            quantity(before.rmse, unit_of(channel), 3),
+            quantity(found.after.validation[channel].rmse, unit_of(channel), 3),
+        )
+        for channel, before in found.before.validation.items()
+    ]
+    return Table(("in the data of --validate", "RMSE before", "RMSE after"), tuple(rows))
+
+
+def fitness(found: Diagnosis) -> Table:
+    """Return the errors of both models, by channel and by what they were judged on."""
+    rows = []
+    for name, words in SETS.items():
+        for channel in getattr(found.before, name):
+            pair = [_fitness(model, name, channel) for model in (found.before, found.after)]
+            cells = [cell for both in zip(*pair, strict=True) for cell in both]
+            rows.append((CHANNEL_WORDS[channel], words, *cells))
+    head = tuple(f"{item}, {when}" for item in ("RMSE", "largest", "mean") for when in _WHEN)
+    return Table(("channel", "data", *head), tuple(rows))
+
+
+def next_steps(found: Diagnosis) -> list[str]:
+    """Return what a person does next, most useful first."""
+    steps = [f"To tell the causes apart: {what}." for what in found.experiments]
+    effects = [step.effect for step in found.steps]
+    effects += [effect for name in found.ambiguous_with for effect in _named(name)[:1]]
+    advice = {effect.advice: effect.name for effect in reversed(effects)}
+    steps += [f"{name}: {words}" for words, name in reversed(advice.items())]
+    if found.dataset.records[0].driver == PROXIMAL_TENSION and (rough := _with_lengths(found)):
+        steps.append(
+            f"Record the motor's travel: without it {', '.join(rough)} "
+            f"hold for an L/EA of {quantity(ASSUMED, 'm/N')} only."
+        )
+    if found.verdict is Verdict.UNEXPLAINED and _unsure(found):
+        steps.append(
+            "Record for longer, with swings of several depths and speeds, so that a cause can be "
+            "told in one part of the data and tested in another."
+        )
+    elif found.verdict is Verdict.UNEXPLAINED:
+        steps.append(
+            "Look at what is left against tension, speed and time, and do not trust the estimate "
+            "beyond it; a cause that the catalogue lacks is an effect to add to it."
+        )
+    return steps or ["Use the model as it is."]
+
+
+def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
+    """Return which samples were excluded, averaged, or are odd."""
+    said = []
+    for file, record in zip(files, found.dataset.records, strict=True):
+        said += [
+            f"{file}: {trouble.samples} {trouble.what} ({trouble.channel.replace('_', ' ')}), "
+            f"the first at {trouble.first:.4g} s"
+            for trouble in record.troubles
+        ]
+        if record.thinned > 1:
+            said.append(
+                f"{file}: each {record.thinned} samples were averaged to one; what happens "
+                "faster is not seen"
+            )
+    return said
+
+
+def remains(found: Diagnosis) -> list[str]:
+    """Return what the extended model leaves in each channel, and what that depends on."""
+    said, floor = [], tolerance(found.dataset)
+    for channel, one in found.after.held_out.items():
+        unit, noise = unit_of(channel), found.noise[channel]
+        along = [
+            f"{s.what} ({s.share:.0%} of its variance)"
+            for s in found.structure
+            if s.channel == channel
+        ]
+        if one.rmse < NOISE * floor[channel]:
+            what = "no more than noise and the simulation's own error"
+        elif along:
+            what = f"the residual depends on {', '.join(along)}"
+        else:
+            what = "it depends on no tension, speed, direction, travel or time"
+        said.append(
+            f"{CHANNEL_WORDS[channel]}: {quantity(one.rmse, unit, 3)} RMSE held out, noise is "
+            f"{quantity(noise, unit, 2)}; {what}."
+        )
+    return said
+
+
+def detection_limits(found: Diagnosis) -> Table:
+    """Return the smallest effects that would have been seen."""
+    rows = [
+        (name, least.parameter, quantity(least.size, least.unit, 2))
+        for name, least in found.detection_limits.items()
+    ]
+    return Table(("effect", "parameter", "would have been seen from"), tuple(rows))
+
+
+def best(ranking: Iterable[Ranked], most: int) -> list[Ranked]:
+    """Return the candidates of highest score, the best first."""
+    return sorted(ranking, key=lambda ranked: -ranked.score)[:most]
+
+
+def compared(found: Diagnosis) -> tuple[str, ...]:
+    """Return the channels that the model was compared with."""
+    return tuple(dict.fromkeys(c for r in found.dataset.records for c in r.compared))
+
+
+def unit_of(channel: str) -> str:
+    """Return the unit of a channel."""
+    return "N" if channel in (PROXIMAL_TENSION, DISTAL_TENSION) else "m"
+
+
+def quantity(value: float | None, unit: str, digits: int = 4) -> str:
+    """Return a value as one says it: lengths in mm or µm where metres are too large."""
+    if value is None:
+        return ""
+    if unit.partition("/")[0] == "m" and abs(value) < 0.1:
+        small = abs(value) < 1e-4
+        return f"{value * (1e6 if small else 1e3):.{digits}g} {'µ' if small else 'm'}{unit}"
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def interval(number: Number) -> str:
+    """Return from where to where a value may be."""
+    ends = (quantity(end, number.unit, digits(number)) for end in (number.low, number.high))
+    return " to ".join(ends)
+
+
+def digits(number: Number) -> int:
+    """Return how many digits tell the ends of an interval apart."""
+    for count in range(4, MOST_DIGITS):
+        if f"{number.low:.{count}g}" != f"{number.high:.{count}g}":
+            return count
+    return MOST_DIGITS
+
+
+_WHEN = ("before", "after")
+
+
+def _cause(found: Diagnosis, step: Step) -> str:
+    sizes = ", ".join(
+        f"{p.name} {quantity(number.value, number.unit, 3)}"
+        for p in step.effect.parameters
+        if (number := found.parameters.get(f"{step.effect.name}.{p.name}")) is not None
+    )
+    first = f"{step.effect.cause} ({step.effect.label}: {sizes})"
+    rivals = [
+        f"{effect.cause} ({name})"
+        for name in step.rivals
+        if name not in found.causes
+        for effect in _named(name)[:1]
+    ]
+    return " or ".join([first, *rivals])
+
+
+def _with_lengths(found: Diagnosis) -> list[str]:
+    """Return the parameters with a length in their unit."""
+    return [name for name, one in found.parameters.items() if re.search(r"\bm\b", one.unit)]
+
+
+def _unsure(found: Diagnosis) -> list[str]:
+    """Return names of causes that would explain what no cause was surely found for."""
+    if found.steps:
+        return []
+    names = [one.name for one in found.ranking if one.left < EXPLAINED]
+    return list(dict.fromkeys(names))[:UNSURE]
+
+
+def _named(name: str) -> list[Effect]:
+    return [effect for effect in CATALOGUE if effect.name == name]
+
+
+def _gain(found: Diagnosis) -> str:
+    """Return the gain of the channel that was furthest off, counted in its noise."""
+
+    def fall(channel: str) -> float:
+        before, after = (model.held_out[channel].rmse for model in (found.before, found.after))
+        return (before - after) / found.noise[channel]
+
+    channel = max(found.gain, key=fall)
+    most = found.gain[channel]
+    causes = "that" if len(found.steps) == 1 else "them"
+    return (
+        f"with {causes} in the model the held-out error of the {CHANNEL_WORDS[channel]} falls by "
+        f"{most.value:.0%} ({most.low:.0%} to {most.high:.0%})"
+    )
+
+
+def _structure(found: Diagnosis) -> str:
+    if not found.structure:
+        return "residuals depend on none of the tested variables"
+    parts = [
+        f"{s.what} ({s.share:.0%} of its variance in the {CHANNEL_WORDS[s.channel]})"
+        for s in found.structure[:STRUCTURES]
+    ]
+    return "residuals depend on " + " and ".join(parts)
+
+
+def _smallest_detectable(sizes: dict[str, DetectionLimit]) -> str:
+    if not sizes:
+        return ""
+    name, least = next(iter(sizes.items()))
+    others = f", and {len(sizes) - 1} other effects from sizes listed below" * (len(sizes) > 1)
+    size = quantity(least.size, least.unit, 2)
+    return f"; {name} would have been seen from a {least.parameter} of {size} on{others}"
+
+
+def _fitness(model: Fitnesses, name: str, channel: str) -> tuple[str, str, str]:
+    one = getattr(model, name).get(channel)
+    if one is None:
+        return "", "", ""
+    return quantity(one.rmse, unit_of(channel), 3), f"{one.largest:.2%}", f"{one.mean:.2%}"

@@ -1,0 +1,130 @@
+"""A sheath prepared for computation: what the law needs of the geometry, as one flat array.
+
+The friction coordinate s = mu theta(x) orders the sheath. A curved section is an interval of s with
+constant w = dx/ds = R/mu; a straight one has length but no friction, so it is a point mass of
+length at one s. The tables hold, at every boundary, the running integrals (docs/theory.md (T4))
+
+    G^-(s) = ∫ e^-s dx,   G^+(s) = ∫ e^(rho s) dx,   x(s) = ∫ dx,
+
+taken over [0, s] with the point mass at s included, so that a segment of a tension profile is
+integrated by two look-ups, however many sections it spans.
+"""
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.law.sheath import Sheath
+
+Tables: TypeAlias = Array
+
+K, LENGTH, EA, DRAG, ASYMMETRY, FIRST_LENGTH, LAST_NODE = range(7)
+"""Where the scalars are; FIRST_LENGTH is the straight length at s = 0 [m]."""
+
+_NODES = 7
+_S, _X, _G_MINUS, _G_PLUS, _W, _EXP_MINUS, _EXP_PLUS = range(7)
+_STRIDE = 7
+
+MAX_SECTIONS = 64
+"""Sections of a sheath that fit into the tables of a `PreparedTendon`."""
+
+TABLES_SIZE = _NODES + _STRIDE * (MAX_SECTIONS + 1)
+"""Length of the tables of so many sections, all of them curved."""
+
+STRAIGHT = 1e-9
+"""A section of less friction than this counts as straight: 1e-9 of relative tension."""
+
+
+def tables(sheath: Sheath) -> Tables:
+    """Return the tables of `sheath`: flat, float64, ready for the compiled functions."""
+    rho = sheath.asymmetry
+    node = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0]
+    nodes = [node]
+    for section in sheath.sections:
+        ds = sheath.friction * section.bend_angle
+        if ds < STRAIGHT:
+            node[_X] += section.length
+            node[_G_MINUS] += section.length * node[_EXP_MINUS]
+            node[_G_PLUS] += section.length * node[_EXP_PLUS]
+            continue
+        w = section.length / ds
+        node[_W] = w
+        s = node[_S] + ds
+        node = [
+            s,
+            node[_X] + section.length,
+            node[_G_MINUS] - w * node[_EXP_MINUS] * math.expm1(-ds),
+            node[_G_PLUS] + w * node[_EXP_PLUS] * math.expm1(rho * ds) / rho,
+            0.0,
+            math.exp(-s),
+            math.exp(rho * s),
+        ]
+        nodes.append(node)
+    scalars = [
+        nodes[-1][_S],
+        sheath.length,
+        sheath.axial_stiffness,
+        sheath.drag,
+        rho,
+        nodes[0][_X],
+        float(len(nodes) - 1),
+    ]
+    return np.concatenate([np.array(scalars), np.array(nodes).ravel()])
+
+
+@compiled
+def _node(tables: Tables, column: int, value: float) -> int:
+    """Return the offset of the last node whose `column` does not exceed `value`."""
+    low, high = 0, int(tables[LAST_NODE])
+    while low < high:
+        middle = (low + high + 1) // 2
+        if tables[_NODES + _STRIDE * middle + column] <= value:
+            low = middle
+        else:
+            high = middle - 1
+    return _NODES + _STRIDE * low
+
+
+@compiled
+def integral(tables: Tables, s: float, slope: float) -> float:
+    """Return ∫ e^(slope s) dx over [0, s] [m], for the slopes -1, rho and 0."""
+    node = _node(tables, _S, s)
+    ds = s - tables[node + _S]
+    w = tables[node + _W]
+    total: float
+    if slope < 0.0:
+        total = tables[node + _G_MINUS] - w * tables[node + _EXP_MINUS] * math.expm1(-ds)
+    elif slope > 0.0:
+        part = math.expm1(slope * ds) / slope
+        total = tables[node + _G_PLUS] + w * tables[node + _EXP_PLUS] * part
+    else:
+        total = tables[node + _X] + w * ds
+    return total
+
+
+@compiled
+def arc_length(tables: Tables, s: float) -> float:
+    """Return x(s) [m], the far end of a straight stretch lying at `s`."""
+    return integral(tables, s, 0.0)
+
+
+@compiled
+def length_density(tables: Tables, s: float) -> float:
+    """Return w(s) = dx/ds = R/mu [m], point masses left out."""
+    w: float = tables[_node(tables, _S, s) + _W]
+    return w
+
+
+@compiled
+def friction_coordinate(tables: Tables, x: float) -> float:
+    """Return s(x) = mu theta(x) for an arc length `x` [m]; the ends bound it."""
+    node = _node(tables, _X, x)
+    ds = x - tables[node + _X]
+    w = tables[node + _W]
+    s: float = tables[node + _S]
+    if ds > 0.0 and w > 0.0:
+        s = min(s + ds / w, tables[node + _STRIDE + _S])
+    return s

@@ -1,0 +1,248 @@
+"""The transmission law of a tendon in its sheath: what the housing does, the tip feels.
+
+State in, state out: `tables` prepares a sheath, `slack_profile` or `pretensioned_profile` gives the
+first profile, `drive_proximal` and `drive_distal` return the next one, `observe` reads it. The
+functions named push_* are the same steps in place, for loops that are compiled themselves or that
+own their profile. The law is the play operator of docs/theory.md (T10), (T11), (T18); Phee et al.
+2009, eqs. (1)-(25) are its special cases of one pull and one release.
+"""
+
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.law import tables as _tables
+from estimator.law.displacement import push_displacement, push_displacement_spring
+from estimator.law.profile import (
+    CAPACITY,
+    FLOOR,
+    Profile,
+    forgotten,
+    log_tension,
+    point,
+    point_count,
+    pretensioned_profile,
+    push_distal,
+    push_proximal,
+    slack_profile,
+    tension_integral,
+    tension_of,
+)
+from estimator.law.sheath import SheathError
+from estimator.law.tables import Tables, arc_length, friction_coordinate, integral, tables
+
+__all__ = [
+    "CAPACITY",
+    "FLOOR",
+    "SLACK_TENSION",
+    "Observation",
+    "Phase",
+    "Profile",
+    "Tables",
+    "batch",
+    "certified_interval",
+    "drive_distal",
+    "drive_proximal",
+    "envelope",
+    "forgotten",
+    "front_depth",
+    "observe",
+    "pretensioned_profile",
+    "push_displacement",
+    "push_displacement_spring",
+    "push_distal",
+    "push_proximal",
+    "read_out",
+    "sensitivity",
+    "slack_profile",
+    "tables",
+    "tension_at",
+]
+
+SLACK_TENSION = 1e-6
+"""T_in [N] up to which the tendon counts as slack."""
+
+_K = _tables.K
+_LENGTH = _tables.LENGTH
+_EA = _tables.EA
+_DRAG = _tables.DRAG
+_ASYMMETRY = _tables.ASYMMETRY
+
+
+class Phase(IntEnum):
+    """What the tendon does next to the motor, by the paper's names.
+
+    PULL and RELEASE: the whole tendon slides, the tip follows the motor. PULL_TO_RELEASE and
+    RELEASE_TO_PULL: the front is inside the sheath, the tip does not know yet. VIRGIN: likewise,
+    but the front runs into a part that has not slid since it was pretensioned. SLACK: no tension.
+    """
+
+    SLACK = 0
+    VIRGIN = 1
+    PULL = 2
+    PULL_TO_RELEASE = 3
+    RELEASE = 4
+    RELEASE_TO_PULL = 5
+
+
+_SLACK, _VIRGIN = int(Phase.SLACK), int(Phase.VIRGIN)
+_PULL, _PULL_TO_RELEASE = int(Phase.PULL), int(Phase.PULL_TO_RELEASE)
+_RELEASE, _RELEASE_TO_PULL = int(Phase.RELEASE), int(Phase.RELEASE_TO_PULL)
+
+
+class Observation(NamedTuple):
+    """What a profile says about both ends."""
+
+    T_in: float
+    """Tension at the housing [N]."""
+    T_out: float
+    """Tension at the tip [N]."""
+    elongation: float
+    """e [m]: travel at the motor that does not arrive at the tip."""
+    phase: Phase
+    front: float
+    """X' [m]: how far from the housing the last change of T_in has come; L once the tip follows."""
+    T_front: float
+    """Tension at the front [N]: the peak of a release, the trough of a pull."""
+
+
+def drive_proximal(tables: Tables, profile: Profile, tension: float) -> Profile:
+    """Return the profile after the motor has brought T_in to `tension` [N]."""
+    _require_tension(tension)
+    after = profile.copy()
+    push_proximal(tables, after, tension)
+    return after
+
+
+def drive_distal(tables: Tables, profile: Profile, tension: float) -> Profile:
+    """Return the profile after the load has brought T_out to `tension` [N]."""
+    _require_tension(tension)
+    after = profile.copy()
+    push_distal(tables, after, tension)
+    return after
+
+
+def observe(tables: Tables, profile: Profile) -> Observation:
+    """Return tensions, elongation, phase and front of `profile`."""
+    T_in, T_out, elongation, phase, front = read_out(tables, profile)
+    _, y = front_depth(profile)
+    return Observation(T_in, T_out, elongation, Phase(phase), front, tension_of(tables, y))
+
+
+@compiled
+def read_out(tables: Tables, profile: Profile) -> tuple[float, float, float, int, float]:
+    """Return (T_in [N], T_out [N], elongation [m], phase, front X' [m])."""
+    count = point_count(profile)
+    _, y_in, slope = point(profile, 0)
+    _, y_out, _ = point(profile, count - 1)
+    s_front, _, slope_beyond = point(profile, 1)
+    T_in = tension_of(tables, y_in)
+    stretch = tension_integral(tables, profile) - tables[_DRAG] * tables[_LENGTH]
+    front = arc_length(tables, s_front)
+    if count == 2:
+        phase = _PULL if slope < 0.0 else _RELEASE
+    else:
+        phase = _RELEASE_TO_PULL if slope < 0.0 else _PULL_TO_RELEASE
+    if slope == 0.0:
+        phase, front = _VIRGIN, 0.0
+    elif count > 2 and slope_beyond == 0.0:
+        phase = _VIRGIN
+    if T_in <= SLACK_TENSION:
+        phase = _SLACK
+    return T_in, tension_of(tables, y_out), max(stretch, 0.0) / tables[_EA], phase, front
+
+
+@compiled
+def front_depth(profile: Profile) -> tuple[float, float]:
+    """Return (a, y(a)): friction coordinate of the proximal front and ln(T + tau) there."""
+    if point(profile, 0)[2] == 0.0:
+        s, y, _ = point(profile, 0)
+    else:
+        s, y, _ = point(profile, 1)
+    return s, y
+
+
+@compiled
+def sensitivity(tables: Tables, profile: Profile) -> tuple[float, float]:
+    """Return (dT_out/dT_in, de/dT_in [m/N]) for a T_in that goes on as it went (T6), (T7)."""
+    _, _, slope = point(profile, 0)
+    if slope == 0.0:
+        return 0.0, 0.0
+    s, _, _ = point(profile, 1)
+    gain = math.exp(slope * tables[_K]) if point_count(profile) == 2 else 0.0
+    return gain, integral(tables, s, slope) / tables[_EA]
+
+
+@compiled
+def envelope(tables: Tables, T_in: float) -> tuple[float, float]:
+    """Return the least and largest T_out [N] that `T_in` [N] alone allows, any history (T2)."""
+    return _cone(tables, log_tension(tables, T_in), tables[_K])
+
+
+@compiled
+def certified_interval(tables: Tables, profile: Profile) -> tuple[float, float]:
+    """Return the least and largest T_out [N] that moving the motor has not excluded.
+
+    While T_in moves and q_p agrees with the model (T19), the front is where the profile has it, at
+    depth a, and the tension T(a) there is certain. The tip may have been driven meanwhile, but its
+    own front cannot have come nearer than a, so T_out lies in the cone of (T2) that starts there:
+    [T(a) e^-(K-a), T(a) e^(rho (K-a))], every value of which the tip can take unseen. It is one
+    point once the motor's front has reached the tip. Where the motor has held still while the tip
+    could move, nothing of the profile is certain but T_in: use `envelope`.
+    """
+    s, y = front_depth(profile)
+    return _cone(tables, y, tables[_K] - s)
+
+
+@compiled
+def _cone(tables: Tables, y: float, ds: float) -> tuple[float, float]:
+    """Return the tensions [N] that friction allows `ds` further down from log tension `y`."""
+    return tension_of(tables, y - ds), tension_of(tables, y + tables[_ASYMMETRY] * ds)
+
+
+@compiled
+def tension_at(tables: Tables, profile: Profile, x: Array) -> Array:
+    """Return T(x) [N] at the arc lengths `x` [m], shape (n,), in any order."""
+    tensions = np.empty(x.size)
+    last = point_count(profile) - 1
+    for i in range(x.size):
+        s = friction_coordinate(tables, x[i])
+        low, high = 0, last
+        while high - low > 1:
+            middle = (low + high) // 2
+            if point(profile, middle)[0] <= s:
+                low = middle
+            else:
+                high = middle
+        s_a, y_a, slope = point(profile, low)
+        tensions[i] = tension_of(tables, y_a + slope * (s - s_a))
+    return tensions
+
+
+@compiled
+def batch(tables: Tables, profile: Profile, tensions: Array) -> tuple[Array, Array]:
+    """Drive T_in through `tensions` [N], shape (n,); return T_out [N] and elongation [m].
+
+    The profile is advanced in place, so a long record can be given in pieces. A sample that is not
+    finite raises ValueError, as holding the value would hide a gap in a record.
+    """
+    T_out = np.empty(tensions.size)
+    elongation = np.empty(tensions.size)
+    for i in range(tensions.size):
+        if not math.isfinite(tensions[i]):
+            raise ValueError("batch: a tension is not finite")
+        push_proximal(tables, profile, tensions[i])
+        _, y_out, _ = point(profile, point_count(profile) - 1)
+        T_out[i] = tension_of(tables, y_out)
+        stretch = tension_integral(tables, profile) - tables[_DRAG] * tables[_LENGTH]
+        elongation[i] = max(stretch, 0.0) / tables[_EA]
+    return T_out, elongation
+
+
+def _require_tension(tension: float) -> None:
+    if not math.isfinite(tension):
+        raise SheathError(f"tension: {tension} N, must be finite")

@@ -1,0 +1,1 @@
+"""The lumped model: a chain of nodes that takes any effect."""

@@ -1,0 +1,371 @@
+"""The transmission with everything that real ones add to the paper's law, on nodes of bend angle.
+
+`transmission` has the law in closed form; what is here has none: friction that depends on
+speed, tension, time or direction, elasticity that is not linear or takes time, and a tip tied to
+something. The tendon is a row of springs with contacts between them, evenly spread over the bend
+angle. In a step each contact sticks or slides, and by how far is solved for all of them together,
+implicit in time (docs/theory.md (T1), section 8); contacts that give before they slide are solved
+from the tip to the housing. At its neutral values `Physics` is the law of `estimator.transmission`.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.lumped.nodes import (
+    NODES,
+    PLACES,
+    Law,
+    Tendon,
+    Tip,
+    elongation,
+    fill_contacts,
+    take_hold,
+    tip_travel,
+)
+from estimator.lumped.presliding_solver import settle
+from estimator.lumped.stick_slip_solver import ROWS, slide
+
+_SMALLEST = 1.0 / 8.0  # of a step
+_APPROACH = 12  # steps from each of the turns before the first sample to the next
+_PIECE = 0.5  # of a sample: contacts that let go as they slide do so within it
+_STIFF = 1e12  # [N/m]
+
+
+class Physics(NamedTuple):
+    """One tendon in its sheath, what holds its tip, and its start; (n,) is one value a sample."""
+
+    friction: Array  # K, the friction coordinate of the tip, (n,)
+    compliance: float  # L/EA [m/N]
+    weights: Array  # share of the compliance at each node, (NODES,)
+    tip_compliance: float = 0.0  # [m/N] of what the tip pulls at; 0 is a blocked tip
+    drag: float = 0.0  # tau [N]: friction as if the tension were higher by so much
+    viscosity: float = 0.0  # [N s/m]: the same in proportion to the local speed
+    stribeck: float = 0.0  # friction times 1 + stribeck exp(-(v/stribeck_speed)^2)
+    stribeck_speed: float = 1e-3  # [m/s]
+    stribeck_memory: float = 0.0  # [s] that friction is late; 0: it follows the motor's speed
+    static: float = 0.0  # friction of contacts at rest over that of sliding ones, less 1
+    static_time: float = 0.1  # [s] of rest in which they get it
+    static_distance: float = 1e-5  # [m] of sliding in which they lose it
+    asymmetry: float = 1.0  # rho: friction towards the tip over friction towards the housing
+    exponent: float = 1.0  # friction force ~ T^exponent
+    reference: float = 10.0  # [N] of that power
+    rise: float = 0.0  # [1/N] friction times 1 + rise T
+    presliding: float = 0.0  # [m] that a contact gives before it slides
+    presliding_tension: float = 0.0  # [N] at which it gives that much; 0: at any
+    toe: float = 0.0  # [m] that the tendon stretches more at once, while strands bed in
+    toe_tension: float = 2.0  # [N] over which it does
+    creep: float = 0.0  # share of the elongation that comes late
+    creep_time: float = 10.0  # [s]
+    compression: float = 0.0  # [m/N^2] elongation above the threshold, by its square
+    threshold: float = 0.0  # [N]
+    stretch: Array = np.zeros(1)  # [m] by which the tendon is longer than it was, (n,) or (1,)
+    tip_offset: Array = np.zeros(1)  # [m] by which the environment has taken the tip, (n,) or (1,)
+    load_low: float = 0.0  # [N] at the tip, besides the spring, while it moves towards the tip
+    load_high: float = 0.0  # [N] while it moves towards the housing
+    load_stiffness: float = math.inf  # [N/m] with which one becomes the other
+    mass: float = 0.0  # [kg] at the tip
+    damping: float = 0.0  # [N s/m] at the tip
+    start: float = 0.0  # [N] all along the tendon before the first sample
+    earlier: Array = np.empty(0)  # [m] or [N] from the first sample, where the drive turned before
+
+
+class Motion(NamedTuple):
+    """What the ends did, shape (n,) each."""
+
+    proximal_tension: Array  # T_in [N]
+    distal_tension: Array  # T_out [N]
+    proximal_displacement: Array  # q_p [m], zero for the slack tendon
+    distal_displacement: Array  # q_d [m], zero for the unloaded tip
+    compliance: Array  # dq_p/dT_in [m/N] as the motor went on
+
+
+class _Holder(NamedTuple):
+    """What the tip pulls at."""
+
+    compliance: float  # [m/N]
+    mass: float
+    damping: float
+    low: float
+    high: float
+    stiffness: float
+
+
+_SCALARS = 27  # before the arrays in what `constants_of` returns
+VISCOSITY, STRIBECK = 1, 2  # among them
+CONSTANTS = _SCALARS + 3 * NODES - 1
+
+# Where the parts of a state begin: of each node, of the ends, of each contact
+LENGTHS, _CREPT, _ENDS = NODES, 2 * NODES, 3 * NODES
+_Q, _V, _A, _LOAD, _DRIVEN = range(_ENDS, _ENDS + 5)
+_SLIDING = _ENDS + 5
+_SPEED, _RESTED = _SLIDING + NODES - 1, _SLIDING + 2 * (NODES - 1)
+STATE = _SLIDING + 3 * (NODES - 1)
+"""Length of the flat array that is all a tendon remembers."""
+
+_UNTOLD = np.empty(0)
+
+# What `advance` is told of a sample
+DT, FRICTION, STRETCH, OFFSET, COMPLIANCE, TARGET, SPEED = range(7)
+SAMPLE = 7
+
+
+class _Line(NamedTuple):
+    """A tendon ready for steps."""
+
+    law: Law
+    holder: _Holder
+    softness: float  # [m/N]: what the tension's rate is to the motor's speed
+    weights: Array  # [m/N] of each node
+    even: Array  # shares of the whole
+    spread: Array  # speed over each contact for that of the motor, while all slides
+
+
+def by_travel(physics: Physics, time: Array, travel: Array, speed: Array) -> Motion:
+    """Return what happens when the motor goes through a `travel`.
+
+    Parameters
+    ----------
+    physics : Physics
+        What is driven.
+    time : ndarray
+        [s], shape (n,), rising.
+    travel : ndarray
+        q_p [m], shape (n,), zero where the tendon begins to be taut.
+    speed : ndarray
+        Of the motor [m/s], shape (n,); its sign does not matter.
+    """
+    return _driven(physics, time, travel, np.abs(speed), forced=False)
+
+
+def by_tension(physics: Physics, time: Array, tension: Array, rate: Array) -> Motion:
+    """Return what happens under a `tension` [N] at the housing that changes by `rate` [N/s]."""
+    return _driven(physics, time, tension, np.abs(rate), forced=True)
+
+
+def constants_of(physics: Physics) -> Array:
+    """Return what `advance` needs to know of a tendon, as one flat array."""
+    p = physics
+    law = Law(
+        p.drag,
+        p.viscosity,
+        p.stribeck,
+        p.stribeck_speed,
+        p.stribeck_memory,
+        p.static,
+        p.static_time,
+        p.static_distance,
+        p.asymmetry,
+        p.exponent,
+        p.reference,
+        p.rise,
+        p.presliding,
+        p.presliding_tension,
+        p.toe / p.compliance,
+        p.toe_tension,
+        p.creep,
+        p.creep_time,
+        p.compression,
+        p.threshold,
+    )
+    stiffness = min(p.load_stiffness, _STIFF)
+    holder = _Holder(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
+    scalars = np.array([*law, *holder])
+    return _packed(scalars, p.tip_compliance, p.weights * p.compliance, float(p.friction[0]))
+
+
+def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced: bool) -> Motion:
+    constants, samples = constants_of(physics), np.empty((len(time), SAMPLE))
+    samples[:, DT] = np.diff(time, prepend=time[0])
+    samples[:, FRICTION], samples[:, STRETCH] = physics.friction, physics.stretch
+    samples[:, OFFSET], samples[:, COMPLIANCE] = physics.tip_offset, physics.tip_compliance
+    samples[:, TARGET], samples[:, SPEED] = drive, rate
+    memory = start(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
+    if len(physics.earlier):
+        _approach(constants, memory, samples[0], physics.earlier, forced=forced)
+    return Motion(
+        *np.ascontiguousarray(advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST).T)
+    )
+
+
+def _approach(
+    constants: Array, memory: Array, first: Array, earlier: Array, *, forced: bool
+) -> None:
+    """Take a tendon from its start over earlier turns to the first sample, slowly, in place."""
+    turns = np.concatenate([[0.0], np.maximum(first[TARGET] + earlier, 0.0), [first[TARGET]]])
+    way = np.interp(
+        np.arange(1, _APPROACH * (len(turns) - 1) + 1) / _APPROACH, range(len(turns)), turns
+    )
+    samples = np.repeat(first[None], len(way), axis=0)
+    samples[:, DT], samples[:, TARGET], samples[:, SPEED] = 1.0, way, 0.0
+    advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST)
+    memory[_V] = memory[_A] = 0.0
+
+
+@compiled
+def _spread(weights: Array, K: float, compliance: float) -> Array:
+    """Return the speed over each contact for that of the motor, while all of the tendon slides."""
+    n = len(weights)
+    tension = np.exp(-K * PLACES)
+    spread = np.empty(n - 1)
+    total = compliance * tension[n - 1]
+    for j in range(n - 2, -1, -1):
+        total += weights[j + 1] * tension[j + 1]
+        spread[j] = total
+    spread /= total + weights[0]
+    return spread
+
+
+@compiled
+def _packed(scalars: Array, compliance: float, weights: Array, friction: float) -> Array:
+    """Return a `_Line` as one flat array; `scalars` are those of its law and its holder."""
+    total = weights.sum()
+    row = np.empty(CONSTANTS)
+    row[: _SCALARS - 1], row[_SCALARS - 1] = scalars, total + compliance
+    rest = row[_SCALARS:]
+    rest[:NODES], rest[NODES : 2 * NODES] = weights, weights / total
+    rest[2 * NODES :] = _spread(weights, friction, compliance)
+    return row
+
+
+@compiled
+def _line(constants: Array) -> _Line:
+    """Return what `constants_of` has packed."""
+    c, last = constants, NODES - 1
+    law = Law(
+        c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
+        c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19],
+    )  # fmt: skip
+    holder = _Holder(c[20], c[21], c[22], c[23], c[24], c[25])
+    weights, rest = constants[_SCALARS : _SCALARS + NODES], constants[_SCALARS + NODES :]
+    return _Line(law, holder, c[26], weights, rest[:NODES], rest[NODES : NODES + last])
+
+
+@compiled
+def start(constants: Array, tension: float, stretch: float, offset: float) -> Array:
+    """Return the state of a tendon that has not moved yet, at one `tension` [N] all along.
+
+    It is `stretch` [m] longer than it was, and the environment has taken its tip to `offset` [m].
+    """
+    line = _line(constants)
+    state = np.zeros(STATE)
+    state[:NODES] = tension
+    kept = line.even * stretch
+    none = np.empty(0)
+    tendon = Tendon(line.law, none, none, 0.0, line.weights, 1.0, kept)
+    for j in range(NODES):
+        state[LENGTHS + j] = elongation(tendon, j, tension)[0] + kept[j]
+    state[_Q] = line.holder.compliance * tension + offset
+    state[_DRIVEN] = math.nan
+    state[_RESTED:] = 1.0
+    return state
+
+
+@compiled
+def advance(
+    constants: Array, memory: Array, samples: Array, speeds: Array, forced: bool, smallest: float
+) -> Array:
+    """Take samples one after another, in place; return the rows of `Motion`, shape (n, 5).
+
+    Parameters
+    ----------
+    constants, memory : ndarray
+        From `constants_of` and `start`, or a step before.
+    samples : ndarray
+        (n, SAMPLE): time since the sample before [s], K, `Physics.stretch` and `tip_offset` [m],
+        `tip_compliance` [m/N], what the motor is driven to, and its speed.
+    speeds : ndarray
+        Over each contact [m/s], where Stribeck's friction shall not go by what the steps find;
+        else empty.
+    forced : bool
+        Whether it is driven to a tension [N] and [N/s], or to a travel [m] and [m/s].
+    smallest : float
+        Share of a sample in which what has no balance yet is tried again; 1 for once only.
+    """
+    law, holder, softness, weights, even, spread = _line(constants)
+    out = np.empty((len(samples), 5))
+    mass, damping, told = holder.mass, holder.damping, len(speeds) > 0
+    late = law.stribeck != 0.0 and law.stribeck_memory > 0.0
+    leans = law.give > 0.0
+    state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
+    crept, sliding = memory[_CREPT:_ENDS], memory[_SLIDING:_SPEED]
+    speed, rested = memory[_SPEED:_RESTED], memory[_RESTED:]
+    after, work = np.empty(NODES), np.empty((ROWS, NODES))
+    half, drag = np.empty(NODES - 1), np.empty(NODES - 1)
+    slid, gone = np.zeros(NODES - 1), np.zeros(NODES - 1)
+    q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
+    for i in range(len(samples)):
+        dt, friction, stretch = samples[i, DT], samples[i, FRICTION], samples[i, STRETCH]
+        offset, compliance = samples[i, OFFSET], samples[i, COMPLIANCE]
+        target, rate = samples[i, TARGET], samples[i, SPEED]
+        heavy = compliance > 0.0 and (mass > 0.0 or damping > 0.0)
+        gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
+        kept = crept * (1.0 - gain) + even * stretch
+        scale = 1.0 + law.creep * gain
+        tendon = Tendon(law, half, drag, dt, weights, scale, kept)
+        c, known = compliance, 0.0
+        if heavy and dt > 0.0:  # the trapezoidal rule: what follows from the past, and what is free
+            from_rest = q - offset
+            c = compliance / (1.0 + compliance * (4.0 * mass / dt + 2.0 * damping) / dt)
+            known = mass * (4.0 * (from_rest / dt + v) / dt + a)
+            known += damping * (2.0 * from_rest / dt + v)
+        tip = Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
+        if law.stribeck != 0.0 and not late:
+            speed[:] = speeds if told else spread * (rate * softness if forced else rate)
+        fill_contacts(law, friction, state, speed, rested, half, drag)
+        if leans:
+            reach = settle(tendon, tip, state, lengths, target, forced, after)
+            state[:] = after
+            for j in range(NODES):
+                lengths[j] = elongation(tendon, j, after[j])[0] + kept[j]
+        else:
+            begin = target if math.isnan(before) else before
+            most = _PIECE if law.static != 0.0 else 1.0
+            done, share, reach = 0.0, most, 0.0
+            gone[:] = 0.0
+            while done < 1.0:
+                goal = begin + (done + share) * (target - begin)
+                part = Tendon(law, half, drag, share * dt, weights, scale, kept)
+                ended, reach = slide(
+                    part, tip, state, lengths, goal, forced, after, sliding, slid, work
+                )
+                if not ended:  # in circles: from rest, and if need be by a smaller step
+                    sliding[:] = 0.0
+                    ended, reach = slide(
+                        part, tip, state, lengths, goal, forced, after, sliding, slid, work
+                    )
+                if not ended and share > smallest and not heavy:
+                    sliding[:] = 0.0
+                    share *= 0.5
+                    continue
+                done += share
+                share = min(2.0 * share, most, 1.0 - done)
+                gone += slid
+                state[:] = after
+                if law.static != 0.0:
+                    take_hold(law, part.dt, slid, rested)
+                    fill_contacts(law, friction, state, speed, rested, half, drag)
+                for j in range(NODES):
+                    lengths[j] = elongation(part, j, after[j])[0] + kept[j]
+                at, _slope, load = tip_travel(tip, after[NODES - 1])
+                if done < 1.0:
+                    tip = Tip(c, known, offset, tip.low, tip.high, tip.stiffness, at, load)
+        if late and dt > 0.0:
+            now = speeds if told else np.abs(gone) / dt
+            speed += -math.expm1(-dt / law.stribeck_memory) * (now - speed)
+        new, _slope, load = tip_travel(tip, after[NODES - 1])
+        if dt > 0.0:
+            v_new = 2.0 * (new - q) / dt - v
+            a = 2.0 * (v_new - v) / dt - a
+            v = v_new
+        q, before = new, target
+        if gain > 0.0:
+            crept *= 1.0 - gain
+            crept += law.creep * gain / scale * (lengths - kept)
+        out[i, 0], out[i, 1] = after[0], after[NODES - 1]
+        out[i, 2], out[i, 3], out[i, 4] = lengths.sum() + q, q, reach
+    memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, before
+    return out

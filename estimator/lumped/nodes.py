@@ -1,0 +1,148 @@
+"""One tendon on nodes of bend angle: what each node, each contact and the tip do in a sample.
+
+Nodes carry the elasticity, contacts between them the friction. How all of them balance is another
+matter: `estimator.lumped.stick_slip_solver` and `estimator.lumped.presliding_solver`.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+
+NODES = 41
+"""Nodes from housing to tip."""
+
+_GRADED = 2.5
+PLACES = np.expm1(_GRADED * np.linspace(0.0, 1.0, NODES)) / math.expm1(_GRADED)
+"""Where nodes are, shares of K: close at the housing, where every reversal begins."""
+
+EDGES = np.concatenate([[0.0], 0.5 * (PLACES[:-1] + PLACES[1:]), [1.0]])
+"""Where the stretch of tendon that counts to a node ends and the next begins, shares of K."""
+
+_SMOOTH = 0.05  # of K, that friction never falls below, however far a fit is carried on
+_STEEPEST = 0.45  # half the friction between two nodes, at most; beyond it nothing would pass
+_LEAST = 1e-2  # [N] below which friction is no power of the tension any more
+
+
+class Law(NamedTuple):
+    """Scalars of `extended.Physics`, as a step uses them."""
+
+    drag: float
+    viscosity: float
+    stribeck: float
+    stribeck_speed: float
+    stribeck_memory: float
+    static: float
+    static_time: float
+    static_distance: float
+    asymmetry: float
+    exponent: float
+    reference: float
+    rise: float
+    give: float
+    give_tension: float
+    toe: float  # [N] of a node's stretch, over its compliance
+    toe_tension: float
+    creep: float
+    creep_time: float
+    compression: float
+    threshold: float
+
+
+class Tip(NamedTuple):
+    """What the tip pulls at in one sample: q_d for a tension, piecewise straight."""
+
+    compliance: float  # [m/N] while it moves freely, inertia of this step included
+    known: float  # [N] that inertia adds from the past
+    offset: float  # [m]
+    low: float
+    high: float
+    stiffness: float
+    before: float  # q_d [m] one sample ago
+    load: float  # [N] besides the spring, one sample ago
+
+
+class Tendon(NamedTuple):
+    """A tendon at one sample: what its contacts and its elasticity do."""
+
+    law: Law
+    half: Array  # half the friction coordinate of each contact
+    drag: Array  # [N] of each contact
+    dt: float  # [s]
+    weights: Array  # [m/N] of each node
+    scale: float  # of the elongation, by what creeps within the sample
+    kept: Array  # [m] that each node's share is longer, whatever its tension
+
+
+def even_weights() -> Array:
+    """Return the weights of a sheath bent evenly."""
+    return np.diff(EDGES)
+
+
+@compiled
+def tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
+    """Return q_d [m], dq_d/dT_out [m/N] and the load besides the spring [N] at a tip tension."""
+    c = tip.compliance
+    if c <= 0.0:
+        return tip.offset, 0.0, 0.0
+    if tip.low == tip.high:
+        return c * (tension + tip.known - tip.low) + tip.offset, c, tip.low
+    # held by its friction: (q - offset)/c = T + known - load - stiffness (q - before)
+    slope = c / (1.0 + c * tip.stiffness)
+    q = tip.before + slope * (tension + tip.known - tip.load - (tip.before - tip.offset) / c)
+    load = tip.load + tip.stiffness * (q - tip.before)
+    if load > tip.high:
+        return c * (tension + tip.known - tip.high) + tip.offset, c, tip.high
+    if load < tip.low:
+        return c * (tension + tip.known - tip.low) + tip.offset, c, tip.low
+    return q, slope, load
+
+
+@compiled
+def fill_contacts(
+    law: Law, K: float, state: Array, speed: Array, rested: Array, half: Array, drag: Array
+) -> None:
+    """Fill in, for each contact, half its friction coordinate and its drag [N].
+
+    From the tensions of the sample before, which are near enough and spare the search much.
+    """
+    for j in range(len(half)):
+        tension = 0.5 * (state[j] + state[j + 1])
+        share = max(1.0 + law.rise * tension, _SMOOTH)
+        if law.exponent != 1.0:
+            share *= (max(tension, _LEAST) / law.reference) ** (law.exponent - 1.0)
+        if law.stribeck != 0.0:
+            x = speed[j] / law.stribeck_speed
+            share *= 1.0 + law.stribeck * math.exp(-x * x)
+        if law.static != 0.0:
+            share *= 1.0 + law.static * rested[j]
+        ds = K * (PLACES[j + 1] - PLACES[j])
+        half[j] = min(0.5 * ds * share, _STEEPEST / max(1.0, law.asymmetry))
+        drag[j] = 2.0 * half[j] * law.drag
+
+
+@compiled
+def take_hold(law: Law, dt: float, slid: Array, rested: Array) -> None:
+    """Let contacts take hold while they rest and let go while they slide, in place."""
+    kept = math.exp(-dt / law.static_time)
+    for j in range(len(rested)):
+        rested[j] = 1.0 - (1.0 - rested[j]) * kept
+        rested[j] *= math.exp(-abs(slid[j]) / law.static_distance)
+
+
+@compiled
+def elongation(tendon: Tendon, j: int, tension: float) -> tuple[float, float]:
+    """Return the elongation [m] of a node's share of the tendon, and its slope [m/N]."""
+    law, weight = tendon.law, tendon.weights[j]
+    e, slope = weight * tension, weight
+    if law.toe != 0.0:
+        fading = math.exp(-max(tension, 0.0) / law.toe_tension)
+        e += weight * law.toe * (1.0 - fading)
+        slope += weight * law.toe / law.toe_tension * fading
+    if j == 0 and law.compression != 0.0 and tension > law.threshold:
+        e += law.compression * (tension - law.threshold) ** 2
+        slope += 2.0 * law.compression * (tension - law.threshold)
+    return tendon.scale * e, tendon.scale * slope

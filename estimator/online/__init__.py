@@ -1,0 +1,1 @@
+"""The online estimator of one tendon: driving end, interval, corrections."""

@@ -1,0 +1,191 @@
+"""What effects add to the closed law in the loop: the law on nodes with them, less without them.
+
+Both tendons of nodes (lumped_model) are pulled with the tension that drives the closed law,
+so what nodes and closed law have in common, and whoever drives, cancels out of their difference.
+
+Friction that depends on speed wants to know how fast the tendon slides, which the tension does not
+tell:
+
+* Viscous friction is part of each step's balance, and the tip's travel with it. What the tip pulls
+  at is not what it pulled at on the bench, so it is learnt: the travel at the tip, measured less
+  elongation, over the tension there, of changes in the last seconds.
+* Stribeck's makes such a balance unstable. It is told the speed: measured travel less elongation up
+  to each contact, averaged.
+
+A sample without travel goes by what was learnt before, and by the speeds of the steps.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.lumped import lumped_model
+from estimator.lumped.lumped_model import SAMPLE
+from estimator.lumped.nodes import NODES
+from estimator.records import F64, Field, Flag, Record
+
+SPEED_OVER = 0.02  # [s] over which speeds are averaged
+QUICK, SLOW = 0.02, 2.0  # [s] between which changes at the tip count
+LEARNT_OVER = 2.0  # [s] for which they count
+CLOSED_OVER = 10.0  # [s]
+LEAST = 1e-4  # [N^2 s] of changes that weigh as much as the bench
+ONCE = 1.0  # a step is not divided: it must end in time
+SOFTEST = 5e-3  # [m/N] of what the tip pulls at
+JUMP = 0.01  # [m] in a sample: no motion
+LONGEST = 1.0  # [m] that effects stretch a tendon
+
+
+class DynamicConstants(Record):
+    """What is run beside the closed law, from `constants_of`."""
+
+    friction: F64 = 0.0  # K
+    bench_compliance: F64 = 0.0  # [m/N] of what the tip pulled at on the bench
+    plain: Annotated[Array, Field("f8", lumped_model.CONSTANTS)]  # the tendon of the closed law
+    with_effects: Annotated[
+        Array, Field("f8", lumped_model.CONSTANTS)
+    ]  # the tendon with the effects
+
+
+class DynamicState(Record):
+    """What is remembered of both tendons, and of what the tip pulls at."""
+
+    tension: F64 = 0.0  # [N] T_out with the effects less without
+    elongation: F64 = 0.0  # [m] e with the effects less without
+    travel: F64 = 0.0  # [m] q_p with the effects less without, the tip pulling at the same
+    refused_time: F64 = 0.0  # [s] since the last push, for which samples were refused
+    learns: Flag = False  # the sample before had a travel, and the tendon was taut
+    tip_compliance: F64 = 0.0  # [m/N] of what the tip pulls at
+    tip_offset: F64 = 0.0  # [m] of where it would be without tension
+    quick_displacement: F64 = 0.0  # [m] of the tip, averaged over QUICK
+    quick_tension: F64 = 0.0  # [N]
+    slow_displacement: F64 = 0.0  # [m] of the tip, averaged over SLOW
+    slow_tension: F64 = 0.0  # [N]
+    sum_travel_tension: F64 = 0.0  # [m N s] of products of changes at the tip
+    sum_tension_squared: F64 = 0.0  # [N^2 s]
+    contact_displacements: Annotated[Array, Field("f8", NODES - 1)]  # [m] averaged
+    plain: Annotated[Array, Field("f8", lumped_model.STATE)]
+    with_effects: Annotated[Array, Field("f8", lumped_model.STATE)]
+
+
+def constants_of(
+    plain: lumped_model.Physics, with_effects: lumped_model.Physics
+) -> DynamicConstants:
+    """Return what `push` needs to know."""
+    return DynamicConstants.new(
+        friction=float(plain.friction[0]),
+        bench_compliance=plain.tip_compliance,
+        plain=lumped_model.constants_of(plain),
+        with_effects=lumped_model.constants_of(with_effects),
+    )
+
+
+@compiled
+def push(constants: DynamicConstants, state: DynamicState, T: float, q: float, dt: float) -> None:
+    """Pull with `T` [N], the motor being at `q` [m] or NaN, and note what effects make of it.
+
+    In place. Should numbers run away, the effects are forgotten until the tendon is pulled again.
+    """
+    told = not math.isnan(q)
+    dt += state.refused_time
+    state.refused_time = 0.0
+    plain, beside = state.plain[:], constants.with_effects[:]
+    sample = np.empty((1, SAMPLE))
+    sample[0, lumped_model.DT], sample[0, lumped_model.FRICTION] = dt, constants.friction
+    sample[0, lumped_model.STRETCH], sample[0, lumped_model.OFFSET] = 0.0, 0.0
+    sample[0, lumped_model.COMPLIANCE] = constants.bench_compliance
+    sample[0, lumped_model.TARGET] = T
+    sample[0, lumped_model.SPEED] = abs(T - plain[0]) / dt if dt > 0.0 else 0.0
+    none = np.empty(0)
+    without = lumped_model.advance(constants.plain[:], plain, sample, none, True, ONCE)[0]
+    speeds = none
+    if told and beside[lumped_model.STRIBECK] != 0.0:
+        speeds = _speeds(state, plain, q, dt)
+    sample[0, lumped_model.OFFSET], sample[0, lumped_model.COMPLIANCE] = (
+        state.tip_offset,
+        state.tip_compliance,
+    )
+    after = lumped_model.advance(beside, state.with_effects[:], sample, speeds, True, ONCE)[0]
+    T_out, q_d = after[1], after[3]
+    elongation = after[2] - q_d
+    change, longer = T_out - without[1], elongation - (without[2] - without[3])
+    if not (math.isfinite(change) and abs(longer) < LONGEST):
+        reset(constants, state)
+        return
+    state.travel += longer - state.elongation
+    if beside[lumped_model.VISCOSITY] != 0.0:
+        state.travel += state.tip_compliance * (change - state.tension)
+        # the sum of changes with a compliance that is learnt does not close by itself
+        closed = longer + state.tip_compliance * change
+        state.travel += -math.expm1(-dt / CLOSED_OVER) * (closed - state.travel)
+    state.tension, state.elongation = change, longer
+    _learn(constants, state, T > 0.0 and told, q - elongation, T_out, q_d, dt)
+
+
+@compiled
+def _speeds(state: DynamicState, plain: Array, q: float, dt: float) -> Array:
+    """Return how fast the tendon slides over each contact [m/s], by the motor's travel."""
+    places = state.contact_displacements[:]
+    speeds = np.empty(NODES - 1)
+    fresh = not state.learns
+    share = -math.expm1(-dt / SPEED_OVER)
+    place = q
+    for j in range(NODES - 1):
+        place -= plain[lumped_model.LENGTHS + j]
+        if fresh:
+            places[j] = place
+        places[j] += share * (place - places[j])
+        speeds[j] = abs(place - places[j]) / SPEED_OVER
+    return speeds
+
+
+@compiled
+def _learn(
+    constants: DynamicConstants,
+    state: DynamicState,
+    taut: bool,
+    q: float,
+    T: float,
+    at: float,
+    dt: float,
+) -> None:
+    """Note that the tip is measured at `q` under `T` [N]; what it pulls at leaves it `at` [m]."""
+    if taut and state.learns and abs(q - state.quick_displacement) < JUMP:
+        quick, slow = -math.expm1(-dt / QUICK), -math.expm1(-dt / SLOW)
+        state.quick_displacement += quick * (q - state.quick_displacement)
+        state.quick_tension += quick * (T - state.quick_tension)
+        state.slow_displacement += slow * (q - state.slow_displacement)
+        state.slow_tension += slow * (T - state.slow_tension)
+        dT = state.quick_tension - state.slow_tension
+        dq = min(
+            max(state.quick_displacement - state.slow_displacement, -SOFTEST * abs(dT)),
+            SOFTEST * abs(dT),
+        )
+        kept = math.exp(-dt / LEARNT_OVER)
+        state.sum_travel_tension = kept * state.sum_travel_tension + dq * dT * dt
+        state.sum_tension_squared = kept * state.sum_tension_squared + dT * dT * dt
+        learnt = (state.sum_travel_tension + LEAST * constants.bench_compliance) / (
+            state.sum_tension_squared + LEAST
+        )
+        state.tip_compliance = min(max(learnt, 0.0), SOFTEST)
+        state.tip_offset = at - state.tip_compliance * T
+    elif taut:
+        state.quick_displacement = state.slow_displacement = q
+        state.quick_tension = state.slow_tension = T
+    state.learns = taut
+
+
+@compiled
+def reset(constants: DynamicConstants, state: DynamicState) -> None:
+    """Begin with a slack tendon, in place."""
+    state.tension = state.elongation = state.travel = state.refused_time = 0.0
+    state.learns = False
+    state.tip_compliance, state.tip_offset = constants.bench_compliance, 0.0
+    state.quick_displacement = state.quick_tension = 0.0
+    state.slow_displacement = state.slow_tension = 0.0
+    state.sum_travel_tension = state.sum_tension_squared = 0.0
+    state.contact_displacements[:] = 0.0
+    state.plain[:] = lumped_model.start(constants.plain[:], 0.0, 0.0, 0.0)
+    state.with_effects[:] = lumped_model.start(constants.with_effects[:], 0.0, 0.0, 0.0)

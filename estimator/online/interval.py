@@ -1,0 +1,113 @@
+"""What motion proves about T_out, whoever drives: the certified interval beyond (T2).
+
+By (T7) the travel a change of T_in takes tells how deep the motor slides the tendon: with
+dq_p >= G(a) dT_in the front was at depth a or deeper, and beyond it friction leaves the tip the
+cone of (T2) that opens there: one point once a = K. What was proved ages: by what the motor may
+have changed since, and by `tip_tension_rate`, at which the tip may change unseen.
+
+A motor that goes on and on at one tension takes the whole tendon along, whatever the profile says:
+so a loose tendon is dragged out by the other tendon of its joint while its motor pays out. Then the
+profile is wrong, because the tip moved unseen, and is put right.
+"""
+
+import math
+
+from estimator.compiled import compiled
+from estimator.law import tables as _tables
+from estimator.law.profile import TIP, log_tension, slide, tension_of
+from estimator.law.tables import Tables, integral
+from estimator.law.transmission import read_out
+from estimator.online.driving_end import anchor
+from estimator.online.estimator_state import EstimatorState
+from estimator.online.prepared_tendon import BOUND, TENSION_FLOOR, PreparedTendon
+
+PRECISE = 10.0  # margins a window's change must exceed to be called precisely known
+CORRECTS = 2.0  # times the travel that proves all of the tendon to slide puts the profile right
+WINDOW = 0.1  # [s] after which a window of proof is closed as it is
+
+_K, _EA, _ASYMMETRY = _tables.K, _tables.EA, _tables.ASYMMETRY
+
+
+@compiled
+def _depth(table: Tables, side: float, compliance: float) -> float:
+    """Return the depth a with G(a)/EA = `compliance` [m/N], at most K (T7)."""
+    target = compliance * table[_EA]
+    low, high = 0.0, table[_K]
+    if target >= integral(table, high, side):
+        return float(high)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        if integral(table, middle, side) < target:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@compiled
+def open_window(state: EstimatorState, T: float, q: float) -> None:
+    """Begin a window of proof at (T [N], q [m])."""
+    state.window_tension = state.window_least = state.window_most = T
+    state.window_displacement, state.window_age = q, 0.0
+
+
+@compiled
+def tighten(
+    prepared: PreparedTendon,
+    state: EstimatorState,
+    T: float,
+    q: float,
+    sigma_mean: float,
+    dt: float,
+) -> None:
+    """Cut the proved interval of T_out by how deep the motor end slides at least, in place.
+
+    `T` [N] and `q` [m] are averages, `sigma_mean` [N] the noise of `T`.
+
+    Over a window in which T_in went one way, dq_p >= G(a) dT_in says that at some time the front
+    was at a or deeper. What of dT_in the noise hides counts against it.
+    """
+    table = prepared.tables[:]
+    state.window_age += dt
+    dT, dq = T - state.window_tension, q - state.window_displacement
+    margin_q = BOUND * math.sqrt(2.0) * prepared.displacement_noise
+    margin_T = BOUND * (math.sqrt(2.0) * sigma_mean + TENSION_FLOOR)
+    least = state.window_least = min(T, state.window_least)
+    most = state.window_most = max(T, state.window_most)
+    turned = most - least - abs(dT)
+    if turned > margin_T:
+        open_window(state, T, q)
+    elif abs(dq) > 2.0 * margin_q:
+        side = -1.0 if dq > 0.0 else table[_ASYMMETRY]
+        sure_q = (abs(dq) - margin_q) * (1.0 - prepared.elongation_error)
+        along = max(math.copysign(dT, dT * dq), 0.0)  # of dT, what slides the way the motor went
+        sure_T = along + turned + 2.0 * margin_T
+        compliance = sure_q / sure_T
+        whole = sure_T * integral(table, table[_K], side) / table[_EA]
+        full = sure_q >= whole
+        precise = abs(dq) > PRECISE * margin_q and abs(dT) > PRECISE * margin_T
+        if not (full or precise or state.window_age > WINDOW):
+            return
+        margin = BOUND * prepared.tension_noise
+        least, most = max(least - margin, 0.0), most + margin
+        depth = _depth(table, side, compliance)
+        slack_K = prepared.friction_error * table[_K]
+        rest = table[_K] - depth + slack_K
+        low = tension_of(table, log_tension(table, least) + side * depth - rest)
+        high = tension_of(table, log_tension(table, most) + side * depth + table[_ASYMMETRY] * rest)
+        unheard = prepared.tip_tension_rate * state.window_age if state.window_age > 0.0 else 0.0
+        state.proved_low = max(state.proved_low, low - unheard)
+        state.proved_high = min(state.proved_high, high + unheard)
+        profile = state.profile[:]
+        T_out = read_out(table, profile)[1]
+        if full and not low <= T_out <= high:
+            if sure_q < CORRECTS * whole and state.window_age <= WINDOW:
+                return
+            if sure_q >= CORRECTS * whole:
+                u = log_tension(table, state.held_tension)
+                slide(table, profile, u + side * table[_K], TIP)
+                state.tip_drives = False
+                anchor(prepared, state, state.held_tension, q)
+        open_window(state, T, q)
+    elif state.window_age > WINDOW:
+        open_window(state, T, q)

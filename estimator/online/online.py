@@ -1,0 +1,385 @@
+"""The online estimator of one tendon: from what the housing measures to what the tip feels.
+
+`advance` is the compiled step: it takes one sample, writes a `TendonEstimate` and changes the state
+in place. `step` is the same as a pure function for Python, and `run` the same over a whole record,
+so live operation, replay and tests give the same numbers.
+
+prepared_tendon is what the estimator knows, estimator_state what it remembers;
+driving_end decides which end drives, interval keeps the interval that motion
+has proved.
+
+The interval does not rest on the decision who drives. It is (T2), widened by the sensor noise and
+cut by what motion has proved; it always holds the estimate.
+
+A model with an extension (estimator.online.extension) has its readings put right before
+(estimator.online.reading_correction), and what its effects add to the law
+(estimator.online.dynamic_correction) put on top.
+"""
+
+import math
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator import signals
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.law import tables as _tables
+from estimator.law.profile import log_tension, push_proximal, tension_of
+from estimator.law.transmission import read_out, tension_at
+from estimator.online import dynamic_correction
+from estimator.online.driving_end import anchor, follow
+from estimator.online.estimator_state import EstimatorState, initial, initial_all
+from estimator.online.interval import open_window, tighten
+from estimator.online.prepared_tendon import (
+    BOUND,
+    TENSION_FLOOR,
+    PreparedTendon,
+    prepare,
+    prepare_all,
+)
+from estimator.online.reading_correction import correct
+from estimator.online.tendon_estimate import (
+    INVALID_INPUT,
+    SLACK,
+    TENSION_ONLY,
+    TIP_MOVED,
+    UNINITIALISED,
+    Status,
+    TendonEstimate,
+)
+from estimator.online.tendon_model import ModelError, TendonModel
+from estimator.records import Records
+
+__all__ = [
+    "Estimates",
+    "EstimatorState",
+    "ModelError",
+    "PreparedTendon",
+    "Status",
+    "TendonEstimate",
+    "TendonModel",
+    "advance",
+    "advance_law",
+    "initial",
+    "initial_all",
+    "prepare",
+    "prepare_all",
+    "profile_at",
+    "run",
+    "step",
+]
+
+NEGATIVE = 0.05
+"""Zero offset [N] that is not a broken load cell."""
+
+LARGEST = 1e6
+"""Tension [N] that is no tendon's."""
+
+_BLANK = TendonEstimate.new()
+_K, _ASYMMETRY, _DRAG = _tables.K, _tables.ASYMMETRY, _tables.DRAG
+
+
+class Estimates(NamedTuple):
+    """The fields of `TendonEstimate` over a record, arrays of shape (n,)."""
+
+    distal_tension: Array
+    low: Array
+    high: Array
+    elongation: Array
+    distal_displacement: Array
+    front: Array
+    phase: NDArray[np.int64]
+    status: NDArray[np.int64]
+
+    @property
+    def tension(self) -> Array:
+        """The estimated tension at the tip [N], `distal_tension`."""
+        return self.distal_tension
+
+
+def step(
+    prepared: PreparedTendon,
+    state: EstimatorState,
+    proximal_tension: float,
+    proximal_displacement: float,
+    dt: float,
+) -> tuple[TendonEstimate, EstimatorState]:
+    """Take one sample; return the estimate and the next state. `state` is left as it was.
+
+    Parameters
+    ----------
+    prepared : PreparedTendon
+        From `prepare`.
+    state : EstimatorState
+        From `initial` or the previous step.
+    proximal_tension : float
+        T_in measured [N].
+    proximal_displacement : float
+        q_p measured [m], positive = pulled in; NaN where there is none.
+    dt : float
+        Time since the previous sample [s]; 0 for the first.
+    """
+    after, estimates = _copied(state), _copied(_BLANK)
+    _step(_view(prepared), after, proximal_tension, proximal_displacement, dt, estimates)
+    return cast(TendonEstimate, estimates[0]), cast(EstimatorState, after[0])
+
+
+def run(
+    prepared: PreparedTendon, time: Array, tension: Array, displacement: Array | None = None
+) -> Estimates:
+    """Return the estimates of a whole record: the numbers `step` gives sample for sample.
+
+    Parameters
+    ----------
+    prepared : PreparedTendon
+        From `prepare`.
+    time, tension, displacement : ndarray
+        Sample times [s], T_in [N] and q_p [m], shape (n,); None where there is no displacement.
+    """
+    q = np.full(len(tension), math.nan) if displacement is None else displacement
+    if not time.shape == tension.shape == q.shape or tension.ndim != 1:
+        raise ModelError(
+            f"time {time.shape}, tension {tension.shape}, displacement {q.shape}: "
+            "give rows of equal length"
+        )
+    time, T, q = (np.ascontiguousarray(row, dtype=np.float64) for row in (time, tension, q))
+    estimates = TendonEstimate.array(len(T))
+    _run(_view(prepared), _copied(initial(prepared)), time, T, q, estimates)
+    return Estimates(*(estimates[name].copy() for name in Estimates._fields))
+
+
+def profile_at(prepared: PreparedTendon, state: EstimatorState, x: Array) -> Array:
+    """Return the tension T(x) [N] the state remembers at the arc lengths `x` [m], shape (n,)."""
+    return tension_at(prepared.tables, state.profile, np.asarray(x, dtype=np.float64))
+
+
+@compiled
+def advance(
+    prepared: PreparedTendon,
+    state: EstimatorState,
+    T: float,
+    q: float,
+    dt: float,
+    estimate: TendonEstimate,
+) -> tuple[float, float]:
+    """Take one sample: change `state` and `estimate` in place; return the corrected reading.
+
+    Parameters
+    ----------
+    prepared : PreparedTendon
+        From `prepare`, or one of `prepare_all`.
+    state : EstimatorState
+        From `initial`, or one of `initial_all`.
+    T, q : float
+        T_in [N] and q_p [m] as read; q is NaN where there is none.
+    dt : float
+        Time since the previous sample [s]; 0 for the first.
+    estimate : TendonEstimate
+        All fields are written.
+
+    Returns
+    -------
+    T, q : float
+        T_in [N] and q_p [m] without the sensors' effects, as the estimator took them; the same as
+        read where the model has no such effects.
+    """
+    T, q = correct(prepared.corrections, state.remembered[:], T, q)
+    # who drives is decided by the travel that the law knows
+    travel = state.dynamics.travel if prepared.has_dynamics else 0.0
+    _advance_law(prepared, state, T, q - travel, dt, estimate)
+    if prepared.has_dynamics:
+        _add_dynamics(prepared, state, q, dt, estimate)
+    return T, q
+
+
+@compiled
+def advance_law(
+    prepared: PreparedTendon,
+    state: EstimatorState,
+    T: float,
+    q: float,
+    dt: float,
+    estimate: TendonEstimate,
+) -> tuple[float, float]:
+    """Do what `advance` does for a tendon without `dynamics`, and compile in half the time."""
+    T, q = correct(prepared.corrections, state.remembered[:], T, q)
+    _advance_law(prepared, state, T, q, dt, estimate)
+    return T, q
+
+
+@compiled
+def _advance_law(
+    prepared: PreparedTendon,
+    state: EstimatorState,
+    T: float,
+    q: float,
+    dt: float,
+    estimate: TendonEstimate,
+) -> None:
+    """Take one corrected sample by the closed law alone."""
+    table, profile = prepared.tables[:], state.profile[:]
+    unheard = prepared.tip_tension_rate * dt if dt > 0.0 else 0.0
+    state.proved_low -= unheard
+    state.proved_high += unheard
+    sigma = prepared.tension_noise
+    if (
+        not math.isfinite(T)
+        or math.isinf(q)
+        or not (0.0 <= dt < math.inf)
+        or T + NEGATIVE + 6.0 * sigma < 0.0
+        or T > LARGEST
+    ):
+        status = INVALID_INPUT | (0 if _erased(table, state) else UNINITIALISED)
+        state.has_displacement = False
+        low, high = max(state.low - unheard, 0.0), state.high + unheard
+        _report(table, state, low, high, math.nan, status, estimate)
+        return
+
+    status = 0
+    tau = prepared.time_constant
+    if not state.started:
+        state.started = True
+        state.mean_tension = state.held_tension = T
+        state.tension_variance = sigma * sigma
+    mean = signals.average(state.mean_tension, T, dt, tau)
+    # what was proved of T_out ages by what the motor itself may have changed since
+    fall = state.mean_tension - mean
+    by_release = math.exp(table[_ASYMMETRY] * table[_K])
+    state.proved_low -= max(fall, 0.0) * by_release
+    state.proved_high += max(-fall, 0.0)
+    state.tension_variance = signals.averaged_variance(state.tension_variance, sigma, dt, tau)
+    sigma_mean = math.sqrt(state.tension_variance)
+    band = prepared.dead_band * sigma_mean
+    held = signals.play(state.held_tension, mean, band)
+    state.mean_tension = mean
+    slack = mean <= 3.0 * max(sigma_mean, TENSION_FLOOR)
+    if slack:
+        held = 0.0
+        status |= SLACK
+    state.least_tension = min(state.least_tension, held)
+    state.most_tension = max(state.most_tension, held)
+
+    if math.isnan(q):
+        status |= TENSION_ONLY
+        state.has_displacement = state.tip_drives = False
+        state.proved_low, state.proved_high = 0.0, math.inf
+        state.held_tension = held
+        push_proximal(table, profile, held)
+    else:
+        fresh = not state.has_displacement or slack
+        mean_q = q if fresh else signals.average(state.mean_displacement, q, dt, tau)
+        if fresh:
+            push_proximal(table, profile, held)
+            state.held_tension, state.mean_displacement = held, mean_q
+            state.held_displacement = mean_q
+            state.tip_drives, state.has_displacement = False, True
+            anchor(prepared, state, held, mean_q)
+            open_window(state, mean, mean_q)
+        else:
+            sure_T = band + BOUND * (sigma_mean + TENSION_FLOOR)
+            follow(prepared, state, held, mean_q, sure_T, dt)
+            tighten(prepared, state, mean, mean_q, sigma_mean, dt)
+        if state.tip_drives:
+            status |= TIP_MOVED
+    if not _erased(table, state):
+        status |= UNINITIALISED
+
+    margin = BOUND * sigma
+    K = table[_K] * (1.0 + prepared.friction_error)
+    low = tension_of(table, log_tension(table, min(mean, T, held) - margin) - K)
+    high = tension_of(
+        table, log_tension(table, max(mean, T, held) + margin) + table[_ASYMMETRY] * K
+    )
+    if state.proved_low > state.proved_high:
+        state.proved_low, state.proved_high = 0.0, math.inf
+    # the average lags: so much the tip may be ahead of what was proved by it
+    proved_low = state.proved_low - max(mean - T, 0.0) * by_release
+    proved_high = state.proved_high + max(T - mean, 0.0)
+    if max(low, proved_low) <= min(high, proved_high):
+        low, high = max(low, proved_low), min(high, proved_high)
+    _report(table, state, low, high, q, status, estimate)
+
+
+@compiled
+def _report(
+    table: Array,
+    state: EstimatorState,
+    low: float,
+    high: float,
+    q: float,
+    status: int,
+    estimate: TendonEstimate,
+) -> None:
+    """Write what the profile says, and the interval, opened as far as to hold it."""
+    _, T_out, e, phase, front = read_out(table, state.profile[:])
+    state.low, state.high = min(low, T_out), max(high, T_out)
+    estimate.distal_tension, estimate.low, estimate.high = T_out, state.low, state.high
+    estimate.elongation, estimate.distal_displacement = e, q - e
+    estimate.front, estimate.phase, estimate.status = front, phase, status
+
+
+@compiled
+def _add_dynamics(
+    prepared: PreparedTendon, state: EstimatorState, q: float, dt: float, estimate: TendonEstimate
+) -> None:
+    """Put what effects add to the law on top of its estimate; `q` [m] is the corrected reading."""
+    dynamics = state.dynamics
+    if estimate.status & INVALID_INPUT == 0:
+        dynamic_correction.push(prepared.dynamics, dynamics, state.held_tension, q, dt)
+        estimate.distal_displacement = q - (estimate.elongation + dynamics.elongation)
+    elif 0.0 <= dt < math.inf:
+        dynamics.refused_time += dt
+    change, T_out, low, high = (
+        dynamics.tension, estimate.distal_tension, estimate.low, estimate.high,
+    )  # fmt: skip
+    most = max(state.most_tension, T_out)  # no tip that is only pulled at pulls harder than that
+    felt = min(max(T_out + change, 0.0), most)
+    estimate.distal_tension = felt
+    estimate.low = min(max(min(low, low + change), 0.0), felt)
+    estimate.high = max(high, min(high + change, most), felt)
+    estimate.elongation += dynamics.elongation
+
+
+@compiled
+def _erased(table: Array, state: EstimatorState) -> bool:
+    """Return whether T_in has swung so far since the start that the first profile is forgotten."""
+    swing = math.exp((1.0 + table[_ASYMMETRY]) * table[_K])
+    drag = table[_DRAG]
+    least = max(state.least_tension, TENSION_FLOOR)
+    erased: bool = state.most_tension + drag >= swing * (least + drag)
+    return erased
+
+
+@compiled
+def _step(
+    prepared: Records, states: Records, T: float, q: float, dt: float, estimates: Records
+) -> None:
+    """Take one sample of one tendon; arrays of one record cost less to call with than records."""
+    advance(prepared[0], states[0], T, q, dt, estimates[0])
+
+
+@compiled
+def _run(
+    prepared: Records,
+    states: Records,
+    time: Array,
+    tension: Array,
+    displacement: Array,
+    estimates: Records,
+) -> None:
+    """Take all samples of a record of one tendon, in place."""
+    for i in range(len(tension)):
+        dt = time[i] - time[i - 1] if i > 0 else 0.0
+        advance(prepared[0], states[0], tension[i], displacement[i], dt, estimates[i])
+
+
+def _view(record: Any) -> Records:
+    """Return a record as an array, shape (1,), in the same memory."""
+    return np.asarray(record).reshape(1)
+
+
+def _copied(record: Any) -> Records:
+    """Return a copy of a record as an array, shape (1,); numpy's own copies field by field."""
+    return np.frombuffer(bytearray(record.tobytes()), record.dtype)

@@ -1,0 +1,1 @@
+"""Two tendons that pull one joint, fitted together."""

@@ -1,0 +1,155 @@
+"""An antagonistic pair of tendons that bends one joint: the angle, from command or tensions.
+
+Each tendon obeys the law of one tendon (docs/theory.md (T10), section 8), with the joint so stiff
+that it takes up hardly any of the tendons' travel, as for a tip that is blocked. The motor pulls
+one of them in by what it lets the other out; the joint bends by what one tip pulls more than the
+other:
+
+    stiffness (angle - neutral) = T_out,a - T_out,b -+ joint friction.
+
+No pulley's radius is needed: travel is an angle of the motor, compliance is command per newton.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator import signals
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.lumped.lumped_model import Motion, Physics, by_tension, by_travel
+from estimator.lumped.nodes import PLACES, even_weights
+
+BEDDING = 1.0
+"""Tension [N] over which strands bed in."""
+
+_PULLEY = 0.01  # [m]: any radius gives the same angles and tensions
+_STEPS = 12  # in which a tendon is pretensioned before a record begins
+_WEIGHTS = even_weights()
+
+
+class PairRecord(NamedTuple):
+    """A record of a pair at one shape of its sheath; arrays have shape (n,)."""
+
+    bend: float  # of the sheath [rad]
+    time: Array  # [s], rising
+    command: Array  # [rad] of the motor: a is pulled in by as much as b is let out
+    angle: Array  # of the joint [rad], measured
+    tension_a: Array  # [N] at the housing
+    tension_b: Array  # [N] at the housing
+
+    @property
+    def span(self) -> float:
+        """Peak to peak of the measured angle [rad]."""
+        return float(np.ptp(self.angle))
+
+
+class PairModel(NamedTuple):
+    """One pair, whatever the shape of its sheath."""
+
+    friction: float  # K of the straight sheath, with the bending section
+    growth: float  # mu: K = friction + growth bend
+    compliance: float  # [rad/N] of each tendon: command per newton, without friction
+    bedding: float  # [N]: a tendon stretches more by compliance bedding (1 - exp(-T/BEDDING))
+    stiffness: float  # of the joint [N/rad]
+    joint_friction: float  # [N] between the tips of the tendons
+    neutral: float  # angle [rad] at which the joint pulls at neither tendon
+
+    def friction_at(self, bend: float) -> float:
+        """Return K of each tendon at a bend [rad] of the sheath."""
+        return self.friction + self.growth * bend
+
+
+class PairMotion(NamedTuple):
+    """What a pair does, shape (n,) each."""
+
+    angle: Array  # [rad]
+    tension_a: Array  # [N] at the housing
+    tension_b: Array  # [N]
+
+
+def by_command(model: PairModel, record: PairRecord) -> PairMotion:
+    """Return what the command makes of a pair; of the tensions only the first are used.
+
+    The pretension is taken to have been pulled in from slack, so that the tendons remember a pull.
+    """
+    return joined(model, *tendons_by_command(model, record))
+
+
+def by_tensions(model: PairModel, record: PairRecord) -> PairMotion:
+    """Return what the measured tensions make of a pair; the command is not used.
+
+    The compliance of the tendons does not matter then.
+    """
+    return joined(model, *tendons_by_tensions(model, record))
+
+
+def tendons_by_command(model: PairModel, record: PairRecord) -> tuple[Motion, Motion]:
+    """Return what tendons a and b do; the joint's parameters do not matter."""
+    K = model.friction_at(record.bend)
+    a = _by_travel(model, K, record.time, record.command, record.tension_a[0])
+    b = _by_travel(model, K, record.time, -record.command, record.tension_b[0])
+    return a, b
+
+
+def tendons_by_tensions(model: PairModel, record: PairRecord) -> tuple[Motion, Motion]:
+    """Return what tendons a and b do under the measured tensions."""
+    K = model.friction_at(record.bend)
+    a = _by_tension(model, K, record.time, record.tension_a)
+    b = _by_tension(model, K, record.time, record.tension_b)
+    return a, b
+
+
+def joined(model: PairModel, a: Motion, b: Motion) -> PairMotion:
+    """Return what the joint makes of two tendons; only its own parameters matter."""
+    pull = (a.distal_tension - b.distal_tension) / model.stiffness + model.neutral
+    angle = _held(pull, model.joint_friction / model.stiffness)
+    return PairMotion(angle, a.proximal_tension, b.proximal_tension)
+
+
+def _physics(model: PairModel, K: float) -> Physics:
+    compliance = _PULLEY * model.compliance
+    return Physics(
+        np.array([K]),
+        compliance,
+        _WEIGHTS,
+        toe=compliance * model.bedding,
+        toe_tension=BEDDING,
+    )
+
+
+def _by_travel(model: PairModel, K: float, time: Array, command: Array, start: float) -> Motion:
+    pulled = max(start, 0.0) * np.exp(-K * PLACES)
+    bedded = model.bedding * -np.expm1(-pulled / BEDDING)
+    taken_up = _PULLEY * model.compliance * float(_WEIGHTS @ (pulled + bedded))
+    travel = taken_up + _PULLEY * (command - command[0])
+    return _after_pull(_physics(model, K), time, travel, by_travel)
+
+
+def _by_tension(model: PairModel, K: float, time: Array, tension: Array) -> Motion:
+    return _after_pull(_physics(model, K), time, np.maximum(tension, 0.0), by_tension)
+
+
+def _after_pull(
+    physics: Physics,
+    time: Array,
+    drive: Array,
+    by: Callable[[Physics, Array, Array, Array], Motion],
+) -> Motion:
+    before = np.linspace(0.0, drive[0], _STEPS, endpoint=False)
+    at = time[0] + np.arange(-_STEPS, 0, dtype=np.float64)
+    still = np.zeros(_STEPS + len(time))
+    motion = by(physics, np.concatenate([at, time]), np.concatenate([before, drive]), still)
+    return Motion(*(row[_STEPS:] for row in motion))
+
+
+@compiled
+def _held(free: Array, half: float) -> Array:
+    """Return the angle of a joint with friction for the one it would have without; from zero."""
+    angle = np.empty_like(free)
+    now = 0.0
+    for i in range(len(free)):
+        now = signals.play(now, free[i], half)
+        angle[i] = now
+    return angle

@@ -1,0 +1,240 @@
+"""Fits of a pair to records of several bends, by re-simulation, each record with its own zero.
+
+What counts is the share of a channel's span that is left; the angle counts as much as the two
+tensions together. A joint with friction rests anywhere in a band when its sensor is zeroed, so that
+each record has a neutral angle of its own; one that was not fitted is predicted with their mean.
+"""
+
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from estimator.array_types import Array
+from estimator.lumped.lumped_model import Motion
+from estimator.pair.pair import (
+    PairModel,
+    PairRecord,
+    by_command,
+    by_tensions,
+    joined,
+    tendons_by_command,
+    tendons_by_tensions,
+)
+
+MOST_SAMPLES = 180  # of a record that are fitted: the law does not depend on the rate
+LEAST_SAMPLES = 20
+ROUNDS = 30
+ENOUGH = 1e-4  # relative change of the cost
+STEP = 3e-3  # of a parameter, for derivatives
+TENSION_WEIGHT = 2.0**-0.5
+
+
+class PairError(ValueError):
+    """Records that no pair can be fitted to."""
+
+
+class Law(Enum):
+    """What a model may have; each has a name for reports."""
+
+    FRICTIONLESS = "no friction"
+    ONE_K = "one K for all bends"
+    EVEN = "K grows, tendons of one stiffness"
+    FULL = "K grows, tendons that bed in"
+    TENSIONS = "K grows, from the two tensions"
+
+
+START = PairModel(0.4, 0.15, 0.26, 2.0, 6.5, 0.8, -0.02)
+LOW = PairModel(1e-3, 0.0, 0.01, 0.0, 0.2, 0.0, -1.5)
+HIGH = PairModel(3.0, 2.0, 5.0, 50.0, 200.0, 10.0, 1.5)
+
+_ABSENT = {
+    Law.FRICTIONLESS: {"friction": 1e-3, "growth": 0.0, "joint_friction": 0.0},
+    Law.ONE_K: {"growth": 0.0},
+    Law.EVEN: {"bedding": 0.0},
+    Law.FULL: {},
+    Law.TENSIONS: {"compliance": START.compliance, "bedding": 0.0},
+}
+_SHARED = [name for name in PairModel._fields if name != "neutral"]
+
+
+class PairFit(NamedTuple):
+    """A fitted pair."""
+
+    law: Law
+    model: PairModel  # for any record: its neutral angle is the mean of theirs
+    neutrals: tuple[float, ...]  # of the records fitted [rad]
+    frictions: tuple[float, ...]  # K of each
+    friction_errors: tuple[float, ...]  # their standard uncertainties; NaN where K was not free
+
+
+def fit(
+    records: Sequence[PairRecord],
+    law: Law = Law.FULL,
+    start: PairModel = START,
+    *,
+    each_friction: bool = False,
+) -> PairFit:
+    """Fit one pair to records of several bends.
+
+    Parameters
+    ----------
+    records : sequence of PairRecord
+        At least two bends among them, unless the law has one K.
+    law : Law
+        What the model has, and from what it predicts.
+    start : PairModel
+        Where the search begins.
+    each_friction : bool
+        Find a K for each record instead of a straight line over the bend.
+
+    Raises
+    ------
+    PairError
+        There are too few records or samples, or an angle that does not move.
+    """
+    check(records)
+    _check_bends(records, law)
+    absent = _ABSENT[law] | ({"growth": 0.0} if each_friction else {})
+    free = [n for n in _SHARED if n not in absent and not (each_friction and n == "friction")]
+    first = start._replace(**absent)
+    thinned = [_thinned(record) for record in records]
+    ks = ["friction"] * len(records) if each_friction else []
+    names = [*free, *ks, *["neutral"] * len(records)]
+    low, high = (np.array([getattr(bound, name) for name in names]) for bound in (LOW, HIGH))
+    begin = np.array([getattr(first, name) for name in names])
+    if each_friction:
+        begin[len(free) : -len(records)] = [start.friction_at(r.bend) for r in records]
+    begin = np.clip(begin, low + 1e-6, high - 1e-6)
+
+    def models(values: Array) -> list[PairModel]:
+        shared = first._replace(**dict(zip(free, map(float, values), strict=False)))
+        own_K = values[len(free) : -len(records)]
+        neutrals = values[-len(records) :]
+        if not each_friction:
+            return [shared._replace(neutral=float(zero)) for zero in neutrals]
+        pairs = zip(own_K, neutrals, strict=True)
+        return [shared._replace(friction=float(K), neutral=float(zero)) for K, zero in pairs]
+
+    remembered = [_Tendons(record, law) for record in thinned]
+
+    def left(values: Array) -> Array:
+        each = zip(models(values), thinned, remembered, strict=True)
+        return np.concatenate([_left(model, record, law, made) for model, record, made in each])
+
+    found = least_squares(
+        left,
+        begin,
+        bounds=(low, high),
+        x_scale=np.maximum(np.abs(begin), 0.02),
+        diff_step=STEP,
+        ftol=ENOUGH,
+        max_nfev=ROUNDS,
+    )
+    each = models(found.x)
+    frictions = tuple(float(m.friction_at(r.bend)) for m, r in zip(each, records, strict=True))
+    neutral = float(np.mean([m.neutral for m in each]))
+    errors = np.full(len(records), np.nan)
+    if each_friction:
+        strokes = _strokes(thinned, law)
+        errors = _errors(found.jac, found.fun, strokes)[len(free) : -len(records)]
+    return PairFit(
+        law,
+        each[0]._replace(neutral=neutral),
+        tuple(m.neutral for m in each),
+        frictions,
+        tuple(map(float, errors)),
+    )
+
+
+def angle_of(model: PairModel, record: PairRecord, law: Law) -> Array:
+    """Return the angle [rad] that a model predicts."""
+    return (by_tensions if law is Law.TENSIONS else by_command)(model, record).angle
+
+
+def strokes_of(command: Array) -> NDArray[np.intp]:
+    """Return the number of the stroke that each sample is in; one ends where the command turns."""
+    ways = np.sign(np.diff(command, prepend=command[0]))
+    for i in range(1, len(ways)):
+        if ways[i] == 0.0:
+            ways[i] = ways[i - 1]
+    turned = (ways[1:] != ways[:-1]) & (ways[:-1] != 0.0)
+    return np.concatenate([[0], np.cumsum(turned)])
+
+
+class _Tendons:
+    """The tendons of a record; they are simulated again only where what they depend on changes."""
+
+    def __init__(self, record: PairRecord, law: Law) -> None:
+        self._record = record
+        self._by = tendons_by_tensions if law is Law.TENSIONS else tendons_by_command
+        self._known: dict[tuple[float, ...], tuple[Motion, Motion]] = {}
+
+    def __call__(self, model: PairModel) -> tuple[Motion, Motion]:
+        """Return what both tendons do."""
+        key = (model.friction_at(self._record.bend), model.compliance, model.bedding)
+        if key not in self._known:
+            self._known[key] = self._by(model, self._record)
+        return self._known[key]
+
+
+def _left(model: PairModel, record: PairRecord, law: Law, tendons: _Tendons) -> Array:
+    made = joined(model, *tendons(model))
+    parts = [(made.angle - record.angle) / record.span]
+    if law is Law.TENSIONS:
+        return parts[0]
+    for tension, measured in (
+        (made.tension_a, record.tension_a),
+        (made.tension_b, record.tension_b),
+    ):
+        parts.append(TENSION_WEIGHT * (tension - measured) / np.ptp(measured))
+    return np.concatenate(parts)
+
+
+def _thinned(record: PairRecord) -> PairRecord:
+    every = -(-len(record.time) // MOST_SAMPLES)
+    return PairRecord(record.bend, *(column[::every] for column in record[1:]))
+
+
+def _strokes(records: Sequence[PairRecord], law: Law) -> NDArray[np.intp]:
+    """Return a number for each residual: those of one stroke of one record go together."""
+    parts, begun = [], 0
+    for record in records:
+        strokes = begun + strokes_of(record.command)
+        parts += [strokes] * (1 if law is Law.TENSIONS else 3)
+        begun = int(strokes[-1]) + 1
+    return np.concatenate(parts)
+
+
+def _errors(jacobian: Array, left: Array, groups: NDArray[np.intp]) -> Array:
+    """Return standard uncertainties that allow for errors which last a whole stroke.
+
+    The sandwich (J'J)^-1 (sum over groups of J_g' r_g r_g' J_g) (J'J)^-1: residuals are a model's,
+    not noise, and thousands of samples are no thousands of measurements.
+    """
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    count = int(groups.max()) + 1
+    scores = np.array([jacobian[groups == g].T @ left[groups == g] for g in range(count)])
+    spread = count / max(count - jacobian.shape[1], 1)
+    errors: Array = np.sqrt(spread * np.diag(inverse @ (scores.T @ scores) @ inverse))
+    return errors
+
+
+def check(records: Sequence[PairRecord]) -> None:
+    """Raise `PairError` where a record is too short or does not move."""
+    for record in records:
+        if len(record.time) < LEAST_SAMPLES:
+            raise PairError(f"time: {len(record.time)} samples, must be at least {LEAST_SAMPLES}")
+        for name in ("command", "angle", "tension_a", "tension_b"):
+            if np.ptp(getattr(record, name)) == 0.0:
+                raise PairError(f"{name}: does not change")
+
+
+def _check_bends(records: Sequence[PairRecord], law: Law) -> None:
+    bends = {record.bend for record in records}
+    grows = law not in (Law.FRICTIONLESS, Law.ONE_K)
+    if len(bends) < (2 if grows else 1):
+        raise PairError("records: at least two bends are needed to tell how K grows with the bend")

@@ -1,0 +1,160 @@
+"""Friction of a pair against the bend of its sheath, and how well other bends are predicted."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+from estimator.array_types import Array
+from estimator.pair.pair import PairModel, PairRecord
+from estimator.pair.pair_fit import Law, PairError, PairFit, angle_of, check, fit
+
+LEAST_BENDS = 3
+CONFIDENCE = 0.95
+
+COMMAND = "command taken as the angle"
+SHARE = "a fixed share of the command"
+BASELINES = (COMMAND, SHARE)
+
+Report = Callable[[str, float], None]
+
+
+class Number(NamedTuple):
+    """A value that cannot be negative, with its interval of 95 %."""
+
+    value: float
+    low: float
+    high: float
+
+
+class LeftOut(NamedTuple):
+    """Error of the angle of a record that was not fitted."""
+
+    rmse: float  # [rad]
+    share: float  # of the span of the angle
+    zeroed: float  # the same without its mean: what an unknown zero does not explain
+
+
+class Validation(NamedTuple):
+    """Errors of a record that was kept apart."""
+
+    bend: float  # [rad]
+    ours: LeftOut
+    baseline: LeftOut  # a fixed share of the command, by the records that were fitted
+
+
+class PairStudy(NamedTuple):
+    """All that was found."""
+
+    records: tuple[PairRecord, ...]
+    fit: PairFit  # one model for all records
+    each: tuple[Number, ...]  # K of each record
+    friction: Number  # K of the straight sheath
+    growth: Number  # mu [1/rad]
+    left_out: dict[str, tuple[LeftOut, ...]]  # by method, for each record
+    predicted: tuple[Array, ...]  # angle of each record [rad], by the model of the others
+
+
+def study(records: Sequence[PairRecord], report: Report = lambda _what, _share: None) -> PairStudy:
+    """Study a pair at several bends; `report` is told what is done, and which share of all.
+
+    Raises
+    ------
+    PairError
+        There are fewer than three bends, or a record cannot be fitted.
+    """
+    if len({record.bend for record in records}) < LEAST_BENDS:
+        raise PairError(f"records: at least {LEAST_BENDS} bends are needed, to leave one out")
+    check(records)
+    steps = len(Law) * (len(records) + 1) + 1
+    done = 0
+
+    def next_step(what: str) -> None:
+        nonlocal done
+        report(what, done / steps)
+        done += 1
+
+    left_out = baselines(records)
+    whole: dict[Law, PairFit] = {}
+    others: dict[Law, list[PairFit]] = {}
+    for law in Law:
+        next_step(f"fitting: {law.value}")
+        whole[law] = fit(records, law)
+        others[law] = []
+        for i in range(len(records)):
+            next_step(f"leaving one out: {law.value}")
+            rest = [record for j, record in enumerate(records) if j != i]
+            others[law].append(fit(rest, law, whole[law].model))
+        left_out[law.value] = tuple(
+            error_of(angle_of(one.model, record, law), record)
+            for one, record in zip(others[law], records, strict=True)
+        )
+    next_step("fitting a K for each")
+    full = whole[Law.FULL]
+    free = fit(records, Law.FULL, full.model, each_friction=True)
+    models = [one.model for one in others[Law.FULL]]
+    return PairStudy(
+        tuple(records),
+        full,
+        tuple(
+            _within(K, error, len(records))
+            for K, error in zip(free.frictions, free.friction_errors, strict=True)
+        ),
+        _jackknife(full.model, models, "friction"),
+        _jackknife(full.model, models, "growth"),
+        left_out,
+        tuple(angle_of(m, r, Law.FULL) for m, r in zip(models, records, strict=True)),
+    )
+
+
+def baselines(records: Sequence[PairRecord]) -> dict[str, tuple[LeftOut, ...]]:
+    """Return the errors of predictions without a model of the pair."""
+    shares = [_share([other for other in records if other is not left]) for left in records]
+    return {
+        COMMAND: tuple(error_of(record.command, record) for record in records),
+        SHARE: tuple(
+            error_of(share * record.command, record)
+            for share, record in zip(shares, records, strict=True)
+        ),
+    }
+
+
+def validate(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
+    """Return the errors of further records, predicted from their command and bend."""
+    check(records)
+    share = _share(found.records)
+    return tuple(
+        Validation(
+            record.bend,
+            error_of(angle_of(found.fit.model, record, Law.FULL), record),
+            error_of(share * record.command, record),
+        )
+        for record in records
+    )
+
+
+def error_of(angle: Array, record: PairRecord) -> LeftOut:
+    """Return the error of a predicted angle [rad]."""
+    off = angle - record.angle
+    rmse = float(np.sqrt(np.mean(off**2)))
+    return LeftOut(rmse, rmse / record.span, float(off.std()) / record.span)
+
+
+def _share(records: Sequence[PairRecord]) -> float:
+    across = np.concatenate([record.command for record in records])
+    up = np.concatenate([record.angle for record in records])
+    return float(across @ up) / float(across @ across)
+
+
+def _within(value: float, error: float, count: int) -> Number:
+    reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, count - 1)) * error
+    return Number(value, max(value - reach, 0.0), value + reach)
+
+
+def _jackknife(model: PairModel, without_one: Sequence[PairModel], name: str) -> Number:
+    """Return a parameter with the interval that leaving records out gives it."""
+    n = len(without_one)
+    values = np.array([getattr(one, name) for one in without_one])
+    error = float(np.sqrt((n - 1) / n * np.sum((values - values.mean()) ** 2)))
+    return _within(getattr(model, name), error, n)

@@ -1,0 +1,1 @@
+"""A laboratory's own rig, device and effect."""

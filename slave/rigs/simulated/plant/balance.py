@@ -1,0 +1,123 @@
+"""Where a link comes to at the end of a step: tendons on one side, all that resists on the other.
+
+    T_a(q) - T_b(-q) = base + slope (q - q_before) + friction sgn(q - q_before) + F_environment(q)
+
+The left side never rises with q and the right one never falls, so the solution is unique where
+anything resists at all. Friction has any value within its limits while q stays at q_before: a link
+that is held stays exactly where it is. Backlash lets the tendons' pulley turn by itself while it
+touches neither of its flanks on the link.
+"""
+
+from typing import NamedTuple
+
+from estimator.compiled import compiled
+from slave.rigs.simulated.plant.environment import Environment, environment_force
+from slave.rigs.simulated.plant.response import Curve, tension_on
+
+ROUNDS = 200  # at most, of the search; about ten are needed
+ENOUGH = 1e-11  # [N] of balance
+
+
+class Answer(NamedTuple):
+    """What the tendons of a joint pull with, wherever its pulley goes in the step under way."""
+
+    a: Curve
+    b: Curve
+    pair: bool  # without it there is no `b`
+
+
+class Resistance(NamedTuple):
+    """What a link does against being moved, apart from its environment."""
+
+    base: float  # [N] where the step begins
+    slope: float  # [N/m]
+    friction: float  # [N]
+    backlash: float  # [m] whole play between pulley and link
+
+
+@compiled
+def pull(answer: Answer, pulley: float) -> tuple[float, float]:
+    """Return the tensions of `a` and `b` [N] with the joint's pulley at `pulley` [m]."""
+    a = tension_on(answer.a, pulley)
+    if not answer.pair:
+        return a, 0.0
+    return a, tension_on(answer.b, -pulley)
+
+
+@compiled
+def drive(answer: Answer, travel: float, backlash: float) -> float:
+    """Return the force [N] of the tendons on a link at `travel` [m], through its backlash."""
+    a, b = pull(answer, travel + 0.5 * backlash)
+    if backlash == 0.0:
+        return a - b
+    forward = a - b
+    a, b = pull(answer, travel - 0.5 * backlash)
+    return max(0.0, forward) + min(0.0, a - b)
+
+
+@compiled
+def surplus(
+    answer: Answer,
+    resistance: Resistance,
+    environment: Environment,
+    travel: float,
+    before: float,
+    time: float,
+    dt: float,
+) -> float:
+    """Return by how much [N] what resists a move to `travel` exceeds what drives it."""
+    against = resistance.base + resistance.slope * (travel - before)
+    against += environment_force(environment, travel, before, time, dt)
+    return against - drive(answer, travel, resistance.backlash)
+
+
+@compiled
+def balance(
+    answer: Answer,
+    resistance: Resistance,
+    environment: Environment,
+    before: float,
+    low: float,
+    high: float,
+    time: float,
+    dt: float,
+) -> float:
+    """Return the travel [m] between `low` and `high` at which a link is in balance.
+
+    The solution is bracketed by where the link was and a stop, and found by the Illinois variant of
+    the secant method: each piece of the forces is linear or nearly so.
+
+    Parameters
+    ----------
+    before : float
+        Where the link was [m].
+    time, dt : float
+        The end of the step [s] and its length [s].
+    """
+    excess = surplus(answer, resistance, environment, before, before, time, dt)
+    if abs(excess) <= resistance.friction:
+        return before
+    sense = -1.0 if excess > 0.0 else 1.0  # of the move
+    friction = sense * resistance.friction
+    near, near_excess = before, excess + friction
+    far = high if sense > 0.0 else low
+    far_excess = surplus(answer, resistance, environment, far, before, time, dt) + friction
+    if sense * far_excess <= 0.0:
+        return far
+    kept = 0  # which end stayed in the last round; the secant must not trust it for ever
+    for _ in range(ROUNDS):
+        new = near - near_excess * (far - near) / (far_excess - near_excess)
+        if not min(near, far) < new < max(near, far):
+            new = 0.5 * (near + far)
+        excess = surplus(answer, resistance, environment, new, before, time, dt) + friction
+        if abs(excess) <= ENOUGH or new in (near, far):
+            return new
+        if sense * excess < 0.0:
+            near, near_excess = new, excess
+            far_excess *= 0.5 if kept == 1 else 1.0
+            kept = 1
+        else:
+            far, far_excess = new, excess
+            near_excess *= 0.5 if kept == -1 else 1.0
+            kept = -1
+    return near

@@ -1,0 +1,83 @@
+"""An elastic tendon in its sheath, as a chain of springs and friction nodes: one step of it.
+
+Motion is slow, so every node is in balance at the end of a step. With u the displacement of the
+tendon (positive towards the housing), T_i the tension of the spring behind node i, and the laws of
+springs and nodes linear during a step (`elasticity`, `friction`),
+
+    u_i - u_{i+1} = compliance_i T_i + rest_i      where T_i > 0; less stretched, T_i = 0
+    T_{i-1} - T_i = f_i + b_i du_i / dt            dry friction and a dashpot
+    f_i at its upper limit where the node slides towards the housing, at its lower one where it
+    slides towards the tip, anything between where it stays, or as its bristle says
+
+Nothing here knows how tension varies along a sheath; that is what an estimator assumes and what
+a plant must not.
+
+The balance is solved exactly and without iteration. Everything on the housing's side of a point,
+with the motor's end where it is, can only answer in one way: with a tension that falls, piecewise
+linearly, as the point moves towards the housing. `respond` carries that response from the motor to
+the tip (`coulomb_contact`; `bristle_contact` for bristles and dashpots). Whoever holds the
+tip decides where it goes by that curve, and `recover` places the nodes backwards from there.
+"""
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from slave.rigs.simulated.plant.bristle_contact import carry_leaning, place_leaning
+from slave.rigs.simulated.plant.coulomb_contact import carry_gripping, place_gripping
+from slave.rigs.simulated.plant.elasticity import creep_after, creep_gain, springs
+from slave.rigs.simulated.plant.friction import contacts, rested_after, speed_after
+from slave.rigs.simulated.plant.response import Response
+from slave.rigs.simulated.plant.tendon import CREEP, POSITION, RESTED, SPEED, TENSION, Chain
+
+
+@compiled
+def respond(chain: Chain, state: Array, proximal: float, dt: float) -> Response:
+    """Return how the tendon will pull its tip, wherever that goes, in a step of `dt` [s].
+
+    Parameters
+    ----------
+    state : array, shape (6, n + 2)
+        Of the tendon before the step; friction holds each node where it was, or drags it from
+        there.
+    proximal : float
+        Where the motor's end is [m] at the end of the step.
+    """
+    spring, contact = springs(chain, state, dt), contacts(chain, state, dt)
+    if len(contact.bristle) > 0:
+        return carry_leaning(spring, contact, state, proximal)
+    return carry_gripping(spring, contact, state, proximal)
+
+
+@compiled
+def recover(
+    chain: Chain,
+    state: Array,
+    response: Response,
+    proximal: float,
+    distal: float,
+    tension: float,
+    dt: float,
+) -> Array:
+    """Return the state after a step in which the tip came to `distal` [m].
+
+    `tension` [N] is that of `response` there, which is `respond`'s for the other arguments.
+    """
+    n = len(chain.friction)
+    after = np.zeros_like(state)
+    after[POSITION, 0], after[POSITION, n + 1] = proximal, distal
+    after[TENSION, n] = tension
+    if len(response.contacts.bristle) > 0:
+        place_leaning(response, state, after)
+    else:
+        place_gripping(response, state, after)
+    stretch = proximal - after[POSITION, 1] - response.springs.rest[0]
+    after[TENSION, 0] = max(0.0, stretch / response.springs.compliance[0])
+    gain = creep_gain(chain.knobs, dt)
+    for i in range(n + 1):
+        after[CREEP, i] = creep_after(chain, state[CREEP, i], after[TENSION, i], gain)
+    for i in range(1, n + 1):
+        speed = (after[POSITION, i] - state[POSITION, i]) / dt
+        after[SPEED, i] = speed_after(chain.knobs, state[SPEED, i], speed, dt)
+        after[RESTED, i] = rested_after(chain.knobs, state[RESTED, i], speed, dt)
+    return after

@@ -1,0 +1,165 @@
+"""A chain whose nodes stay exactly where they are until they slide.
+
+The response on the housing's side of a node has corners, places x and tensions T. The spring before
+the node shears it, x -> x - compliance T - rest. The node stays at its place while it can, so that
+there the response gets a step, of two new corners; on the housing's side of the step, where the
+node slides in, tensions shrink by one ratio, on the tip's side, where it slides out, they grow by
+another.
+
+All corners on one side of the step change alike, so each side is a stack of corners behind one map,
+with s = T + drag,
+
+    s = q b,   x = a - p b - r
+
+and a spring or a node changes two p, two q and r. Corners change stacks only as far as the steps of
+one node and the next lie apart: a sweep takes time in proportion to the nodes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled, compiled_in_caller
+from slave.rigs.simulated.plant.elasticity import Springs
+from slave.rigs.simulated.plant.friction import Contacts
+from slave.rigs.simulated.plant.response import Curve, Curves, Response
+from slave.rigs.simulated.plant.tendon import FRICTION, POSITION, TENSION
+
+ROUNDING = 1e-12  # of a tension: where one does not tell a node that stays from one that slides
+P, Q, R = 0, 1, 2  # of a map
+
+
+class Side(NamedTuple):
+    """A stack of corners behind a map; its top is next to the step."""
+
+    a: Array
+    b: Array
+    map: Array  # p [m/N], q, r [m]
+
+
+@compiled
+def empty_side(room: int) -> Side:
+    """Return a side without corners, behind a map that changes nothing."""
+    return Side(np.empty(room), np.empty(room), np.array([0.0, 1.0, 0.0]))
+
+
+@compiled
+def corner(side: Side, j: int) -> tuple[float, float]:
+    """Return x [m] and s [N] of corner j."""
+    s = side.map[Q] * side.b[j]
+    return side.a[j] - side.map[P] * side.b[j] - side.map[R], s
+
+
+@compiled
+def put(side: Side, j: int, x: float, s: float) -> None:
+    """Make (x, s) the corner j."""
+    side.b[j] = s / side.map[Q]
+    side.a[j] = x + side.map[P] * side.b[j] + side.map[R]
+
+
+@compiled
+def shear(side: Side, compliance: float, rest: float) -> None:
+    """Carry all corners through a spring."""
+    side.map[P] += compliance * side.map[Q]
+    side.map[R] += rest
+
+
+@compiled_in_caller
+def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal: float) -> Response:
+    """Carry the response from the motor's end at `proximal` [m] to the tip."""
+    n, drag = len(contacts.pull), contacts.drag
+    slack, held = np.empty(n), np.empty(n)
+    housing, tip = empty_side(2 * n + 1), empty_side(2 * n + 1)
+    bottom, top, out, ray = 0, 1, 0, 0.0  # housing's corners from bottom to top, and tip's
+    put(housing, bottom, proximal, drag)
+    for i in range(n + 1):
+        compliance, rest = springs.compliance[i], springs.rest[i] - springs.compliance[i] * drag
+        shear(housing, compliance, rest)
+        shear(tip, compliance, rest)
+        ray -= compliance
+        if i == n:
+            break
+        stay = state[POSITION, i + 1]
+        while top > bottom and corner(housing, top - 1)[0] <= stay:
+            x, s = corner(housing, top - 1)
+            put(tip, out, x, s)
+            top, out = top - 1, out + 1
+        while out > 0 and corner(tip, out - 1)[0] > stay:
+            x, s = corner(tip, out - 1)
+            put(housing, top, x, s)
+            top, out = top + 1, out - 1
+
+        pressed = drag  # s on the housing's side while the node stays
+        if top > bottom:
+            x, pressed = corner(housing, top - 1)
+            next_x, s = corner(tip, out - 1) if out > 0 else (x + ray, pressed + 1.0)
+            if next_x < x:
+                pressed += (stay - x) / (next_x - x) * (s - pressed)
+        held[i] = max(0.0, pressed - drag)
+        put(housing, top, stay, pressed)
+        put(tip, out, stay, pressed)
+        top, out = top + 1, out + 1
+        housing.map[Q] *= contacts.pull[i]
+        tip.map[Q] *= contacts.release[i]
+        ray /= contacts.release[i]
+
+        while out > 0 and corner(tip, out - 1)[1] <= drag:  # no tension: part of the slack
+            x, s = corner(tip, out - 1)
+            put(housing, top, x, s)
+            top, out = top + 1, out - 1
+        while bottom + 1 < top and corner(housing, bottom + 1)[1] <= drag:
+            bottom += 1
+        x, s = corner(housing, bottom)
+        if s < drag:  # the response begins between corners
+            next_x, next_s = x + ray, s + 1.0
+            if bottom + 1 < top:
+                next_x, next_s = corner(housing, bottom + 1)
+            elif out > 0:
+                next_x, next_s = corner(tip, out - 1)
+            x += (drag - s) / (next_s - s) * (next_x - x)
+            put(housing, bottom, x, drag)
+        slack[i] = x
+
+    corners = top - bottom + out
+    place, tension = np.empty(corners), np.empty(corners)
+    for j in range(top - bottom):
+        place[j], tension[j] = corner(housing, bottom + j)
+    for j in range(out):
+        place[corners - 1 - j], tension[corners - 1 - j] = corner(tip, j)
+    for j in range(1, corners):
+        tension[j] -= drag
+    tension[0] = 0.0
+    none = np.empty((0, 0))
+    inner = Curves(none, none, np.empty(0, np.int64), np.empty(0))
+    return Response(Curve(place, tension, ray), springs, contacts, slack, held, inner)
+
+
+@compiled_in_caller
+def place_gripping(response: Response, state: Array, after: Array) -> None:
+    """Place the nodes backwards from the tip: fill their entries in the state after the step.
+
+    Its position and the tension of the last spring are there already.
+    """
+    springs, contacts = response.springs, response.contacts
+    n, drag = len(contacts.pull), contacts.drag
+    tension = after[TENSION, n]
+    for i in range(n, 0, -1):
+        stay, held, free = state[POSITION, i], response.held[i - 1], response.slack[i - 1]
+        pull, release = contacts.pull[i - 1], contacts.release[i - 1]
+        loose = after[POSITION, i + 1] + springs.rest[i]
+        place = loose + springs.compliance[i] * tension
+        if loose >= free:  # the tension may be a rounding error off zero, with drag
+            place, tension = free, 0.0
+        least, most = (held + drag) * pull - drag, (held + drag) * release - drag
+        if place > stay and tension < least + ROUNDING * (held + drag):
+            pulled = max(0.0, (tension + drag) / pull - drag)
+        elif place < stay and tension > most - ROUNDING * (held + drag):
+            pulled = max(0.0, (tension + drag) / release - drag)
+        else:
+            place, pulled = stay, held
+        if pulled == 0.0 and tension == 0.0:  # friction does not tell where it is
+            place = min(max(stay, free), loose)
+        after[POSITION, i], after[TENSION, i] = place, tension
+        after[FRICTION, i] = pulled - tension
+        tension = pulled

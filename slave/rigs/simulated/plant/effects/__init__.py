@@ -1,0 +1,103 @@
+"""Effects that users switch on in a rig, by name: data with a fault that is known.
+
+An effect is a frozen dataclass whose `type` names it in a config file. It turns the knobs of a
+tendon (`TendonEffect`), changes the constants of a joint (`JointEffect`) or of sensors
+(`SensorEffect`), or strikes whole samples (`SampleEffect`); `schedule` does so at its time.
+"""
+
+from slave.rigs.simulated.plant.effects.along import BrokenTendon, JammedTendon, NonuniformCurvature
+from slave.rigs.simulated.plant.effects.effect import (
+    Effect,
+    TendonEffect,
+    knobs_at,
+    of_tendon,
+    ranged,
+)
+from slave.rigs.simulated.plant.effects.elasticity import (
+    Creep,
+    NonlinearStiffness,
+    SheathCompression,
+    Slack,
+    ThermalExpansion,
+)
+from slave.rigs.simulated.plant.effects.ends import (
+    AntagonistTension,
+    JointBacklash,
+    JointFriction,
+    Pretension,
+    PulleyEccentricity,
+    TipInertia,
+    TipMoved,
+)
+from slave.rigs.simulated.plant.effects.friction import (
+    ConstantDrag,
+    DirectionAsymmetry,
+    FrictionDrift,
+    FrictionStep,
+    Presliding,
+    StickSlip,
+    StribeckFriction,
+    TensionDependentFriction,
+    ViscousFriction,
+)
+from slave.rigs.simulated.plant.effects.sensors import (
+    CoggingRipple,
+    DistalTensionBias,
+    DistalTensionDrift,
+    DistalTensionGain,
+    EncoderScale,
+    EncoderSlip,
+    LostSamples,
+    ProximalTensionBias,
+    ProximalTensionDrift,
+    ProximalTensionGain,
+    RepeatedSamples,
+    Saturation,
+    SensorLag,
+    SheathRub,
+    StuckCell,
+)
+
+__all__ = ["Effect", "EffectConfig", "TendonEffect", "knobs_at", "of_tendon", "ranged"]
+
+EffectConfig = (
+    FrictionStep
+    | FrictionDrift
+    | ConstantDrag
+    | ViscousFriction
+    | StribeckFriction
+    | Presliding
+    | DirectionAsymmetry
+    | TensionDependentFriction
+    | StickSlip
+    | NonlinearStiffness
+    | Creep
+    | SheathCompression
+    | Slack
+    | ThermalExpansion
+    | NonuniformCurvature
+    | Pretension
+    | JointBacklash
+    | JointFriction
+    | AntagonistTension
+    | TipInertia
+    | TipMoved
+    | PulleyEccentricity
+    | BrokenTendon
+    | JammedTendon
+    | ProximalTensionGain
+    | DistalTensionGain
+    | ProximalTensionBias
+    | DistalTensionBias
+    | ProximalTensionDrift
+    | DistalTensionDrift
+    | Saturation
+    | SensorLag
+    | EncoderScale
+    | EncoderSlip
+    | CoggingRipple
+    | SheathRub
+    | StuckCell
+    | LostSamples
+    | RepeatedSamples
+)

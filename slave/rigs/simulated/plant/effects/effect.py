@@ -1,0 +1,86 @@
+"""What all effects have in common: where and when they act, and what range a parameter has."""
+
+import dataclasses
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+from slave.rigs.simulated.plant.knobs import Knobs
+
+
+def ranged(default: float, low: float, high: float, unit: str = "") -> Any:
+    """Return a dataclass field whose value must be `low` to `high`."""
+    return dataclasses.field(default=default, metadata={"range": (low, high, unit)})
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """Something that the estimator's model does not have, from `start` on."""
+
+    joint: int | None = None  # counted from 1; null = every joint
+    start: float = 0.0  # [s]
+
+    adds_up: ClassVar[bool] = True  # whether two of them on one tendon do more than the second
+
+    def __post_init__(self) -> None:
+        """Refuse a place or time that cannot be, and parameters out of their range."""
+        if self.joint is not None and self.joint < 1:
+            raise ValueError("joint: must be 1 or more, joints are counted from 1")
+        if not 0.0 <= self.start < math.inf:
+            raise ValueError("start: must be 0 s or later")
+        for item in dataclasses.fields(self):
+            if "range" in item.metadata:
+                low, high, unit = item.metadata["range"]
+                if not low <= getattr(self, item.name) <= high:
+                    raise ValueError(f"{item.name}: must be {low:g} to {high:g} {unit}".rstrip())
+
+
+@dataclass(frozen=True, slots=True)
+class TendonEffect(Effect, ABC):
+    """An effect in the physics of a tendon and its sheath."""
+
+    tendon: Literal["a", "b", "both"] = "both"
+
+    varies: ClassVar[bool] = False  # whether it goes on changing after its start
+
+    @abstractmethod
+    def apply(self, knobs: Knobs, time: float, slid: float, /) -> Knobs:
+        """Return the knobs with this effect on top.
+
+        `time` [s] has passed since its start, in which the tendon's housing end has travelled
+        `slid` [m], to and fro.
+        """
+
+
+def of_tendon(
+    effects: Sequence[object], joint: int, tendon: Literal["a", "b"]
+) -> tuple[TendonEffect, ...]:
+    """Return those effects that act in tendon `tendon` of joint `joint`, counted from 0."""
+    return tuple(
+        effect
+        for effect in effects
+        if isinstance(effect, TendonEffect)
+        and effect.joint in (None, joint + 1)
+        and effect.tendon in (tendon, "both")
+    )
+
+
+def knobs_at(effects: Sequence[TendonEffect], time: float, slid: Sequence[float]) -> Knobs:
+    """Return the knobs of a tendon under all its effects.
+
+    Parameters
+    ----------
+    effects : sequence of TendonEffect
+        Of this tendon, `of_tendon`.
+    time : float
+        Now [s].
+    slid : sequence of float
+        How far the tendon's housing end has travelled [m] since the start of each effect.
+    """
+    knobs = Knobs()
+    for effect, distance in zip(effects, slid, strict=True):
+        if time >= effect.start:
+            knobs = effect.apply(knobs, time - effect.start, distance)
+    return knobs

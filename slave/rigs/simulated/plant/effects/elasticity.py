@@ -1,0 +1,87 @@
+"""Effects in the elasticity and length of a tendon and its sheath."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from slave.rigs.simulated.plant.effects.effect import TendonEffect, ranged
+from slave.rigs.simulated.plant.knobs import Knobs
+
+
+@dataclass(frozen=True, slots=True)
+class NonlinearStiffness(TendonEffect):
+    """Strands that bed in: strain T/EA + strain (1 - exp(-T / tension))."""
+
+    type: Literal["nonlinear_stiffness"] = "nonlinear_stiffness"
+    strain: float = ranged(1e-3, 0.0, 0.02)
+    tension: float = ranged(2.0, 0.1, 100.0, "N")
+    adds_up: ClassVar[bool] = False
+
+    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
+        """Return the knobs with this effect on top."""
+        return knobs._replace(toe_strain=self.strain, toe_tension=self.tension)
+
+
+@dataclass(frozen=True, slots=True)
+class Creep(TendonEffect):
+    """A tendon that goes on stretching under tension, and comes back: a standard linear solid."""
+
+    type: Literal["creep"] = "creep"
+    share: float = ranged(0.1, 0.0, 2.0)  # of the elastic elongation, in the end
+    time_constant: float = ranged(8.0, 0.01, 1e4, "s")
+    adds_up: ClassVar[bool] = False
+
+    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
+        """Return the knobs with this effect on top."""
+        return knobs._replace(creep_share=self.share, creep_time=self.time_constant)
+
+
+@dataclass(frozen=True, slots=True)
+class SheathCompression(TendonEffect):
+    """A sheath that gives way above a threshold, and grips the tendon more where it does.
+
+    Elongation: compression (T - threshold)^2 if T were the tension all along; friction:
+    (1 + friction_rise (T - threshold)).
+    """
+
+    type: Literal["sheath_compression"] = "sheath_compression"
+    compression: float = ranged(1e-6, 0.0, 1e-4, "m/N^2")
+    threshold: float = ranged(5.0, 0.0, 100.0, "N")
+    friction_rise: float = ranged(0.0, 0.0, 0.1, "1/N")
+    adds_up: ClassVar[bool] = False
+
+    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
+        """Return the knobs with this effect on top."""
+        return knobs._replace(
+            compression=self.compression,
+            compression_threshold=self.threshold,
+            compression_friction=self.friction_rise,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Slack(TendonEffect):
+    """More tendon than the way from motor to tip is long: it is taken up before anything pulls."""
+
+    type: Literal["slack"] = "slack"
+    length: float = ranged(1e-3, 0.0, 0.05, "m")
+
+    def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
+        """Return the knobs with this effect on top."""
+        return knobs._replace(slack=knobs.slack + self.length)
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalExpansion(TendonEffect):
+    """A tendon that warms up and grows longer against its sheath."""
+
+    type: Literal["thermal_expansion"] = "thermal_expansion"
+    coefficient: float = ranged(1.2e-5, -1e-4, 1e-3, "1/K")  # of tendon over sheath; steel: 1.2e-5
+    warming: float = ranged(10.0, -100.0, 100.0, "K")  # in the end
+    time_constant: float = ranged(60.0, 0.01, 1e5, "s")
+    varies: ClassVar[bool] = True
+
+    def apply(self, knobs: Knobs, time: float, _slid: float, /) -> Knobs:
+        """Return the knobs with this effect on top."""
+        warming = self.warming * -math.expm1(-time / self.time_constant)
+        return knobs._replace(expansion=knobs.expansion + self.coefficient * warming)

@@ -1,0 +1,172 @@
+"""Effects at the ends of a tendon: its start, its pulleys, the joint and what moves it."""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from slave.rigs.simulated.plant.effects.effect import Effect, ranged
+from slave.rigs.simulated.plant.environment import (
+    LoadMotorConfig,
+    both_environments,
+    build_environment,
+)
+from slave.rigs.simulated.plant.joint import Joint, Tendon
+
+
+@dataclass(frozen=True, slots=True)
+class JointEffect(Effect, ABC):
+    """An effect in the physics of a joint."""
+
+    @abstractmethod
+    def apply(self, joint: Joint, travel: float, /) -> Joint:
+        """Return the joint with this effect on top; it was at `travel` [m] as this began."""
+
+
+@dataclass(frozen=True, slots=True)
+class SideEffect(JointEffect, ABC):
+    """An effect in the physics of one tendon of a joint, or of both."""
+
+    tendon: Literal["a", "b", "both"] = "both"
+
+    def apply(self, joint: Joint, _travel: float, /) -> Joint:
+        """Return the joint with this effect on top."""
+        if self.tendon in ("a", "both"):
+            joint = joint._replace(a=self.change(joint.a))
+        if self.tendon in ("b", "both") and joint.pair:
+            joint = joint._replace(b=self.change(joint.b))
+        return joint
+
+    @abstractmethod
+    def change(self, tendon: Tendon, /) -> Tendon:
+        """Return the tendon with this effect on top."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointFriction(JointEffect):
+    """Dry friction of the joint itself, load-independent."""
+
+    type: Literal["joint_friction"] = "joint_friction"
+    friction: float = ranged(0.5, 0.0, 100.0, "N")
+
+    def apply(self, joint: Joint, _travel: float, /) -> Joint:
+        """Return the joint with this effect on top."""
+        return joint._replace(
+            body=joint.body._replace(friction=joint.body.friction + self.friction)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class JointBacklash(JointEffect):
+    """Play between the pulley that the tendons turn and the link, where the bench encoder is."""
+
+    type: Literal["joint_backlash"] = "joint_backlash"
+    play: float = ranged(1e-4, 0.0, 0.01, "m")
+
+    def apply(self, joint: Joint, _travel: float, /) -> Joint:
+        """Return the joint with this effect on top."""
+        return joint._replace(body=joint.body._replace(backlash=joint.body.backlash + self.play))
+
+
+@dataclass(frozen=True, slots=True)
+class TipInertia(JointEffect):
+    """Something heavy at the tip."""
+
+    type: Literal["tip_inertia"] = "tip_inertia"
+    mass: float = ranged(0.5, 0.0, 100.0, "kg")
+
+    def apply(self, joint: Joint, _travel: float, /) -> Joint:
+        """Return the joint with this effect on top."""
+        return joint._replace(body=joint.body._replace(mass=joint.body.mass + self.mass))
+
+
+@dataclass(frozen=True, slots=True)
+class TipMoved(JointEffect):
+    """Something takes hold of the tip where it is, moves it, keeps it there and lets go."""
+
+    type: Literal["tip_moved"] = "tip_moved"
+    travel: float = ranged(2e-3, -0.1, 0.1, "m")
+    speed: float = ranged(0.01, 1e-5, 1.0, "m/s")
+    stiffness: float = ranged(20_000.0, 1.0, 1e6, "N/m")  # of the hold
+    hold: float = ranged(1.0, 0.0, 1e5, "s")
+
+    def apply(self, joint: Joint, travel: float, /) -> Joint:
+        """Return the joint with this effect on top."""
+        there = self.start + max(abs(self.travel) / self.speed, 1e-6)
+        hand = LoadMotorConfig(
+            mode="position",
+            profile=((self.start, travel), (there, travel + self.travel)),
+            stiffness=self.stiffness,
+            coupled=(self.start, there + self.hold),
+        )
+        environment = both_environments(joint.environment, build_environment(hand))
+        return joint._replace(environment=environment)
+
+
+@dataclass(frozen=True, slots=True)
+class Pretension(SideEffect):
+    """More tension at the start than the rig's description says; a return spring balances it."""
+
+    type: Literal["pretension"] = "pretension"
+    tension: float = ranged(5.0, 0.0, 50.0, "N")
+
+    def __post_init__(self) -> None:
+        """Refuse a start that is none."""
+        SideEffect.__post_init__(self)
+        if self.start != 0.0:
+            raise ValueError("start: must be 0 s, a tendon is pretensioned at the start")
+
+    def apply(self, joint: Joint, travel: float, /) -> Joint:
+        """Return the joint with this effect on top."""
+        joint = SideEffect.apply(self, joint, travel)
+        if joint.pair:
+            return joint
+        return joint._replace(
+            body=joint.body._replace(pull_back=joint.body.pull_back + self.tension)
+        )
+
+    def change(self, tendon: Tendon, /) -> Tendon:
+        """Return the tendon with this effect on top."""
+        chain, motor = tendon.chain, tendon.motor
+        return tendon._replace(
+            chain=chain._replace(pretension=chain.pretension + self.tension),
+            motor=motor._replace(hold=motor.hold + self.tension),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class AntagonistTension(JointEffect):
+    """The other tendon of a pair is tighter than its motor knows.
+
+    It is wound in by what would raise a blocked tendon's tension by `tension`. A controller that
+    reads its load cell lets it out again; data of one that wants this tension need no effect.
+    """
+
+    type: Literal["antagonist_tension"] = "antagonist_tension"
+    tension: float = ranged(1.0, 0.0, 50.0, "N")
+    tendon: Literal["a", "b"] = "b"
+
+    def apply(self, joint: Joint, _travel: float, /) -> Joint:
+        """Return the joint with this effect on top."""
+        if not joint.pair:
+            return joint
+        tendon = joint.b if self.tendon == "b" else joint.a
+        more = self.tension * float(tendon.chain.compliance.sum())
+        winding = tendon.winding._replace(take_up=tendon.winding.take_up + more)
+        tendon = tendon._replace(winding=winding)
+        return joint._replace(b=tendon) if self.tendon == "b" else joint._replace(a=tendon)
+
+
+@dataclass(frozen=True, slots=True)
+class PulleyEccentricity(SideEffect):
+    """The motor's pulley is not centred: the tendon travels amplitude sin(angle + phase) more."""
+
+    type: Literal["pulley_eccentricity"] = "pulley_eccentricity"
+    amplitude: float = ranged(1e-4, 0.0, 0.01, "m")
+    phase: float = ranged(0.0, -math.tau, math.tau, "rad")  # at the start
+    adds_up: ClassVar[bool] = False
+
+    def change(self, tendon: Tendon, /) -> Tendon:
+        """Return the tendon with this effect on top."""
+        winding = tendon.winding._replace(eccentricity=self.amplitude, phase=self.phase)
+        return tendon._replace(winding=winding)

@@ -1,0 +1,264 @@
+"""Effects in the sensors, and in the samples on their way from them."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from estimator.array_types import Array
+from slave.rigs.simulated.plant.effects.effect import Effect, ranged
+from slave.rigs.simulated.plant.sensors import CHANNELS, Sensors
+
+
+@dataclass(frozen=True, slots=True)
+class SensorEffect(Effect, ABC):
+    """An effect in the sensors of a tendon."""
+
+    tendon: Literal["a", "b", "both"] = "both"
+
+    varies: ClassVar[bool] = False  # whether it goes on changing after its start
+
+    @abstractmethod
+    def apply(self, sensors: Sensors, tendons: Sequence[int], time: float, /) -> Sensors:
+        """Return the sensors with this effect on those of `tendons`, `time` [s] after its start."""
+
+
+def changed(
+    sensors: Sensors, what: str, place: object, change: Callable[[Array], Array | float]
+) -> Sensors:
+    """Return the sensors with a change at `place` of the array called `what`."""
+    values = getattr(sensors, what).copy()
+    values[place] = change(values[place])
+    return sensors._replace(**{what: values})
+
+
+@dataclass(frozen=True, slots=True)
+class GainEffect(SensorEffect, ABC):
+    """A load cell whose reading is (1 + gain) times the tension."""
+
+    gain: float = ranged(0.06, -0.9, 9.0)
+    channel: ClassVar[int]
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        return changed(sensors, "gain", (self.channel, tendons), lambda g: g * (1.0 + self.gain))
+
+
+@dataclass(frozen=True, slots=True)
+class ProximalTensionGain(GainEffect):
+    """The load cell at the housing reads too much, in proportion."""
+
+    type: Literal["proximal_tension_gain"] = "proximal_tension_gain"
+    channel: ClassVar[int] = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DistalTensionGain(GainEffect):
+    """The bench load cell at the tip reads too much, in proportion."""
+
+    type: Literal["distal_tension_gain"] = "distal_tension_gain"
+    channel: ClassVar[int] = 2
+
+
+@dataclass(frozen=True, slots=True)
+class BiasEffect(SensorEffect, ABC):
+    """A load cell that reads `bias` too much."""
+
+    bias: float = ranged(0.4, -20.0, 20.0, "N")
+    channel: ClassVar[int]
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        return changed(sensors, "bias", (self.channel, tendons), lambda b: b + self.bias)
+
+
+@dataclass(frozen=True, slots=True)
+class ProximalTensionBias(BiasEffect):
+    """The load cell at the housing reads too much, by so much."""
+
+    type: Literal["proximal_tension_bias"] = "proximal_tension_bias"
+    channel: ClassVar[int] = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DistalTensionBias(BiasEffect):
+    """The bench load cell at the tip reads too much, by so much."""
+
+    type: Literal["distal_tension_bias"] = "distal_tension_bias"
+    channel: ClassVar[int] = 2
+
+
+@dataclass(frozen=True, slots=True)
+class DriftEffect(SensorEffect, ABC):
+    """A load cell whose zero wanders evenly, up to a limit."""
+
+    per_second: float = ranged(0.01, -10.0, 10.0, "N/s")
+    limit: float = ranged(20.0, 0.0, 100.0, "N")
+    varies: ClassVar[bool] = True
+    channel: ClassVar[int]
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        bias = max(-self.limit, min(self.limit, self.per_second * time))
+        return changed(sensors, "bias", (self.channel, tendons), lambda b: b + bias)
+
+
+@dataclass(frozen=True, slots=True)
+class ProximalTensionDrift(DriftEffect):
+    """The zero of the load cell at the housing wanders."""
+
+    type: Literal["proximal_tension_drift"] = "proximal_tension_drift"
+    channel: ClassVar[int] = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DistalTensionDrift(DriftEffect):
+    """The zero of the bench load cell at the tip wanders."""
+
+    type: Literal["distal_tension_drift"] = "distal_tension_drift"
+    channel: ClassVar[int] = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Saturation(SensorEffect):
+    """A load cell that reads no more than `limit`."""
+
+    type: Literal["saturation"] = "saturation"
+    limit: float = ranged(10.0, 0.1, 1e4, "N")
+    sensor: Literal["proximal_tension", "distal_tension"] = "proximal_tension"
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        place = (CHANNELS.index(self.sensor), tendons)
+        return changed(sensors, "range", place, lambda r: np.minimum(r, self.limit))
+
+
+@dataclass(frozen=True, slots=True)
+class SensorLag(SensorEffect):
+    """A sensor that is late: a filter of first order."""
+
+    type: Literal["sensor_lag"] = "sensor_lag"
+    time_constant: float = ranged(0.06, 0.0, 10.0, "s")
+    sensor: Literal[
+        "proximal_tension", "proximal_displacement", "distal_tension", "distal_displacement"
+    ] = "proximal_tension"
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        place = (CHANNELS.index(self.sensor), tendons)
+        return changed(sensors, "lag", place, lambda lag: lag + self.time_constant)
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderScale(SensorEffect):
+    """An encoder that reads (1 + gain) times the travel, as on a pulley of another radius."""
+
+    type: Literal["encoder_scale"] = "encoder_scale"
+    gain: float = ranged(0.04, -0.9, 9.0)
+    sensor: Literal["proximal_displacement", "distal_displacement"] = "proximal_displacement"
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        place = (CHANNELS.index(self.sensor), tendons)
+        return changed(sensors, "gain", place, lambda g: g * (1.0 + self.gain))
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderSlip(SensorEffect):
+    """An encoder that slips: from then on it reads `slip` too much."""
+
+    type: Literal["encoder_slip"] = "encoder_slip"
+    slip: float = ranged(8e-5, -0.01, 0.01, "m")
+    sensor: Literal["proximal_displacement", "distal_displacement"] = "proximal_displacement"
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        place = (CHANNELS.index(self.sensor), tendons)
+        return changed(sensors, "bias", place, lambda b: b + self.slip)
+
+
+@dataclass(frozen=True, slots=True)
+class CoggingRipple(SensorEffect):
+    """The gear's ripple in the housing load cell: amplitude sin(order angle + phase)."""
+
+    type: Literal["cogging_ripple"] = "cogging_ripple"
+    amplitude: float = ranged(0.2, 0.0, 10.0, "N")
+    order: float = ranged(30.0, 1.0, 1e4)  # waves in a turn of the pulley
+    phase: float = ranged(0.0, -math.tau, math.tau, "rad")
+    adds_up: ClassVar[bool] = False
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        sensors = changed(sensors, "ripple", tendons, lambda _: self.amplitude)
+        sensors = changed(sensors, "ripple_order", tendons, lambda _: self.order)
+        return changed(sensors, "ripple_phase", tendons, lambda _: self.phase)
+
+
+@dataclass(frozen=True, slots=True)
+class SheathRub(SensorEffect):
+    """The sheath rubs on its over-tube before the load cell: more while pulling, less after.
+
+    The force follows the direction of the tendon's housing end, and changes over `travel`.
+    """
+
+    type: Literal["sheath_rub"] = "sheath_rub"
+    friction: float = ranged(0.3, 0.0, 20.0, "N")
+    travel: float = ranged(2e-4, 1e-6, 0.1, "m")
+    adds_up: ClassVar[bool] = False
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        sensors = changed(sensors, "rub", tendons, lambda _: self.friction)
+        return changed(sensors, "rub_travel", tendons, lambda _: self.travel)
+
+
+@dataclass(frozen=True, slots=True)
+class StuckCell(SensorEffect):
+    """A load cell whose reading stays what it is."""
+
+    type: Literal["stuck_cell"] = "stuck_cell"
+    sensor: Literal["proximal_tension", "distal_tension"] = "proximal_tension"
+
+    def apply(self, sensors: Sensors, tendons: Sequence[int], _time: float, /) -> Sensors:
+        """Return the sensors with this effect."""
+        return changed(sensors, "frozen", (CHANNELS.index(self.sensor), tendons), lambda _: 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SampleEffect(Effect):
+    """An effect on whole samples, in bursts of random length."""
+
+    share: float = ranged(0.05, 0.0, 0.9)  # of all samples
+    burst: float = ranged(1.0, 1.0, 1e4)  # mean length, in samples
+
+    def __post_init__(self) -> None:
+        """Refuse a share that bursts so short cannot make up."""
+        Effect.__post_init__(self)
+        most = self.burst / (1.0 + self.burst)
+        if self.share > most:
+            raise ValueError(
+                f"share: must be at most {most:.2g} in bursts of {self.burst:g}; make them longer"
+            )
+
+    def strikes(self, struck: bool, chance: float) -> bool:
+        """Return whether this sample is struck, given the last and an even chance of 0 to 1."""
+        if struck:
+            return chance < 1.0 - 1.0 / self.burst
+        return chance < self.share / ((1.0 - self.share) * self.burst)
+
+
+@dataclass(frozen=True, slots=True)
+class LostSamples(SampleEffect):
+    """Samples that never arrive."""
+
+    type: Literal["lost_samples"] = "lost_samples"
+
+
+@dataclass(frozen=True, slots=True)
+class RepeatedSamples(SampleEffect):
+    """Samples with the values of the one before, at the time of their own."""
+
+    type: Literal["repeated_samples"] = "repeated_samples"

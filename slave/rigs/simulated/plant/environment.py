@@ -1,0 +1,242 @@
+"""What the joint meets: nothing, a wall, soft tissue, a load motor, or several of these.
+
+A joint's position q is the travel of its tendons at the joint [m], positive where tendon `a` pulls
+it; a force is positive where it pushes against that. Every environment gives a force that never
+falls as q grows within a step, so that a joint's balance has one solution.
+"""
+
+from dataclasses import dataclass, field
+from math import inf
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from teleop.config import MAY_BE_INFINITE
+
+Whole = NDArray[np.int64]
+
+STIFFNESS_MAX = 1e7  # [N/m] a thousand times a tendon's own; beyond it rounding shows in the force
+TRAVEL_MAX = 1.0  # [m]
+
+WALL, TISSUE, FORCE, POSITION = range(4)
+
+
+@dataclass(frozen=True, slots=True)
+class FreeConfig:
+    """Nothing in the way."""
+
+    type: Literal["free"] = "free"
+
+
+@dataclass(frozen=True, slots=True)
+class WallConfig:
+    """A stiff wall: F = stiffness d + damping d', never pulling; d is how deep the joint is in it.
+
+    Tendon `side` is the one whose pull runs into it.
+    """
+
+    type: Literal["wall"] = "wall"
+    position: float = 0.008  # [m] of the joint where it is met
+    stiffness: float = 20_000.0  # [N/m]
+    damping: float = 0.0  # [N s/m]
+    side: Literal["a", "b"] = "a"
+
+    def __post_init__(self) -> None:
+        """Refuse a wall that pulls."""
+        _check_position(self.position)
+        _check_stiffness(self.stiffness)
+        if not 0.0 <= self.damping <= 1e5:
+            raise ValueError("damping: must be 0 to 100 000 N s/m")
+
+
+@dataclass(frozen=True, slots=True)
+class TissueConfig:
+    """Soft tissue, F = stiffness d^exponent (1 + dissipation d'), never pulling.
+
+    The contact law of Hunt and Crossley, "Coefficient of Restitution Interpreted as Damping in
+    Vibroimpact", J. Appl. Mech. 42 (1975) 440-445. By default Hertz's contact of a ball of 5 mm
+    radius with a firm organ of 100 kPa, 4/3 E sqrt(R): 3.3 N at 5 mm. Liver would be a tenth.
+    """
+
+    type: Literal["tissue"] = "tissue"
+    position: float = 0.008  # [m] of the joint where it is met
+    stiffness: float = 9_400.0  # [N/m^exponent]
+    exponent: float = 1.5
+    dissipation: float = 1.0  # [s/m]
+    side: Literal["a", "b"] = "a"
+
+    def __post_init__(self) -> None:
+        """Refuse tissue that pulls, or has no slope that can be told."""
+        _check_position(self.position)
+        if not 0.0 <= self.stiffness <= 1e9:
+            raise ValueError("stiffness: must be 0 to 1e9 N/m^exponent")
+        if not 1.0 <= self.exponent <= 4.0:
+            raise ValueError("exponent: must be 1 to 4")
+        if not 0.0 <= self.dissipation <= 1e4:
+            raise ValueError("dissipation: must be 0 to 10 000 s/m")
+
+
+@dataclass(frozen=True, slots=True)
+class LoadMotorConfig:
+    """A motor on the joint, as on the bench of Phee et al. 2009, that follows a profile of its own.
+
+    Under torque control its force is the profile; under position control the profile is where it
+    drives the joint, through the stiffness of its coupling. Between the points of the profile the
+    value runs straight; outside it stays, or starts again if it repeats. While the motor is not
+    coupled it does nothing.
+    """
+
+    type: Literal["load_motor"] = "load_motor"
+    mode: Literal["torque", "position"] = "torque"
+    profile: tuple[tuple[float, float], ...] = ((0.0, 0.0),)  # [[s, N or m], ...], time increasing
+    stiffness: float = 5000.0  # [N/m] of the coupling, under position control
+    repeat: bool = False
+    coupled: tuple[float, float] = field(
+        default=(0.0, inf), metadata=MAY_BE_INFINITE
+    )  # [s] from, to
+
+    def __post_init__(self) -> None:
+        """Refuse a profile that is none."""
+        _check_stiffness(self.stiffness)
+        if not 0.0 <= self.coupled[0] < self.coupled[1]:
+            raise ValueError("coupled: must be two times, the second after the first")
+        if not self.profile:
+            raise ValueError("profile: at least one point is needed")
+        for i, (time, value) in enumerate(self.profile):
+            if not 0.0 <= time <= 1e6 or (i > 0 and time <= self.profile[i - 1][0]):
+                raise ValueError("profile: times must increase, from 0 s or later")
+            limit = 1000.0 if self.mode == "torque" else TRAVEL_MAX
+            if not abs(value) <= limit:
+                unit = "N" if self.mode == "torque" else "m"
+                raise ValueError(f"profile: values must be -{limit:g} to {limit:g} {unit}")
+
+
+SingleConfig = FreeConfig | WallConfig | TissueConfig | LoadMotorConfig
+
+
+@dataclass(frozen=True, slots=True)
+class SeveralConfig:
+    """Several environments whose forces add up: tissue before a wall, walls on both sides."""
+
+    type: Literal["several"] = "several"
+    parts: tuple[SingleConfig, ...] = ()
+
+
+EnvironmentConfig = FreeConfig | WallConfig | TissueConfig | LoadMotorConfig | SeveralConfig
+
+
+class Environment(NamedTuple):
+    """What is compiled of an environment: one row for each part."""
+
+    kind: Whole  # WALL, TISSUE, FORCE or POSITION, shape (parts,)
+    constants: Array  # shape (parts, 7): position, stiffness, damping, exponent, side, from, to
+    points: Array  # shape (all points, 2): the profiles of all parts, one after another
+    extent: Whole  # shape (parts, 3): first and behind-last point of a part; whether it repeats
+
+
+def build_environment(config: EnvironmentConfig) -> Environment:
+    """Return the environment that `config` describes."""
+    if isinstance(config, SeveralConfig):
+        environment = nothing()
+        for part in config.parts:
+            environment = both_environments(environment, build_environment(part))
+        return environment
+    if isinstance(config, FreeConfig):
+        return nothing()
+    if isinstance(config, LoadMotorConfig):
+        kind = FORCE if config.mode == "torque" else POSITION
+        constants = (0.0, config.stiffness, 0.0, 1.0, 1.0, *config.coupled)
+        points, repeat = np.array(config.profile), config.repeat
+    else:
+        side = 1.0 if config.side == "a" else -1.0
+        if isinstance(config, WallConfig):
+            kind, damping, exponent = WALL, config.damping, 1.0
+        else:
+            kind, damping, exponent = TISSUE, config.dissipation, config.exponent
+        constants = (config.position, config.stiffness, damping, exponent, side, 0.0, inf)
+        points, repeat = np.empty((0, 2)), False
+    return Environment(
+        np.array([kind]),
+        np.array([constants]),
+        points,
+        np.array([[0, len(points), repeat]]),
+    )
+
+
+def both_environments(first: Environment, second: Environment) -> Environment:
+    """Return an environment that has the parts of both."""
+    moved = second.extent + np.array([len(first.points), len(first.points), 0])
+    return Environment(
+        np.concatenate([first.kind, second.kind]),
+        np.concatenate([first.constants, second.constants]),
+        np.concatenate([first.points, second.points]),
+        np.concatenate([first.extent, moved]),
+    )
+
+
+@compiled
+def nothing() -> Environment:
+    """Return an environment without parts."""
+    return Environment(
+        np.empty(0, np.int64), np.empty((0, 7)), np.empty((0, 2)), np.empty((0, 3), np.int64)
+    )
+
+
+@compiled
+def profile_value(environment: Environment, part: int, time: float) -> float:
+    """Return the value of a part's profile at `time` [s]: linear between its points."""
+    first, end, repeats = environment.extent[part]
+    points = environment.points
+    start, span = points[first, 0], points[end - 1, 0] - points[first, 0]
+    if repeats and span > 0.0 and time > start:
+        time = start + (time - start) % span
+    if time <= start:
+        return float(points[first, 1])
+    for i in range(first + 1, end):
+        if time < points[i, 0]:
+            share = (time - points[i - 1, 0]) / (points[i, 0] - points[i - 1, 0])
+            return float(points[i - 1, 1] + share * (points[i, 1] - points[i - 1, 1]))
+    return float(points[end - 1, 1])
+
+
+@compiled
+def environment_force(
+    environment: Environment, travel: float, before: float, time: float, dt: float
+) -> float:
+    """Return the force [N] at `travel` [m], reached in `dt` [s] from `before` [m] at `time` [s].
+
+    Depth rates are those of the part of the way inside the contact, so the force is continuous
+    where a contact begins.
+    """
+    force = 0.0
+    for part in range(len(environment.kind)):
+        kind = environment.kind[part]
+        position, stiffness, damping, exponent, side, begin, end = environment.constants[part]
+        if not begin <= time < end:
+            continue
+        if kind == FORCE:
+            force += profile_value(environment, part, time)
+        elif kind == POSITION:
+            force += stiffness * (travel - profile_value(environment, part, time))
+        else:
+            depth = side * (travel - position)
+            if depth > 0.0:
+                rate = (depth - max(0.0, side * (before - position))) / dt
+                if kind == WALL:
+                    force += side * max(0.0, stiffness * depth + damping * rate)
+                else:
+                    force += side * stiffness * depth**exponent * max(0.0, 1.0 + damping * rate)
+    return force
+
+
+def _check_position(position: float) -> None:
+    if not abs(position) <= TRAVEL_MAX:
+        raise ValueError(f"position: must be -{TRAVEL_MAX:g} to {TRAVEL_MAX:g} m")
+
+
+def _check_stiffness(stiffness: float) -> None:
+    if not 0.0 <= stiffness <= STIFFNESS_MAX:
+        raise ValueError(f"stiffness: must be 0 to {STIFFNESS_MAX:g} N/m")

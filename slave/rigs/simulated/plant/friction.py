@@ -1,0 +1,106 @@
+"""The friction of a node in its bend: how much tension it can take away at this step.
+
+Dry friction f on a node between the tensions T_p on its housing side and T_d on its tip side obeys
+Coulomb with the force that the tendon presses on the bend with,
+
+    f = T_p - T_d,   -phi_t (T_m + tau) <= f <= phi_h (T_m + tau),   T_m = (T_p + T_d) / 2
+
+and is at its upper limit where the node slides towards the housing, at its lower one where it
+slides towards the tip. With the factors of one step given, the limits are linear in the tensions:
+
+    T_d + tau = pull (T_p + tau)      sliding towards the housing, pull = (2 - phi_h)/(2 + phi_h)
+    T_d + tau = release (T_p + tau)   sliding towards the tip, release = (2 + phi_t)/(2 - phi_t)
+
+phi_h = phi s and phi_t = rho phi s follow what the node went through up to the last step:
+
+    s = scale * (T_m / T_r)^(n - 1) * (1 + k max(0, T_m - T_b))      tension
+        * (1 + a exp(-(v / v_s)^2))                                  speed v, a little late
+        * (1 + (static_ratio - 1) R)                                 growth R of the contact at rest
+
+R approaches 1 in `static_time` of rest and 0 in `static_distance` of sliding. Every factor is
+positive and friction opposes motion, so that it only ever takes work. A factor that is one step
+late makes an error that falls with the step.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled, compiled_in_caller
+from slave.rigs.simulated.plant.knobs import Knobs
+from slave.rigs.simulated.plant.tendon import RESTED, SPEED, TENSION, Chain
+
+LIMIT = 1.5  # of a node's friction: at 2 the tendon would jam in it, which is the cell's doing
+ENOUGH = 15.0  # of all nodes together: nothing passes them, and more would drown in rounding
+RIGID = 1e10  # [N/m] of a bristle that gives too little to be seen
+LIGHT = 0.5  # [N] below it friction is proportional to tension whatever the exponent
+
+
+class Contacts(NamedTuple):
+    """The friction of all nodes during one step."""
+
+    pull: Array  # shape (n,), below 1
+    release: Array  # shape (n,), above 1
+    drag: float  # tau [N]
+    bristle: Array  # [N/m] shape (n,); both empty if all nodes stay where they are until they slide
+    dashpot: Array  # [N/m] shape (n,), force by move in this step
+
+
+@compiled_in_caller
+def contacts(chain: Chain, state: Array, dt: float) -> Contacts:
+    """Return the friction during a step of `dt` [s] from `state`."""
+    knobs, tension = chain.knobs, state[TENSION]
+    n = len(chain.friction)
+    pull, release, total = np.empty(n), np.empty(n), 0.0
+    for i in range(n):
+        friction = chain.friction[i] * knobs.friction_scale
+        if knobs.tension_exponent != 1.0 or knobs.compression_friction != 0.0:
+            friction *= tension_factor(knobs, 0.5 * (tension[i] + tension[i + 1]))
+        if knobs.stribeck_ratio != 0.0:
+            relative = state[SPEED, i + 1] / knobs.stribeck_speed
+            friction *= 1.0 + knobs.stribeck_ratio * math.exp(-relative * relative)
+        friction *= 1.0 + (knobs.static_ratio - 1.0) * state[RESTED, i + 1]
+        housing = min(friction, LIMIT, ENOUGH - total)
+        tip = min(housing * knobs.asymmetry, LIMIT)
+        total += housing
+        pull[i] = (2.0 - housing) / (2.0 + housing)
+        release[i] = (2.0 + tip) / (2.0 - tip)
+    leaning = n if knobs.presliding > 0.0 or knobs.viscosity > 0.0 else 0
+    bristle, dashpot = np.full(leaning, RIGID), np.empty(leaning)
+    for i in range(leaning):
+        dashpot[i] = knobs.viscosity * chain.cell[i] / dt
+        if knobs.presliding > 0.0 and chain.friction[i] > 0.0:
+            bristle[i] = chain.friction[i] * knobs.presliding_tension / knobs.presliding
+    return Contacts(pull, release, knobs.drag, bristle, dashpot)
+
+
+@compiled
+def tension_factor(knobs: Knobs, tension: float) -> float:
+    """Return by how much friction differs at `tension` [N] on the bend."""
+    factor = (max(tension, LIGHT) / knobs.tension_reference) ** (knobs.tension_exponent - 1.0)
+    above = max(0.0, tension - knobs.compression_threshold)
+    return float(factor * (1.0 + knobs.compression_friction * above))
+
+
+@compiled
+def speed_after(knobs: Knobs, before: float, speed: float, dt: float) -> float:
+    """Return the speed [m/s] that friction knows after `dt` [s] at `speed`."""
+    if knobs.stribeck_ratio == 0.0:
+        return speed
+    return speed + (before - speed) * math.exp(-dt / knobs.stribeck_memory)
+
+
+@compiled
+def rested_after(knobs: Knobs, before: float, speed: float, dt: float) -> float:
+    """Return how far a contact has grown after `dt` [s] at `speed` [m/s].
+
+    dR/dt = (1 - R) / static_time - R |v| / static_distance
+    """
+    if knobs.static_ratio == 1.0:
+        return 1.0 if speed == 0.0 else 0.0
+    grow = 1.0 / knobs.static_time
+    rate = grow + abs(speed) / knobs.static_distance
+    final = grow / rate
+    return final + (before - final) * math.exp(-rate * dt)

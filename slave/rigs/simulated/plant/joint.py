@@ -1,0 +1,155 @@
+"""One joint of the simulated robot: motors, tendons in their sheaths, a body, an environment.
+
+The body has one coordinate q, the travel of its tendons [m]; tendon `a` pulls it towards +, tendon
+`b`, if there is one, towards -. In a step of dt the motors move first, loaded by the tensions of
+before; then each sheath answers at the tip (`chain.respond`), and the body goes where
+
+    mass v' + damping v + friction sgn(v) + spring q + F_environment(q, v, t) = T_a(q) - T_b(-q)
+
+with v = (q - q_before)/dt (implicit Euler) and q between the stops, which take all its speed away.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled, compiled_in_caller
+from slave.rigs.simulated.plant.balance import Answer, Resistance, balance, pull
+from slave.rigs.simulated.plant.body import Body
+from slave.rigs.simulated.plant.chain import recover, respond
+from slave.rigs.simulated.plant.environment import Environment, nothing
+from slave.rigs.simulated.plant.motor import Motor, MotorState, follow, motor_at_rest
+from slave.rigs.simulated.plant.sensors import CHANNELS
+from slave.rigs.simulated.plant.tendon import Chain, at_rest, tensions
+
+
+class Winding(NamedTuple):
+    """How far a tendon is wound in beyond what its pulley has turned."""
+
+    eccentricity: float = 0.0  # [m] of the pulley
+    phase: float = 0.0  # [rad] of the eccentricity, at the start
+    take_up: float = 0.0  # [m]
+
+
+class Tendon(NamedTuple):
+    """A tendon's constants."""
+
+    motor: Motor
+    winding: Winding
+    chain: Chain
+
+
+class TendonState(NamedTuple):
+    """Where a tendon is, and the motor that winds it."""
+
+    motor: MotorState
+    chain: Array
+
+
+class Joint(NamedTuple):
+    """A joint's constants; a joint that is not a pair has no tendon `b`."""
+
+    a: Tendon
+    b: Tendon
+    pair: bool
+    body: Body
+    environment: Environment
+
+
+class JointState(NamedTuple):
+    """Where a joint is."""
+
+    a: TendonState
+    b: TendonState
+    travel: float  # [m] q of the link
+    speed: float  # [m/s] v of the link
+    pulley: float  # [m] of the tendons at the joint: q, but for backlash
+    time: float  # [s]
+
+
+def joint_at_rest(joint: Joint, time: float = 0.0) -> JointState:
+    """Return the state at `time` [s] of a joint that nothing has moved yet."""
+    still = motor_at_rest()
+    a, b = (TendonState(still, at_rest(tendon.chain)) for tendon in (joint.a, joint.b))
+    return JointState(a, b, 0.0, 0.0, 0.0, time)
+
+
+@compiled_in_caller
+def advance(joint: Joint, state: JointState, targets: Array, steps: int, dt: float) -> JointState:
+    """Take `steps` of `dt` [s] with the motors sent to `targets` [m], shape (2,)."""
+    chain_a, chain_b = joint.a.chain, joint.b.chain
+    for _ in range(steps):
+        time = state.time + dt
+        a, b = state.a, state.b
+        motor_a, end_a = wind(joint.a, a, targets[0], dt)
+        response_a = response_b = respond(chain_a, a.chain, end_a, dt)
+        motor_b, end_b = b.motor, 0.0
+        if joint.pair:
+            motor_b, end_b = wind(joint.b, b, targets[1], dt)
+            response_b = respond(chain_b, b.chain, end_b, dt)
+        answer = Answer(response_a.tip, response_b.tip, joint.pair)
+        travel, speed, pulley = move_body(joint, state, answer, dt)
+        tension_a, tension_b = pull(answer, pulley)
+        a = TendonState(
+            motor_a, recover(chain_a, a.chain, response_a, end_a, pulley, tension_a, dt)
+        )
+        if joint.pair:
+            b = TendonState(
+                motor_b, recover(chain_b, b.chain, response_b, end_b, -pulley, tension_b, dt)
+            )
+        state = JointState(a, b, travel, speed, pulley, time)
+    return state
+
+
+@compiled
+def wind(tendon: Tendon, state: TendonState, target: float, dt: float) -> tuple[MotorState, float]:
+    """Return where a tendon's motor goes in a step, and its housing end [m] with it."""
+    tension = tensions(tendon.chain, state.chain)[0]
+    motor = follow(tendon.motor, state.motor, target, tension, dt)
+    winding, angle = tendon.winding, motor.pulley / tendon.motor.pulley_radius
+    wobble = math.sin(angle + winding.phase) - math.sin(winding.phase)
+    return motor, motor.pulley + winding.take_up + winding.eccentricity * wobble
+
+
+@compiled_in_caller
+def move_body(
+    joint: Joint, state: JointState, answer: Answer, dt: float
+) -> tuple[float, float, float]:
+    """Return the link's travel [m] and speed [m/s], and the travel of the tendons' pulley [m]."""
+    body, before, time = joint.body, state.travel, state.time + dt
+    resistance = Resistance(
+        body.pull_back + body.spring * before - body.mass * state.speed / dt,
+        body.spring + (body.damping + body.mass / dt) / dt,
+        body.friction,
+        body.backlash,
+    )
+    travel = balance(
+        answer, resistance, joint.environment, before, body.stop_low, body.stop_high, time, dt
+    )
+    speed = (travel - before) / dt
+    if body.backlash == 0.0:
+        return travel, speed, travel
+    low, high = travel - 0.5 * body.backlash, travel + 0.5 * body.backlash
+    free = Resistance(0.0, 0.0, 0.0, 0.0)
+    pulley = min(max(state.pulley, low), high)
+    return travel, speed, balance(answer, free, nothing(), pulley, low, high, time, dt)
+
+
+@compiled
+def truth(joint: Joint, state: JointState) -> Array:
+    """Return what perfect sensors would see, shape (4, 2): `sensors.CHANNELS` by tendon."""
+    seen = np.zeros((len(CHANNELS), 2))
+    see(seen[:, 0], joint.a, state.a, state.travel)
+    if joint.pair:
+        see(seen[:, 1], joint.b, state.b, -state.travel)
+    return seen
+
+
+@compiled
+def see(seen: Array, tendon: Tendon, state: TendonState, distal: float) -> None:
+    """Write what perfect sensors would see of a tendon into `seen`, shape (4,)."""
+    tension = tensions(tendon.chain, state.chain)
+    seen[0], seen[1] = tension[0], state.motor.position
+    seen[2], seen[3] = tension[-1], distal

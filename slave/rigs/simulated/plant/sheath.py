@@ -1,0 +1,73 @@
+"""A sheath as it is described, and cut into cells."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimator.array_types import Array
+from teleop.config import MAY_BE_INFINITE
+
+TOTAL_MAX = 10.0  # K of a whole sheath, where one newton in twenty thousand arrives
+FRICTION_MAX = 1.0  # of one cell: beyond it cells are too coarse, and at 2 a chain would jam
+
+
+@dataclass(frozen=True, slots=True)
+class SectionConfig:
+    """A stretch of sheath of constant bend radius."""
+
+    length: float  # [m]
+    radius: float = field(default=math.inf, metadata=MAY_BE_INFINITE)  # [m] .inf = straight
+
+    def __post_init__(self) -> None:
+        """Refuse a section without extent."""
+        if not 0.0 < self.length <= 100.0:
+            raise ValueError("length: must be above 0 and at most 100 m")
+        if not self.radius > 0.0:
+            raise ValueError("radius: must be above 0 m")
+
+
+@dataclass(frozen=True, slots=True)
+class SheathConfig:
+    """A tendon in its sheath; the one of Phee et al. 2009 as far as it is known, K about 1."""
+
+    sections: tuple[SectionConfig, ...] = (SectionConfig(1.5, 0.225),)  # housing to tip
+    friction: float = 0.15  # mu, dimensionless, of tendon on sheath
+    axial_stiffness: float = 9000.0  # EA [N] of tendon and sheath in series
+    nodes: int = 60  # cells that the sheath is cut into
+
+    def __post_init__(self) -> None:
+        """Refuse a sheath that cannot be."""
+        if not self.sections:
+            raise ValueError("sections: at least one is needed")
+        if not 0.0 <= self.friction <= 2.0:
+            raise ValueError("friction: must be 0 to 2")
+        if not 1.0 <= self.axial_stiffness <= 1e7:
+            raise ValueError("axial_stiffness: must be 1 to 1e7 N")
+        if not 1 <= self.nodes <= 1000:
+            raise ValueError("nodes: must be 1 to 1000")
+        bend = cells(self)[1]
+        if self.friction * bend.sum() > TOTAL_MAX:
+            raise ValueError(
+                f"friction: must be at most {TOTAL_MAX / bend.sum():.3g} with these bends, "
+                "or nothing passes them"
+            )
+        most = self.friction * bend.max()
+        if most >= FRICTION_MAX:
+            needed = math.ceil(self.nodes * most / FRICTION_MAX) + 1
+            raise ValueError(f"nodes: must be about {needed} to resolve so much friction")
+
+
+def cells(config: SheathConfig) -> tuple[Array, Array]:
+    """Cut a sheath into cells of like length, at least one in each section.
+
+    Returns
+    -------
+    length, bend : array, shape (n,)
+        Of each cell, housing to tip: its length [m] and bend angle [rad].
+    """
+    length = np.array([section.length for section in config.sections])
+    radius = np.array([section.radius for section in config.sections])
+    count = np.maximum(1, np.round(config.nodes * length / length.sum())).astype(np.int64)
+    cell = np.repeat(length / count, count)
+    return cell, cell / np.repeat(radius, count)

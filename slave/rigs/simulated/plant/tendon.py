@@ -1,0 +1,65 @@
+"""A tendon cut into springs and nodes, and what it remembers from one step to the next.
+
+The friction of a cell of sheath acts in its middle, on a node of the tendon; the tendon between two
+nodes is a spring that can only pull. Displacements are positive towards the housing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from slave.rigs.simulated.plant.knobs import NEUTRAL, Knobs
+from slave.rigs.simulated.plant.sheath import SheathConfig, cells
+
+# Rows of a state. Entry i of a row of nodes belongs to node i = 1 ... n, beside POSITION.
+POSITION = 0  # [m] of the motor's end, the nodes and the tip
+TENSION = 1  # [N] of spring i = 0 ... n, between positions i and i + 1
+FRICTION = 2  # [N] dry friction on each node, positive towards the tip
+CREEP = 3  # [N] of each spring: the tension that would stretch it by what it has crept
+SPEED = 4  # [m/s] of each node, as its friction knows it
+RESTED = 5  # how far each contact has grown at rest: 0 just slid, 1 rested long
+ROWS = 6
+
+
+class Chain(NamedTuple):
+    """One tendon in one sheath: n nodes and n + 1 springs, from the housing to the tip."""
+
+    compliance: Array  # c_i [m/N] shape (n + 1,)
+    friction: Array  # phi_i [-] shape (n,): friction coefficient times bend angle of a cell
+    cell: Array  # [m] shape (n,): its length
+    pretension: float  # [N] in every spring while all displacements are zero
+    knobs: Knobs
+    parted: Array  # [m] shape (n + 1,): by how much a spring is too long to pull; 0 = not broken
+
+
+def build_chain(config: SheathConfig, pretension: float) -> Chain:
+    """Return the chain of a sheath, its knobs neutral.
+
+    `pretension` [N] is the tension all along the tendon while all displacements are zero.
+    """
+    cell, bend = cells(config)
+    half = 0.5 * cell / config.axial_stiffness
+    compliance = np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])
+    parted = np.zeros(len(compliance))
+    return Chain(compliance, config.friction * bend, cell, pretension, NEUTRAL, parted)
+
+
+@compiled
+def at_rest(chain: Chain) -> Array:
+    """Return the state of a tendon that nothing has moved yet, shape (6, n + 2).
+
+    Row 0 holds the displacements [m] of motor end, nodes and tip; the others are this plant's own.
+    """
+    n = len(chain.friction)
+    state = np.zeros((ROWS, n + 2))
+    state[TENSION, : n + 1] = chain.pretension
+    state[RESTED, 1 : n + 1] = 1.0
+    return state
+
+
+@compiled
+def tensions(chain: Chain, state: Array) -> Array:
+    """Return the tension of each spring [N], housing to tip, shape (n + 1,)."""
+    return state[TENSION, : len(chain.compliance)].copy()

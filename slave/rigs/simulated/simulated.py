@@ -1,0 +1,285 @@
+"""A simulated rig: motors, elastic tendons in their sheaths, joints, noisy sensors."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from estimator.array_types import Array
+from slave.rig import RigFault, RigSample
+from slave.rigs.simulated.plant.body import BodyConfig, build_body
+from slave.rigs.simulated.plant.effects import EffectConfig
+from slave.rigs.simulated.plant.effects.ends import AntagonistTension
+from slave.rigs.simulated.plant.effects.schedule import (
+    JointSchedule,
+    SampleSchedule,
+    SensorSchedule,
+)
+from slave.rigs.simulated.plant.environment import (
+    EnvironmentConfig,
+    TissueConfig,
+    build_environment,
+)
+from slave.rigs.simulated.plant.joint import Joint, Tendon, Winding, joint_at_rest
+from slave.rigs.simulated.plant.joints import advance_all, joined, replace
+from slave.rigs.simulated.plant.motor import MotorConfig, build_motor
+from slave.rigs.simulated.plant.sensors import (
+    EncoderConfig,
+    LoadCellConfig,
+    build_sensors,
+    measure,
+    sensors_at_rest,
+)
+from slave.rigs.simulated.plant.sheath import SheathConfig
+from slave.rigs.simulated.plant.tendon import build_chain
+from teleop.messages import MAX_JOINTS
+
+STEPS_AT_ONCE = 10  # of a read that comes late; later still, and the steps grow instead
+
+
+@dataclass(frozen=True, slots=True)
+class TendonPlantConfig:
+    """A tendon in its sheath, the motor that winds it and the sensors at the housing."""
+
+    sheath: SheathConfig = field(default_factory=SheathConfig)
+    motor: MotorConfig = field(default_factory=MotorConfig)
+    load_cell: LoadCellConfig = field(default_factory=LoadCellConfig)
+    encoder: EncoderConfig = field(default_factory=EncoderConfig)
+
+
+@dataclass(frozen=True, slots=True)
+class JointConfig:
+    """One joint, pulled by one tendon against its spring or by two against each other."""
+
+    tendons: tuple[TendonPlantConfig, ...] = (TendonPlantConfig(),)  # a, or a and b
+    body: BodyConfig = field(default_factory=BodyConfig)
+    environment: EnvironmentConfig = field(default_factory=TissueConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse a joint that cannot be driven."""
+        if len(self.tendons) not in (1, 2):
+            raise ValueError("tendons: must be 1 or 2")
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedRigConfig:
+    """A rig of one joint or several."""
+
+    type: Literal["simulated"] = "simulated"
+    name: str = "simulated"  # by which calibration files know it
+    joints: tuple[JointConfig, ...] = (JointConfig(),)
+    period: float = 0.001  # [s] step of the plant
+    seed: int = 1  # of the sensors' noise
+    effects: tuple[EffectConfig, ...] = ()  # faults and deviations, docs/rigs.md
+
+    def __post_init__(self) -> None:
+        """Refuse a rig that messages cannot carry, and effects on what it does not have."""
+        if not self.name.strip():
+            raise ValueError("name: must not be empty")
+        if not 1 <= len(self.joints) <= MAX_JOINTS:
+            raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
+        if not 1e-5 <= self.period <= 0.01:
+            raise ValueError("period: must be 0.00001 to 0.01 s")
+        if self.seed < 0:
+            raise ValueError("seed: must not be negative")
+        for number, joint in enumerate(self.joints, 1):
+            longest = min(map(longest_step, joint.tendons))
+            if self.period > longest:
+                raise ValueError(
+                    f"period: must be at most {longest:.2g} s for a rotor as light as in joint "
+                    f"{number} (motor.rotor_inertia, motor.gear)"
+                )
+        require_room(self.effects, [len(joint.tendons) for joint in self.joints])
+
+
+def require_room(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:
+    """Refuse effects that would act nowhere, or not beside another, on joints of `counts` tendons.
+
+    Raises `ValueError`.
+    """
+    for i, effect in enumerate(effects):
+        if effect.joint is not None and effect.joint > len(counts):
+            raise ValueError(f"effects[{i}].joint: must be 1 to {len(counts)}")
+        chosen = counts if effect.joint is None else counts[effect.joint - 1 : effect.joint]
+        if isinstance(effect, AntagonistTension) and 2 not in chosen:
+            raise ValueError(f"effects[{i}].joint: must be one of two tendons")
+        sides = places(effect, counts)
+        if not sides:
+            raise ValueError(f"effects[{i}].tendon: must be a, there is no joint with a b")
+        for k, other in enumerate(effects[:i]):
+            alike = other.type == effect.type and not effect.adds_up
+            if alike and sides & places(other, counts):
+                raise ValueError(
+                    f"effects[{i}]: must be on another tendon than effects[{k}], two of type "
+                    f"{effect.type} do not add up"
+                )
+
+
+def places(effect: EffectConfig, counts: Sequence[int]) -> set[tuple[int, str]]:
+    """Return where an effect acts: joints, counted from 0, and sides; of `counts` tendons each."""
+    wanted = getattr(effect, "tendon", "both")
+    return {
+        (j, side)
+        for j, count in enumerate(counts)
+        for side in "ab"[:count]
+        if effect.joint in (None, j + 1) and wanted in (side, "both")
+    }
+
+
+def longest_step(config: TendonPlantConfig) -> float:
+    """Return the step [s] beyond which a motor, loaded by the last step's tension, might swing."""
+    stiffness = 1.0 / float(build_chain(config.sheath, 0.0).compliance[0])
+    return math.sqrt(build_motor(config.motor, 0.0).mass / stiffness)
+
+
+def build_joint(config: JointConfig) -> Joint:
+    """Return the plant of one joint."""
+    tendons = [
+        Tendon(
+            build_motor(tendon.motor, config.body.pretension),
+            Winding(),
+            build_chain(tendon.sheath, config.body.pretension),
+        )
+        for tendon in config.tendons
+    ]
+    return Joint(
+        tendons[0],
+        tendons[-1],
+        len(tendons) == 2,
+        build_body(config.body, len(tendons)),
+        build_environment(config.environment),
+    )
+
+
+class SimulatedRig:
+    """The rig of `slave.rig.Rig`, with bench sensors at the tips.
+
+    All displacements count from the start, where every tendon is at its pretension. The same
+    config, reads and writes give the same samples.
+
+    Attributes
+    ----------
+    coarse_reads : int
+        Reads that came so late that the plant went in longer steps than its period.
+    """
+
+    starts_at_zero = True
+
+    def __init__(self, config: SimulatedRigConfig) -> None:
+        self.name = config.name
+        self.joints = joint_tendons([len(joint.tendons) for joint in config.joints])
+        self.tendons = sum(map(len, self.joints))
+        self.coarse_reads = 0
+        self._period = config.period
+        self._step = -1  # index of the newest sample that was read
+        self._ahead = False  # whether the plant is one step further than that
+        self._next: RigSample | None = None  # of that step, where no effect takes it or changes it
+        self._targets = np.zeros((len(self.joints), 2))
+        self._random = np.random.default_rng(config.seed)
+        self._paired = np.array([[True, len(tendons) == 2] for tendons in self.joints])
+
+        joints = [build_joint(joint) for joint in config.joints]
+        self._schedules = [
+            JointSchedule(config.effects, i, joint) for i, joint in enumerate(joints)
+        ]
+        start = np.zeros(2)
+        joints = [
+            schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
+            for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
+        ]
+        self._joints = joined(joints)
+        replace(self._joints, 0, joints[0])  # compiles what an effect will need
+        self._states = joined([joint_at_rest(joint, -config.period) for joint in joints])
+        self._truth = self._advance(0, config.period)  # compiles what the loop will need
+
+        sensors = build_sensors(
+            [(t.load_cell, t.encoder, t.motor) for joint in config.joints for t in joint.tendons]
+        )
+        self._sensor_schedule = SensorSchedule(config.effects, self.joints, sensors)
+        self._sensors = self._sensor_schedule.at(0.0) or sensors
+        self._sensed = sensors_at_rest(self._truth)
+        self._measure(config.period)  # compiles, too
+        self._effects = bool(config.effects)
+        self._samples = SampleSchedule(config.effects, config.seed)
+
+    def read(self, time_s: float) -> tuple[RigSample, ...]:
+        """Advance the plant to `time_s` [s]; return its newest sample, or none if it has no new."""
+        behind = round(time_s / self._period) - self._step
+        if behind <= 0:
+            return ()
+        if self._ahead:
+            self._ahead = False
+            self._step += 1
+            behind -= 1
+        if behind == 0 and self._next is not None:
+            return (self._next,)
+        if behind > 0:
+            self._simulate(behind)
+            self._step += behind
+        time = self._step * self._period
+        if not self._effects:
+            return (RigSample(time, *self._sensed.reading),)
+        reading = self._samples.passed(time, self._sensed.reading)
+        return () if reading is None else (RigSample(time, *reading),)
+
+    def advance(self) -> RigSample | None:
+        """Compute the next step, with the targets written last, for the read that asks for it."""
+        if not self._ahead:
+            self._simulate(1)
+            self._ahead = True
+            if not self._effects:
+                time = (self._step + 1) * self._period
+                self._next = RigSample(time, *self._sensed.reading)
+        return self._next
+
+    def write(self, proximal_displacement: Array) -> None:
+        """Send the motors to these displacements [m], shape (tendons,)."""
+        targets = proximal_displacement.tolist()
+        if len(targets) != self.tendons or not all(map(math.isfinite, targets)):
+            raise RigFault(f"motors cannot follow {targets}: {self.tendons} finite values needed")
+        self._targets[self._paired] = proximal_displacement
+
+    def summary(self) -> dict[str, int | float | str]:
+        """Return how often the plant was not simulated in full."""
+        return {"coarse_reads": self.coarse_reads}
+
+    def close(self) -> None:
+        """Leave the motors where they are; there is nothing to let go of."""
+
+    def _simulate(self, behind: int) -> None:
+        """Take the plant and its sensors so many periods on from the newest sample."""
+        steps, dt = behind, self._period
+        if behind > STEPS_AT_ONCE:
+            steps, dt = STEPS_AT_ONCE, behind * dt / STEPS_AT_ONCE
+            self.coarse_reads += 1
+        if self._effects:
+            self._turn_effects((self._step + behind) * self._period)
+        self._truth = self._advance(steps, dt)
+        self._measure(behind * self._period)
+
+    def _advance(self, steps: int, dt: float) -> Array:
+        seen = advance_all(self._joints, self._states, self._targets, steps, dt)
+        return seen[:, self._paired]
+
+    def _measure(self, dt: float) -> None:
+        normal = self._random.standard_normal(self._truth.shape)
+        self._sensed = measure(self._sensors, self._sensed, self._truth, normal, dt)
+
+    def _turn_effects(self, time: float) -> None:
+        for i, (schedule, tendons) in enumerate(zip(self._schedules, self.joints, strict=True)):
+            _, housing, _, tip = self._truth[:, tendons]
+            joint = schedule.at(time, tip[0], housing)
+            if joint is not None:
+                replace(self._joints, i, joint)
+        self._sensors = self._sensor_schedule.at(time) or self._sensors
+
+
+def joint_tendons(counts: list[int]) -> tuple[tuple[int, ...], ...]:
+    """Return which tendons each joint has: numbered from 0, joint after joint."""
+    joints, first = [], 0
+    for count in counts:
+        joints.append(tuple(range(first, first + count)))
+        first += count
+    return tuple(joints)

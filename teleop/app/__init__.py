@@ -1,0 +1,1 @@
+"""The command line, the launcher of sessions and the doctor."""

@@ -1,0 +1,191 @@
+"""Start and supervise a whole session: slave, master, recorder and viewer.
+
+  teleop run --config configs/demo.yaml                 the simulated rig, until Ctrl-C
+  teleop run --config configs/demo.yaml --duration 30 --record recordings --json run.json
+  teleop run --replay bench.csv --calibration sheath.yaml     measured data as the rig
+  teleop run --config rig.yaml --model diagnosis/model.yaml   with what a diagnosis found
+  teleop run --set impair.to_slave.delay=0.02           through a worse network: `teleop impair`
+
+Each of the four also starts alone, on a machine of its own: see `teleop slave --help` and so on.
+"""
+
+import argparse
+import json
+import signal
+import tempfile
+from contextlib import ExitStack
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from teleop import summary as summaries
+from teleop.app.launch import watch
+from teleop.app.launch.keys import HELP, Keys
+from teleop.app.launch.supervisor import Child, Supervisor
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import load
+from teleop.errors import TeleopError, UsageError
+from teleop.impair.config import wanted
+from teleop.link import Link
+from teleop.link.ping_pong import ping_pong
+from teleop.messages import Command, SlaveState
+from teleop.process import (
+    INTERRUPTED,
+    Stop,
+    destination,
+    folder,
+    has_display,
+    seconds,
+    write_summary,
+)
+from teleop.realtime import RealtimeConfig
+from teleop.run_config import RateChecked, RunConfig
+from teleop.status_line import StatusLine
+from teleop.topics import EVENT, LATENCY, REPORT, Role
+
+# the sections of a config file and who checks them; imported by name, as the command line does
+SECTIONS = {
+    "master": ("master.config", "MasterConfig"),
+    "slave": ("slave.config", "SlaveConfig"),
+    "record": ("teleop.recording.config", "RecordConfig"),
+    "view": ("teleop.view.config", "ViewConfig"),
+    "impair": ("teleop.impair.config", "ImpairConfig"),
+}
+ENDING = (
+    "master",
+    "slave",
+    "impair",
+    "view",
+    "record",
+)  # the recorder stops last, to capture the final messages
+_NEVER_BEGAN = (INTERRUPTED, -signal.SIGTERM)  # exit codes of a child told to end while it started
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop run`."""
+    add_config_arguments(parser)
+    parser.add_argument(
+        "--duration", type=seconds, metavar="S", help="end after S seconds of running"
+    )
+    parser.add_argument("--record", type=folder, metavar="DIR", help="record the session into DIR")
+    parser.add_argument(
+        "--view",
+        choices=("native", "web", "rrd", "none"),
+        help="where to show it; native with a screen, web without",
+    )
+    parser.add_argument(
+        "--replay", type=Path, metavar="DATA", help="measured data in place of the rig"
+    )
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help="the sheath's calibration")
+    parser.add_argument(
+        "--model",
+        action="append",
+        default=[],
+        metavar="[1a=]FILE",
+        help="model.yaml of `teleop diagnose --out`, in place of what is known of the sheaths; "
+        "1a=FILE for one tendon of several",
+    )
+    parser.add_argument(
+        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run a session; returns the exit code."""
+    stop = Stop()
+    overrides = [*args.overrides, *_rig_overrides(args)]
+    config = load(args.config, RunConfig, None, overrides)
+    for section, (module, name) in SECTIONS.items():
+        part = load(args.config, getattr(import_module(module), name), section, overrides)
+        if isinstance(part, RateChecked):
+            part.check_rate(config.rate_hz)
+    shared = [f"--set={text}" for text in overrides]
+    if args.config:
+        shared = ["--config", str(args.config), *shared]
+    impair = wanted(args.config, overrides)
+    to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
+    view = args.view or ("native" if has_display() else "web")
+
+    status = StatusLine()
+    with ExitStack() as stack:
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="teleop-")))
+        family = Supervisor(scratch, lambda name, line: status.say(f"[{name}] {line}"))
+        stack.callback(family.stop, ENDING)
+        link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
+        watch.require_free(link)  # before anything is started that would leave a trace
+        listener, hearing = link.listen((EVENT, REPORT, LATENCY)), watch.Hearing()
+        if args.record:
+            family.start("record", [*shared, "--out", str(args.record)])
+        if impair is not None:
+            family.start("impair", shared)
+        family.start("slave", [*shared, *(f"--model={word}" for word in args.model)])
+        if view != "none":
+            family.start("view", [*shared, "--view", view])
+        keys = stack.enter_context(Keys())
+        keyboard = watch.Keyboard(keys, link)
+        if keys.there:
+            status.say(HELP)
+        try:
+            ended = watch.wait_for_slave(link, listener, hearing, family, status, stop, keyboard)
+            if not ended and not stop():
+                family.start("master", [*shared, *to_slave])
+                ended = watch.watch(
+                    link, listener, hearing, family, status, stop, args.duration, keyboard
+                )
+        finally:
+            status.clear()
+            family.stop(ENDING)
+        summary = _summary(family, ended, stop.reason)
+    return _conclude(summary, args.json, config.realtime)
+
+
+def _conclude(
+    summary: dict[str, Any], path: Path | None, realtime: RealtimeConfig | None = None
+) -> int:
+    """Write and print the summary; return the exit code, or raise what ended the session."""
+    began = summaries.ran(summary.get("master"))
+    if began and not summary["exit_code"]:
+        sizes = Command.schema.size, SlaveState.schema.size
+        summary["ping_pong"] = ping_pong(*sizes, realtime=realtime or RealtimeConfig())
+    write_summary(path, summary)
+    for line in summaries.lines(summary):
+        print(line)
+    if summary["exit_code"]:
+        raise TeleopError(summary["reason"])
+    if not began and summary["reason"] in signal.Signals.__members__:
+        return 128 + signal.Signals[summary["reason"]]
+    return 0
+
+
+def _rig_overrides(args: argparse.Namespace) -> list[str]:
+    out = []
+    if args.replay:
+        rig = {"type": "replayed", "file": str(args.replay.absolute())}
+        # a tip that the hand does not move pushes it with energy that nobody put in
+        out += [f"slave.rig={json.dumps(rig)}", "coupling={type: direct}"]
+    if args.calibration:
+        out += [
+            "slave.tendons=[]",
+            f"slave.calibration={json.dumps(str(args.calibration.absolute()))}",
+        ]
+    return out
+
+
+def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, Any]:
+    """Put the children's summaries together and decide the exit code."""
+    out: dict[str, Any] = {
+        name: summaries.read_child(child.summary)
+        for name, child in family.children.items()
+        if child.exit_code not in _NEVER_BEGAN
+    }
+    out["reason"] = reason
+    out["exit_code"] = 0
+    if ended is not None:
+        out["reason"] = ended.complaint or f"{ended.name} ended {ended.how()}"
+        if ended.exit_code == UsageError.exit_code:
+            raise UsageError(out["reason"])
+        out["exit_code"] = TeleopError.exit_code if ended.exit_code else 0
+    trouble = "" if out["exit_code"] else summaries.trouble(out)
+    if trouble:
+        out |= {"reason": trouble, "exit_code": TeleopError.exit_code}
+    return out

@@ -1,0 +1,163 @@
+"""Looking after a session: what its processes report, and when it is to end."""
+
+import time
+from collections.abc import Iterable
+
+from teleop.app.launch.keys import Keys
+from teleop.app.launch.supervisor import Child, Supervisor
+from teleop.errors import PeerError, TeleopError
+from teleop.link import Heard, Link, Listener
+from teleop.messages import Event, Latency, LoopReport, text_of
+from teleop.process import Stop
+from teleop.remote.requests import call_reset, call_stop
+from teleop.remote.stop import SIDES, state_of, stops_of
+from teleop.session import State
+from teleop.status_line import StatusLine, status_text
+from teleop.topics import LATENCY, REPORT, STATE, TENDONS, Role, role_name
+
+START_S = 240.0  # without a word of the slave; the first start compiles estimator and plant
+_LOOK_S = 0.1
+
+
+class Hearing:
+    """What has been heard of a session: the newest reports, the latency, and events in words."""
+
+    def __init__(self) -> None:
+        self.reports: dict[Role, LoopReport] = {}
+        self.latency: Latency | None = None
+        self._said: dict[int, str] = {}  # last, by each role
+
+    @property
+    def running(self) -> bool:
+        """Whether both loops have reported."""
+        return Role.MASTER in self.reports and Role.SLAVE in self.reports
+
+    def take(self, heard: Iterable[Heard]) -> list[str]:
+        """Take in events and reports; return what is worth a line."""
+        lines = []
+        for item in heard:
+            if item.topic is REPORT:
+                report = LoopReport.unpack(item.data)
+                if report.role in (Role.MASTER, Role.SLAVE):
+                    self.reports[Role(report.role)] = report
+            elif item.topic is LATENCY:
+                self.latency = Latency.unpack(item.data)
+            else:
+                event = Event.unpack(item.data)
+                text = text_of(event.text)
+                if text != self._said.get(event.role):
+                    lines.append(f"[{role_name(event.role)}] {text}")
+                self._said[event.role] = text
+        return lines
+
+
+class Keyboard:
+    """What the terminal's keys ask of a session: space a stop, `r` to take it back.
+
+    A stop is called for at every look until both sides say that they have stopped: one that is only
+    starting hears of it too. A reset is repeated until it has been obeyed, or a newer stop called.
+    """
+
+    def __init__(self, keys: Keys, link: Link) -> None:
+        self._keys, self._link = keys, link
+        self._wanted = False
+        self._resets: dict[Role, int] = {}  # the stops of each side that are to be taken back
+
+    def look(self, seconds: float) -> None:
+        """Wait for keys for `seconds` [s] at most, and do what they ask; of several, a stop."""
+        pressed = self._keys.wait(seconds)
+        stops = {
+            side: stops_of(self._link, side)
+            for side in SIDES
+            if state_of(self._link, side) is State.STOPPED
+        }
+        if " " in pressed:
+            self._wanted, self._resets = True, {}
+        elif "r" in pressed:
+            self._wanted, self._resets = False, stops
+        self._wanted = self._wanted and (" " in pressed or len(stops) < len(SIDES))
+        if self._wanted:
+            call_stop(self._link, Role.LAUNCHER, "the space bar of its terminal")
+        self._resets = {s: n for s, n in self._resets.items() if stops.get(s) == n}
+        for side, number in self._resets.items():
+            call_reset(self._link, Role.LAUNCHER, "the terminal", side, number)
+
+
+def require_free(link: Link) -> None:
+    """Raise `PeerError` if the session has a slave or a master before we start ours."""
+    for role in (Role.SLAVE, Role.MASTER):
+        if link.present(role):
+            raise PeerError(
+                f"session {link.session!r} has a {role.name.lower()} already; stop that one first, "
+                "or choose another session name and other endpoints"
+            )
+
+
+def wait_for_slave(
+    link: Link,
+    listener: Listener,
+    hearing: Hearing,
+    family: Supervisor,
+    status: StatusLine,
+    stop: Stop,
+    keyboard: Keyboard,
+) -> Child | None:
+    """Wait for the slave to answer; return a child whose end came first, if one's did.
+
+    A slave that calibrates its rig first answers late, and says how far it is meanwhile.
+    """
+    link.subscribe_latest(STATE)
+    while not stop() and link.latest(STATE).message is None:
+        for line in hearing.take(listener.drain()):
+            status.say(line)
+        child = family.casualty()
+        if child is not None:
+            return child
+        if time.monotonic() > family.children["slave"].heard_s + START_S:
+            raise TeleopError(f"the slave did not start within {START_S:g} s")
+        keyboard.look(_LOOK_S)
+    return None
+
+
+def watch(
+    link: Link,
+    listener: Listener,
+    hearing: Hearing,
+    family: Supervisor,
+    status: StatusLine,
+    stop: Stop,
+    duration_s: float | None,
+    keyboard: Keyboard,
+) -> Child | None:
+    """Look after a session until it is to end; return the child that ended it, if one did.
+
+    Parameters
+    ----------
+    listener : Listener
+        Of events and reports, since before the first child was started.
+    hearing : Hearing
+        What has been heard so far.
+    duration_s : float or None
+        [s] of running, counted from when both loops have reported; None for ever.
+    keyboard : Keyboard
+        Keys that are pressed meanwhile.
+    """
+    patience = time.monotonic() + START_S
+    end = float("inf")
+    while not stop():
+        for line in hearing.take(listener.drain()):
+            status.say(line)
+        child = family.casualty()
+        if child is not None:
+            return child
+        if hearing.running and end == float("inf") and duration_s is not None:
+            end = time.monotonic() + duration_s
+        if time.monotonic() >= end:
+            stop.request("duration reached")
+        if not hearing.running and time.monotonic() > patience:
+            raise TeleopError(f"the loops did not start within {START_S:g} s")
+        if status.live:  # else the slave need not send its tendons at every tick
+            state, tendons = link.latest(STATE).message, link.latest(TENDONS).message
+            status.show(status_text(hearing.reports, state, tendons, hearing.latency))
+        keyboard.look(_LOOK_S)
+    return None

@@ -1,0 +1,5 @@
+"""Measured data: tables in and out, and the model files made from them."""
+
+from teleop.data.table import Columns, MeasuredTable, read_table, read_tables, write_table
+
+__all__ = ["Columns", "MeasuredTable", "read_table", "read_tables", "write_table"]

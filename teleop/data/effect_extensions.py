@@ -1,0 +1,40 @@
+"""Effects of other packages, for a diagnosis and for the model files that it writes."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import entry_points
+
+from estimator.effects import Effect
+from teleop.errors import UsageError
+from teleop.extensions import ExtensionError, resolve
+
+GROUP = "teleop.effects"
+
+
+def is_extension(name: str) -> bool:
+    """Return whether a name is `package.module:NAME`, or an entry point for effects."""
+    return ":" in name or any(point.name == name for point in entry_points(group=GROUP))
+
+
+def load_effects(name: str, place: str = "--effects") -> tuple[Effect, ...]:
+    """Return the effect, or the variants of one, that a name means, called by that name.
+
+    A model file thus says where its effect comes from.
+
+    Raises
+    ------
+    UsageError
+        The name leads to no effect.
+    """
+    try:
+        found = resolve(name, GROUP)
+    except ExtensionError as error:
+        raise UsageError(f"{place}: {error}") from error
+    effects = (found,) if isinstance(found, Effect) else found
+    if not (
+        isinstance(effects, Sequence)
+        and effects
+        and all(isinstance(effect, Effect) for effect in effects)
+    ):
+        raise UsageError(f"{place}: {name} must be an estimator.effects.Effect, or several")
+    return tuple(replace(effect, name=name) for effect in effects)

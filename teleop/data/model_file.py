@@ -1,0 +1,165 @@
+"""model.yaml: an extended model, to be read by people and read again by programs.
+
+base:
+  K: 0.83                       # friction coordinate of the tip
+  compliance: 1.2e-04           # L/EA [m/N], where the record had a travel
+  tip_compliance: 4.0e-04       # [m/N] of what the tip pulls at, 0 is a blocked tip
+duration: 60.0                  # [s] of the longest record; drifts are taken as at its end
+unexplained: false              # whether most of what is wrong is not in it
+unsure: [stribeck_friction]     # effects that the data did not tell from those of the model
+effects:                        # in this order
+- name: friction_step
+  where: ''                     # the variant, where there are several
+  parameters: {change: 0.25, onset: 20.1}
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from estimator.diagnosis.dataset import Model
+from estimator.diagnosis.model import COMPLIANCE, FRICTION, TIP
+from estimator.effects import CATALOGUE, Effect, Parameter, Values
+from teleop import strict_yaml
+from teleop.data.effect_extensions import is_extension, load_effects
+from teleop.errors import UsageError
+from teleop.process import write_whole
+from teleop.suggestions import did_you_mean
+
+BASE = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP}
+"""Key -> what it is; a model of tensions alone has only the first."""
+
+DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
+
+SLACK = 1e-6  # of a range, by which what was fitted may be outside of it
+
+
+class Saved(NamedTuple):
+    """What a file has."""
+
+    model: Model  # without what single records had
+    duration: float  # [s] of the longest record
+    unsure: tuple[str, ...]  # effects that the data did not tell from those of the model
+    unexplained: bool = False  # whether most of what is wrong is not in it
+
+
+def save(path: Path, saved: Saved, remark: str) -> None:
+    """Write a model, whole or not at all; `remark` becomes comments."""
+    write_whole(path, text(saved, remark), "the model")
+
+
+def text(saved: Saved, remark: str) -> str:
+    """Return a model as YAML."""
+    model = saved.model
+    lines = [f"# {line}" for line in remark.splitlines()]
+    tree = {
+        "base": {key: float(value) for key, value in zip(BASE, model.shared, strict=False)},
+        "duration": float(saved.duration),
+        "unexplained": saved.unexplained,
+        "unsure": list(saved.unsure),
+        "effects": [
+            {
+                "name": effect.name,
+                "where": effect.where,
+                "parameters": {
+                    p.name: float(value) for p, value in zip(effect.parameters, values, strict=True)
+                },
+            }
+            for effect, values in model.effects
+        ],
+    }
+    units = [f"# base: {', '.join(f'{key} [{p.unit or 1}]' for key, p in BASE.items())}"]
+    units += [
+        f"# {effect.label}: {effect.equation}; "
+        + ", ".join(f"{p.name} [{p.unit or 1}]" for p in effect.parameters)
+        for effect, _ in model.effects
+    ]
+    return "\n".join([*lines, *units]) + "\n" + yaml.safe_dump(tree, sort_keys=False)
+
+
+def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Saved:
+    """Read a model: its numbers and its effects, without those of single records.
+
+    Raises
+    ------
+    UsageError
+        The file is none, or something in it cannot be right; one line.
+    """
+    tree = strict_yaml.read(path, "model")
+    if not isinstance(tree, dict) or "base" not in tree:
+        raise UsageError(f"{path}: is no model.yaml as `teleop diagnose --out DIR` writes it")
+    _known(path, "", tree, ("base", "duration", "unexplained", "unsure", "effects"))
+    base = _mapping(path, "base", tree.get("base"))
+    keys = list(BASE) if len(base) > 1 else ["K"]
+    shared = _numbers(path, "base", base, dict(zip(keys, BASE.values(), strict=False)))
+    duration = _number(path, "duration", tree.get("duration"), DURATION)
+    unsure = tree.get("unsure") or []
+    if not isinstance(unsure, list):
+        raise UsageError(f"{path}: unsure: must be a list of names of effects")
+    rows = tree.get("effects") or []
+    if not isinstance(rows, list):
+        raise UsageError(f"{path}: effects: must be a list of name, where and parameters")
+    found = tuple(_effect(path, f"effects.{i}", row, effects) for i, row in enumerate(rows))
+    labels = [effect.label for effect, _ in found]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise UsageError(f"{path}: effects: {label} is there twice")
+    if not all(isinstance(name, str) for name in unsure):
+        raise UsageError(f"{path}: unsure: must be a list of names of effects")
+    unexplained = tree.get("unexplained", False)
+    if not isinstance(unexplained, bool):
+        raise UsageError(f"{path}: unexplained: {unexplained!r}, must be true or false")
+    return Saved(Model(shared, (), found), duration, tuple(unsure), unexplained)
+
+
+def _effect(path: Path, place: str, row: Any, effects: Sequence[Effect]) -> tuple[Effect, Values]:
+    row = _mapping(path, place, row)
+    _known(path, place, row, ("name", "where", "parameters"))
+    name, where = str(row.get("name", "")), str(row.get("where") or "")
+    known = load_effects(name, f"{path}: {place}.name") if is_extension(name) else effects
+    variants = {effect.where: effect for effect in known if effect.name == name}
+    if not variants:
+        hint = did_you_mean(name, {effect.name for effect in effects}, 3, 0.5)
+        raise UsageError(f"{path}: {place}.name: there is no effect {name!r}{hint}")
+    if where not in variants:
+        allowed = ", ".join(repr(variant) for variant in variants)
+        raise UsageError(f"{path}: {place}.where: {where!r} is no variant of {name}: {allowed}")
+    effect = variants[where]
+    within = f"{place}.parameters"
+    numbers = _mapping(path, within, row.get("parameters"))
+    return effect, _numbers(path, within, numbers, {p.name: p for p in effect.parameters})
+
+
+def _numbers(path: Path, place: str, tree: dict[str, Any], wanted: dict[str, Parameter]) -> Values:
+    _known(path, place, tree, wanted)
+    return tuple(_number(path, f"{place}.{key}", tree.get(key), p) for key, p in wanted.items())
+
+
+def _number(path: Path, place: str, value: Any, parameter: Parameter) -> float:
+    if value is None:
+        raise UsageError(f"{path}: {place}: is missing")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UsageError(f"{path}: {place}: {value!r} is not a finite number")
+    low, high = parameter.low, parameter.high
+    slack = SLACK * (high - low)
+    if not low - slack <= value <= high + slack:
+        unit = f" {parameter.unit}".rstrip()
+        raise UsageError(f"{path}: {place}: {value:g}{unit}, must be {low:g} to {high:g}{unit}")
+    return float(value)
+
+
+def _mapping(path: Path, place: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        what = "is missing" if value is None else "is not a mapping (key: value lines)"
+        raise UsageError(f"{path}: {place}: {what}")
+    return value
+
+
+def _known(path: Path, place: str, tree: dict[str, Any], allowed: Iterable[str]) -> None:
+    for key in tree:
+        if key not in allowed:
+            at = f"{place}.{key}" if place else key
+            raise UsageError(f"{path}: {at}: unknown key{did_you_mean(key, allowed)}")

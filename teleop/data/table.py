@@ -1,0 +1,285 @@
+"""Measured data of one tendon: read, checked, written.
+
+The format is described in docs/data-format.md. Nothing is repaired in silence: what cannot be
+right is a `UsageError` of one line that names the file, the column and the row.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array_types import Array
+from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_columns
+from teleop.errors import UsageError
+from teleop.suggestions import did_you_mean
+
+__all__ = [
+    "Columns",
+    "MeasuredTable",
+    "check_destination",
+    "read_table",
+    "read_tables",
+    "write_table",
+]
+
+
+TENSION_PEAK = 1000.0  # [N] more is no tendon of this size: grams or millinewtons
+TRAVEL_SPAN = 2.0  # [m] more is no tendon's travel: millimetres
+NAMES_SHOWN = 12  # of a file's columns in an error message
+PERIOD = 1.5  # [s] a slower median period is no record of motion: milliseconds
+NOISE_FLOOR = 0.1  # [N] a cell at rest may read so far below zero ...
+NOISE_SHARE = 0.02  # ... and by this share of its peak further (zero error)
+ZERO_SHARE = 0.25  # of its peak, where a diagnosis is to say how far its zero is off
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Which columns of a file are which; of these only the first two must be there.
+
+    A column given another name than its standard one must be there too; null leaves it out.
+    """
+
+    time: str = "time_s"  # [s]
+    proximal_tension: str = "proximal_tension_N"  # [N] at the housing
+    proximal_displacement: str | None = "proximal_displacement_m"  # [m] pulled in at the housing
+    distal_tension: str | None = "distal_tension_N"  # [N] at the tip, on a bench
+    distal_displacement: str | None = "distal_displacement_m"  # [m] positive towards the housing
+
+    @classmethod
+    def of_tendon(cls, number: int) -> Self:
+        """Return the standard names of tendon 1, 2, ... in a file that holds several."""
+        if number == 1:
+            return cls()
+        return cls(
+            "time_s",
+            f"proximal_tension_{number}_N",
+            f"proximal_displacement_{number}_m",
+            f"distal_tension_{number}_N",
+            f"distal_displacement_{number}_m",
+        )
+
+    def names(self) -> dict[str, str]:
+        """Return field -> column name, of the columns wanted."""
+        return {f.name: name for f in fields(self) if (name := getattr(self, f.name)) is not None}
+
+    def is_standard(self, item: str) -> bool:
+        """Return whether a field has its standard name for some tendon; it may then be missing."""
+        return bool(_unnumbered(getattr(self, item)) == getattr(Columns(), item))
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredTable:
+    """The samples of one tendon; arrays have shape (samples,), None where there is no sensor."""
+
+    time: Array  # [s] strictly increasing
+    proximal_tension: Array  # [N]
+    proximal_displacement: Array | None  # [m]
+    distal_tension: Array | None  # [N]
+    distal_displacement: Array | None  # [m]
+    path: Path
+    extra: Mapping[str, Column] = field(default_factory=dict)  # further columns, as they are
+    dropped: int = 0  # rows left out because some value in them is not finite
+
+    def columns(self) -> dict[str, Column]:
+        """Return all columns under their standard names, further ones behind."""
+        standard = {
+            name: column
+            for item, name in Columns().names().items()
+            if (column := getattr(self, item)) is not None
+        }
+        return standard | {k: v for k, v in self.extra.items() if k not in standard}
+
+
+def read_table(
+    path: Path | str,
+    columns: Columns | None = None,
+    drop_nonfinite: bool = False,
+    *,
+    diagnosed: bool = False,
+) -> MeasuredTable:
+    """Read and check the samples of one tendon.
+
+    Parameters
+    ----------
+    path : Path or str
+        .csv, .csv.gz, .parquet, or a recording (.mcap) of the project.
+    columns : Columns, optional
+        The columns' names; the standard ones by default.
+    drop_nonfinite : bool
+        Leave out rows with values that are not finite instead of refusing the file.
+    diagnosed : bool
+        What a load cell does wrong is to be found out: it may read below zero by more than noise,
+        and single samples by any amount.
+
+    Raises
+    ------
+    UsageError
+        The file, or something in it, cannot be right.
+    """
+    tendons = (columns or Columns(),)
+    return read_tables(Path(path), tendons, drop_nonfinite, diagnosed=diagnosed)[0]
+
+
+def read_tables(
+    path: Path,
+    tendons: Sequence[Columns],
+    drop_nonfinite: bool = False,
+    *,
+    diagnosed: bool = False,
+) -> tuple[MeasuredTable, ...]:
+    """Read and check the samples of several tendons of one file; see `read_table`.
+
+    A row left out for one tendon is left out for all.
+    """
+    raw = read_columns(path)
+    claimed = {name for columns in tendons for name in columns.names().values()}
+    found = [_find(path, raw, columns, claimed) for columns in tendons]
+    numbers = {name: _numbers(path, raw, name) for names in found for name in names.values()}
+    rows = len(numbers[tendons[0].time])
+    if rows == 0:
+        raise UsageError(f"{path}: has names of columns but no rows")
+    keep = _finite(path, raw, numbers, drop_nonfinite)
+    dropped = rows - int(keep.sum())
+    if dropped:
+        kept = np.flatnonzero(keep)
+        raw = RawTable({k: v[keep] for k, v in raw.columns.items()}, _renumbered(raw, kept))
+        numbers = {name: column[keep] for name, column in numbers.items()}
+    extra = {name: column for name, column in raw.columns.items() if name not in numbers}
+    tables = []
+    for names in found:
+        _check(path, raw, names, numbers, diagnosed)
+        values: dict[str, Any] = dict.fromkeys(Columns().names())
+        values |= {item: numbers[name] for item, name in names.items()}
+        tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped))
+    return tuple(tables)
+
+
+def write_table(path: Path, columns: Mapping[str, Column]) -> None:
+    """Write columns, e.g. `MeasuredTable.columns()`, as .csv, .csv.gz or .parquet.
+
+    Floats come back bit for bit. The file appears whole or not at all.
+    """
+    write_columns(path, columns)
+
+
+def _find(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dict[str, str]:
+    """Return field -> column name of what the file has of `columns`."""
+    found = {}
+    standard = Columns().names().values()
+    spare = [n for n in raw.columns if n not in claimed and _unnumbered(n) not in standard]
+    for item, name in columns.names().items():
+        if name in raw.columns:
+            found[item] = name
+            continue
+        optional = item not in ("time", "proximal_tension") and columns.is_standard(item)
+        hint = did_you_mean(name, spare, cutoff=0.88 if optional else 0.6)
+        meant = f"{hint} Then rename it, its unit converted" if hint else ""
+        if hint or not optional:
+            has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
+                len(raw.columns) > NAMES_SHOWN
+            )
+            raise UsageError(f"{path}: no column {name!r}{meant} (it has {has})")
+    return found
+
+
+def _unnumbered(name: str) -> str:
+    """Return a standard name of tendon 2, 3, ... as that of tendon 1."""
+    return re.sub(r"_\d+(?=_[Nm]$)", "", name)
+
+
+def _numbers(path: Path, raw: RawTable, name: str) -> Array:
+    """Return a column as numbers, or name the first cell that is none."""
+    column = raw.columns[name]
+    if column.dtype != object:
+        return np.asarray(column, dtype=np.float64)
+    numbers = np.empty(len(column))
+    for row, cell in enumerate(column):
+        try:
+            numbers[row] = np.nan if cell is None or cell == "" else float(cell)
+        except (TypeError, ValueError):
+            comma = isinstance(cell, str) and cell.count(",") == 1
+            hint = "; write decimals with a point" if comma else ""
+            place = f"{path}: column {name!r}, {raw.place(row)}"
+            raise UsageError(f"{place}: {str(cell)[:40]!r} is not a number{hint}") from None
+    return numbers
+
+
+def _finite(
+    path: Path, raw: RawTable, numbers: Mapping[str, Array], drop: bool
+) -> NDArray[np.bool_]:
+    """Return which rows are finite throughout; raise if not all are and none may be dropped."""
+    keep = np.ones(len(next(iter(numbers.values()))), dtype=np.bool_)
+    for name, column in numbers.items():
+        good = np.isfinite(column)
+        if not drop and not good.all():
+            bad = np.flatnonzero(~good)
+            raise UsageError(
+                f"{path}: column {name!r}: {len(bad)} of {len(column)} values are blank or not "
+                f"finite, the first in {raw.place(int(bad[0]))}; "
+                "--drop-nonfinite continues without these rows"
+            )
+        keep &= good
+    if not keep.any():
+        raise UsageError(f"{path}: no row is finite throughout")
+    return keep
+
+
+def _renumbered(raw: RawTable, kept: NDArray[np.intp]) -> Any:
+    return lambda row: raw.place(int(kept[row]))
+
+
+def _check(
+    path: Path,
+    raw: RawTable,
+    names: Mapping[str, str],
+    numbers: Mapping[str, Array],
+    diagnosed: bool,
+) -> None:
+    """Refuse time that does not increase, units that are plainly wrong, tendons that push."""
+
+    def wrong(item: str, row: int, what: str) -> UsageError:
+        return UsageError(f"{path}: column {names[item]!r}, {raw.place(row)}: {what}")
+
+    time = numbers[names["time"]]
+    periods = np.diff(time)
+    if (late := np.flatnonzero(periods <= 0.0)).size:
+        row = int(late[0]) + 1
+        what = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
+        hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
+        raise wrong("time", row, f"{what}{hint}; time must increase from row to row")
+    for item in ("proximal_tension", "distal_tension"):
+        if item not in names:
+            continue
+        tension = numbers[names[item]]
+        row = int(np.abs(tension).argmax())
+        low = int((_without_dips(tension) if diagnosed else tension).argmin())
+        peak = float(tension[row])
+        if abs(peak) > TENSION_PEAK:
+            raise wrong(
+                item, row, f"{peak:.6g} is no tendon's tension in newtons; is it in mN or g?"
+            )
+        share = ZERO_SHARE if diagnosed else NOISE_SHARE
+        floor = NOISE_FLOOR + share * float(tension.max(initial=0.0))
+        if tension[low] < -floor:
+            what = f"{float(tension[low]):.6g} N: a tendon cannot push"
+            below = "a zero that is off" if diagnosed else "noise"
+            limit = f"{below} is taken to end at {-floor:.3g} N"
+            raise wrong(item, low, f"{what} ({limit}); correct its zero or its sign")
+    for item in ("proximal_displacement", "distal_displacement"):
+        if item in names and (span := float(np.ptp(numbers[names[item]]))) > TRAVEL_SPAN:
+            row = int(np.abs(numbers[names[item]]).argmax())
+            raise wrong(item, row, f"travel spans {span:.6g} m; is it in metres?")
+    if periods.size and (median := float(np.median(periods))) > PERIOD:
+        raise wrong("time", 1, f"samples are {median:.6g} s apart; is it in seconds?")
+
+
+def _without_dips(signal: Array) -> Array:
+    """Return a signal without single samples that are below both of their neighbours."""
+    filled = signal.copy()
+    filled[1:-1] = np.maximum(signal[1:-1], np.minimum(signal[:-2], signal[2:]))
+    return filled

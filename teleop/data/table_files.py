@@ -1,0 +1,242 @@
+"""The file formats of measured data: named columns, and where in the file a row stands."""
+
+import csv
+import gzip
+import io
+import itertools
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from teleop.errors import UsageError
+from teleop.topics import TENDONS
+
+Column = NDArray[Any]  # float64, or object where some cell is text
+
+SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mcap")
+
+_ROWS_AT_ONCE = 20_000
+_DAMAGE = (OSError, EOFError, zlib.error, UnicodeError, csv.Error)
+
+
+@dataclass(frozen=True, slots=True)
+class RawTable:
+    """A file's columns as they are in it; `place(row)` says where row 0, 1, ... stands."""
+
+    columns: Mapping[str, Column]
+    place: Callable[[int], str]
+
+
+def read_columns(path: Path) -> RawTable:
+    """Read all columns of a table or a recording; `UsageError` if that cannot be done."""
+    reader = _READERS[_suffix(path)]
+    if not path.is_file():
+        raise UsageError(f"{path}: {'is not a file' if path.exists() else 'there is no such file'}")
+    try:
+        if path.stat().st_size == 0:
+            raise UsageError(f"{path}: is empty")
+        return reader(path)
+    except _DAMAGE as error:
+        raise UsageError(f"{path}: cannot be read: {_reason(error)}") from error
+
+
+def write_columns(path: Path, columns: Mapping[str, Column]) -> None:
+    """Write columns of one length, whole or not at all; the suffix decides the format."""
+    check_destination(path)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        _WRITERS[_suffix(path)](partial, columns)
+        partial.replace(path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {_reason(error)}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def check_destination(path: Path) -> None:
+    """Refuse a file that `write_columns` could not write, before the work for it is done."""
+    suffix = _suffix(path)
+    if suffix not in _WRITERS:
+        raise UsageError(f"{path}: tables are written as {', '.join(_WRITERS)}, not as {suffix}")
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"{path}: there is no folder {path.parent}")
+
+
+def _suffix(path: Path) -> str:
+    for suffix in SUFFIXES:
+        if path.name.lower().endswith(suffix):
+            return suffix
+    raise UsageError(f"{path}: unknown kind of file, allowed are {', '.join(SUFFIXES)}")
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, UnicodeError):
+        return "it is not UTF-8 text"
+    if isinstance(error, EOFError | zlib.error | gzip.BadGzipFile):
+        return "the compressed file is damaged or cut off"
+    return getattr(error, "strerror", None) or " ".join(str(error).split())
+
+
+def _open_csv(path: Path) -> IO[str]:
+    if path.name.lower().endswith(".gz"):
+        return gzip.open(path, "rt", encoding="utf-8-sig", newline="")
+    return path.open(encoding="utf-8-sig", newline="")
+
+
+def _read_csv(path: Path) -> RawTable:
+    with _open_csv(path) as file:
+        rows = csv.reader(file, strict=True)
+        names = _header(path, next(rows, []))
+        lines: list[int] = []
+        parts: list[list[Column]] = []
+        full_rows = _checked(path, rows, names, lines)
+        while chunk := list(itertools.islice(full_rows, _ROWS_AT_ONCE)):
+            parts.append([_numbers(cells) for cells in zip(*chunk, strict=True)])
+    columns = {
+        name: np.concatenate([part[i] for part in parts]) if parts else np.empty(0)
+        for i, name in enumerate(names)
+    }
+    return RawTable(columns, lambda row: f"line {lines[row]}")
+
+
+def _header(path: Path, names: Sequence[str]) -> list[str]:
+    if not "".join(names).strip():
+        raise UsageError(f"{path}: line 1: is blank, names of columns are needed there")
+    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
+        if len(names) == 1 and separator in names[0]:
+            raise UsageError(
+                f"{path}: line 1: columns are separated by {word}; "
+                "save it with commas between columns and points in numbers"
+            )
+    if not all(name.isprintable() for name in names):
+        raise UsageError(f"{path}: line 1: is not text, names of columns are needed there")
+    if all(_is_number(name) for name in names):
+        raise UsageError(f"{path}: line 1: holds numbers, names of columns are needed there")
+    for name in names:
+        if name and names.count(name) > 1:
+            raise UsageError(f"{path}: line 1: column {name!r} is there {names.count(name)} times")
+    return list(names)
+
+
+def _checked(
+    path: Path, rows: Any, names: Sequence[str], lines: list[int]
+) -> Iterator[Sequence[str]]:
+    """Yield the rows, noting the line of each; blank lines are passed over."""
+    for row in rows:
+        if not row:
+            continue
+        if len(row) != len(names):
+            raise UsageError(
+                f"{path}: line {rows.line_num}: has {len(row)} cells, "
+                f"the first line names {len(names)} columns"
+            )
+        lines.append(rows.line_num)
+        yield row
+
+
+def _numbers(cells: Sequence[str]) -> Column:
+    """Return cells as numbers, blank ones as NaN; or as they are if any is text."""
+    try:
+        return np.fromiter(map(float, cells), np.float64, len(cells))
+    except ValueError:
+        if all(_is_number(cell) for cell in cells if cell.strip()):
+            return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
+        return np.array(cells, dtype=object)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_parquet(path: Path) -> RawTable:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        table = parquet.ParquetFile(path).read(use_threads=False)
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
+        raise UsageError(f"{path}: is no Parquet file, or a damaged one") from error
+    columns: dict[str, Column] = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        kind = column.type
+        if name in columns:
+            raise UsageError(f"{path}: column {name!r} is there more than once")
+        if pa.types.is_integer(kind) or pa.types.is_floating(kind):
+            columns[name] = column.cast(pa.float64(), safe=False).to_numpy()
+        else:
+            columns[name] = np.array([*column.to_pylist(), None], dtype=object)[:-1]
+    return RawTable(columns, lambda row: f"row {row + 1}")
+
+
+def _read_recording(path: Path) -> RawTable:
+    """Read the tendons topic of a recording into the columns that a table of it would have."""
+    from teleop.recording import reader
+
+    fields = {
+        "proximal_tension": "proximal_tension{}_N",
+        "proximal_displacement": "proximal_displacement{}_m",
+        "bench_distal_tension": "distal_tension{}_N",
+        "bench_distal_displacement": "distal_displacement{}_m",
+    }
+    rows = reader.read_columns(path, TENDONS.name, ("tendons", "time_s", *fields))
+    columns: dict[str, Column] = {"time_s": np.array(rows["time_s"])}
+    for tendon in range(int(rows["tendons"].max())):
+        number = "" if tendon == 0 else f"_{tendon + 1}"
+        for field, name in fields.items():
+            column = np.array(rows[field][:, tendon])
+            if not np.isnan(column).all():  # all NaN is how a message says: no such sensor
+                columns[name.format(number)] = column
+    return RawTable(columns, lambda row: f"message {row + 1}")
+
+
+def _write_csv(path: Path, columns: Mapping[str, Column]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        _write_rows(file, columns)
+
+
+def _write_csv_gz(path: Path, columns: Mapping[str, Column]) -> None:
+    with (  # neither name nor date inside: the same data make the same bytes
+        path.open("wb") as plain,
+        gzip.GzipFile("", "wb", fileobj=plain, mtime=0) as packed,
+        io.TextIOWrapper(packed, encoding="utf-8", newline="") as file,
+    ):
+        _write_rows(file, columns)
+
+
+def _write_rows(file: IO[str], columns: Mapping[str, Column]) -> None:
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+
+def _write_parquet(path: Path, columns: Mapping[str, Column]) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    arrays = {
+        name: pa.array([None if v is None else str(v) for v in c] if c.dtype == object else c)
+        for name, c in columns.items()
+    }
+    parquet.write_table(pa.table(arrays), path)
+
+
+_READERS: dict[str, Callable[[Path], RawTable]] = {
+    ".csv": _read_csv,
+    ".csv.gz": _read_csv,
+    ".parquet": _read_parquet,
+    ".mcap": _read_recording,
+}
+_WRITERS: dict[str, Callable[[Path, Mapping[str, Column]], None]] = {
+    ".csv": _write_csv,
+    ".csv.gz": _write_csv_gz,
+    ".parquet": _write_parquet,
+}

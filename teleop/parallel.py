@@ -1,0 +1,30 @@
+"""Work in several processes, and how many of them this machine runs side by side."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import get_context
+from typing import TypeVar
+
+Task = TypeVar("Task")
+Done = TypeVar("Done")
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def parallel_map(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
+    """Yield what `work` makes of each task, in their order, so many `jobs` at a time."""
+    if jobs == 1:
+        yield from map(work, tasks)
+        return
+    # spawned, as numba's and the BLAS's threads do not survive a fork
+    with get_context("spawn").Pool(min(jobs, len(tasks)), _quiet) as pool:
+        yield from pool.imap(work, tasks)
+
+
+def _quiet() -> None:
+    """Leave Ctrl-C to the parent, who ends the pool."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,22 @@
+"""A hint at what a misspelt word may have meant."""
+
+import difflib
+from collections.abc import Iterable
+
+
+def did_you_mean(word: str, allowed: Iterable[str], most: int = 1, cutoff: float = 0.6) -> str:
+    """Return a hint to put behind an error, empty if no allowed word is close.
+
+    Parameters
+    ----------
+    word
+        What was written.
+    allowed
+        What could have been written.
+    most
+        How many words are suggested at most.
+    cutoff
+        Least similarity, from 0 to 1 (`difflib.get_close_matches`).
+    """
+    close = difflib.get_close_matches(word, list(allowed), most, cutoff)
+    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""

@@ -1,0 +1,129 @@
+"""What the commands of this package have in common: options, repeating, telling the result."""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from teleop.config import load
+from teleop.errors import UsageError
+from teleop.process import destination, seconds, write_summary
+from teleop.run_config import RunConfig
+from teleop.tools.bench import figures, machine, rigs, session
+from teleop.tools.bench.figures import Figure, Row
+
+RUNS, SECONDS = 5, 10.0
+QUICK_RUNS, QUICK_SECONDS = 3, 4.0
+SECONDS_LEAST = 3.0  # [s] of a run: less is all beginning
+WARM_S = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what all of these commands take."""
+    parser.add_argument("--runs", type=int, metavar="N", help=f"how many (default {RUNS})")
+    parser.add_argument(
+        "--seconds", type=seconds, metavar="S", help=f"of each run (default {SECONDS:g})"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help=f"{QUICK_RUNS} runs of {QUICK_SECONDS:g} s"
+    )
+    parser.add_argument("--json", type=destination, metavar="OUT", help="write the result to OUT")
+    parser.add_argument("--compare", type=Path, metavar="OLD", help="a result of --json, before")
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """Declare what chooses the session."""
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="a session of your own, on a simulated rig"
+    )
+    parser.add_argument(
+        "--joints", type=int, default=1, metavar="N", help="of the session otherwise (default 1)"
+    )
+
+
+class Repeated:
+    """Repeats a measurement as the options say, and tells what came of it."""
+
+    def __init__(self, name: str, args: argparse.Namespace) -> None:
+        self.runs = args.runs or (QUICK_RUNS if args.quick else RUNS)
+        self.seconds = args.seconds or (QUICK_SECONDS if args.quick else SECONDS)
+        if args.runs is not None and not 1 <= args.runs <= 1000:
+            raise UsageError(f"--runs {args.runs}: must be 1 to 1000")
+        if self.seconds < SECONDS_LEAST:
+            raise UsageError(f"--seconds {self.seconds:g}: must be at least {SECONDS_LEAST:g}")
+        self.granted: list[str] = []
+        self._name, self._out = name, args.json
+        self._old = None if args.compare is None else read(args.compare, name)
+        self._machine = machine.facts()
+        self._begin_s = time.monotonic()
+
+    def say(self, text: str) -> None:
+        """Print a line of progress, which is no part of the result."""
+        print(f"{time.monotonic() - self._begin_s:5.0f} s  {text}", file=sys.stderr, flush=True)
+
+    def warm_up(self, config: Path) -> None:
+        """Run a session that is not counted: it compiles what later ones load."""
+        self.say("a first run, not counted")
+        summary = session.run_session(config, WARM_S).summary
+        self.granted = list(summary["slave"]["realtime"])
+
+    def conclude(self, found: Sequence[Figure]) -> int:
+        """Print the result, write it, compare it; return the exit code."""
+        print("\n".join(machine.lines(self._machine, self.granted)))
+        print(f"medians of {self.runs} runs of {self.seconds:g} s\n")
+        print("\n".join(figures.table(found)))
+        result = {
+            "bench": self._name,
+            "machine": self._machine | {"realtime": self.granted},
+            "runs": self.runs,
+            "seconds": self.seconds,
+            "figures": figures.tree(found),
+        }
+        write_summary(self._out, result)
+        if self._old is not None:
+            print("\n" + "\n".join(figures.comparison(found, self._old)))
+        return 0
+
+
+def repeat(
+    name: str, args: argparse.Namespace, measure: Callable[[Path, float, RunConfig], Row]
+) -> int:
+    """Measure one session again and again; `measure` takes its config file, seconds and config."""
+    repeated = Repeated(name, args)
+    with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
+        config = args.config or rigs.write_config(
+            Path(folder) / "session.yaml", joints_of(args.joints)
+        )
+        shared = load(config, RunConfig, None, ())
+        work = Path(folder) / "run.yaml"
+        work.write_text(Path(config).read_text())
+        repeated.warm_up(work)
+        rows = []
+        for k in range(repeated.runs):
+            repeated.say(f"run {k + 1} of {repeated.runs}")
+            rows.append(measure(work, repeated.seconds, shared))
+    return repeated.conclude(figures.gather(rows))
+
+
+def joints_of(number: int) -> int:
+    """Return `number` if a session can have so many joints."""
+    if not 1 <= number <= 8:
+        raise UsageError(f"--joints {number}: must be 1 to 8")
+    return number
+
+
+def read(path: Path, name: str) -> dict[str, Figure]:
+    """Return the figures of a result of the bench `name`; `UsageError` if it is none."""
+    try:
+        result: Any = json.loads(path.read_text())
+        if result["bench"] != name:
+            raise UsageError(f"--compare {path}: is of `teleop bench {result['bench']}`")
+        return figures.from_tree(result["figures"])
+    except OSError as error:
+        raise UsageError(f"--compare {path}: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(f"--compare {path}: is no result of `teleop bench {name}`") from error

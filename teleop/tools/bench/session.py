@@ -1,0 +1,122 @@
+"""One session of `teleop run`, to its end: its summary, and what its processes took."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from teleop.app.launch.supervisor import COMPLAINT
+from teleop.errors import TeleopError
+from teleop.tools.bench import cpu
+
+SIDES = ("slave", "master")
+START_S = 300.0  # with all to be compiled, on a busy machine
+_SETTLE_S = 0.5  # after engaging, and before the end
+_ENGAGED = "[master] engaged"
+
+
+class Measured(NamedTuple):
+    """What a session was like."""
+
+    summary: dict[str, Any]  # of `teleop run --json`
+    cpu: dict[str, float]  # share of a core [%] by process: run, slave, master
+
+
+def run_session(config: Path, seconds: float) -> Measured:
+    """Run a session of `seconds` [s] in which forces are felt; `TeleopError` if none are."""
+    with ExitStack() as stack:
+        out = config.with_suffix(".summary.json")
+        master, slave = _free_ports(2)
+        words = [
+            *("--config", str(config), "--view", "none", "--duration", str(seconds)),
+            *("--json", str(out), "--set", f"session=bench-{os.getpid()}"),
+            *("--set", f"link.master=tcp/127.0.0.1:{master}"),
+            *("--set", f"link.slave=tcp/127.0.0.1:{slave}"),
+        ]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "teleop", "run", *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,  # Ctrl-C is for us to handle
+        )
+        stack.callback(_end, process)
+        heard = _Heard(process)
+        heard.await_engaged()
+        time.sleep(_SETTLE_S)
+        processes = {"run": process.pid, **cpu.children(process.pid)}
+        before = cpu.sample(processes)
+        time.sleep(max(seconds - 2 * _SETTLE_S, _SETTLE_S))
+        after = cpu.sample(processes)
+        heard.await_end(seconds)
+        summary = json.loads(out.read_text())
+        for side in SIDES:
+            if summary.get(side) is None:
+                raise TeleopError(
+                    f"the {side} of the session to measure was killed: {heard.last()}"
+                )
+        return Measured(summary, cpu.percent(processes, before, after))
+
+
+class _Heard:
+    """Reads what a session prints."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        self._lines: list[str] = []
+        self._engaged = threading.Event()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def await_engaged(self) -> None:
+        """Wait until the hand feels forces."""
+        in_time = self._engaged.wait(START_S)
+        if not in_time or not any(line.startswith(_ENGAGED) for line in self._lines):
+            raise TeleopError(f"the session to measure did not engage: {self.last()}")
+
+    def await_end(self, seconds: float) -> None:
+        """Wait until the session has ended by itself."""
+        try:
+            code = self._process.wait(seconds + START_S)
+        except subprocess.TimeoutExpired as error:
+            raise TeleopError("the session to measure did not end") from error
+        self._reader.join()
+        if code:
+            raise TeleopError(f"the session to measure failed: {self.last()}")
+
+    def _read(self) -> None:
+        for line in self._process.stdout or ():
+            self._lines.append(line.rstrip())
+            if line.startswith((_ENGAGED, COMPLAINT)):
+                self._engaged.set()
+        self._engaged.set()
+
+    def last(self) -> str:
+        said = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
+        return said[-1].removeprefix(COMPLAINT) if said else "it said nothing"
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(30.0)
+        except subprocess.TimeoutExpired:
+            process.kill()  # its children end with it
+            process.wait()
+
+
+def _free_ports(count: int) -> list[int]:
+    with ExitStack() as stack:
+        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        return [int(probe.getsockname()[1]) for probe in probes]

@@ -1,0 +1,61 @@
+"""Parameters of a calibration beside those that the data give."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from estimator.diagnosis import report_text
+from estimator.diagnosis.model import COMPLIANCE, FRICTION
+from estimator.diagnosis.outcome import Diagnosis, Number
+from estimator.law.sheath import Sheath
+from estimator.text_table import Table
+from slave.calibration import file
+from teleop.errors import UsageError
+
+
+class Compared(NamedTuple):
+    """A number of the sheath, twice."""
+
+    accepted: float
+    found: Number
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the calibration is inside the interval of the data."""
+        return self.found.low <= self.accepted <= self.found.high
+
+
+def load(path: Path, tendon: int) -> Sheath:
+    """Return the sheath of a tendon, from 0, of a calibration file; one model is for all."""
+    tendons = file.load(path).tendons
+    if len(tendons) > 1 and tendon >= len(tendons):
+        raise UsageError(f"{path}: has {len(tendons)} tendons, not tendon {tendon + 1}")
+    return tendons[tendon if len(tendons) > 1 else 0].model().sheath
+
+
+def compared(found: Diagnosis, sheath: Sheath) -> dict[str, Compared]:
+    """Return the numbers that both the calibration and the data have, by name."""
+    accepted = {
+        FRICTION.name: sheath.K,
+        COMPLIANCE.name: sheath.length / sheath.axial_stiffness,
+    }
+    return {
+        name: Compared(value, found.parameters[name])
+        for name, value in accepted.items()
+        if name in found.parameters
+    }
+
+
+def table(numbers: Mapping[str, Compared]) -> Table:
+    """Return them for a person to read."""
+    rows = [
+        (
+            name,
+            report_text.quantity(one.accepted, one.found.unit),
+            report_text.quantity(one.found.value, one.found.unit),
+            report_text.interval(one.found),
+            "yes" if one.agrees else "NO",
+        )
+        for name, one in numbers.items()
+    ]
+    return Table(("sheath", "calibration", "these data", "95 % interval", "agree"), tuple(rows))

@@ -1,0 +1,38 @@
+"""residuals.rrd: what was measured and what both models make of it, to be looked at closely."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from estimator.array_types import Array
+from estimator.diagnosis import report_text
+from estimator.diagnosis.outcome import Diagnosis
+from teleop.view.series import Curve, Panel, save
+
+MEASURED, BEFORE, AFTER = 0x808080FF, 0xD55E00FF, 0x0072B2FF
+
+
+def write(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
+    """Write the file: for each record a column, for each channel its curves and its residuals."""
+    columns = []
+    for k, file in enumerate(files):
+        record = found.dataset.records[k]
+        panels = []
+        for channel in record.compared:
+            rows = record.measured
+            measured = record.signals[channel][rows]
+            models = {
+                ("before", BEFORE): found.baseline.simulated[k].signals[channel][rows],
+                ("after", AFTER): found.extended.simulated[k].signals[channel][rows],
+            }
+            title = f"{report_text.CHANNEL_WORDS[channel]} [{report_text.unit_of(channel)}]"
+            lines = {("measured", MEASURED): measured} | models
+            off = {key: measured - values for key, values in models.items()}
+            panels.append(_panel(f"{title}, {file}", record.time[rows], lines))
+            panels.append(_panel(f"residual of {title}", record.time[rows], off))
+        columns.append(panels)
+    save(path, report_text.sentence(found), columns)
+
+
+def _panel(title: str, time: Array, lines: dict[tuple[str, int], Array]) -> Panel:
+    curves = (Curve(name, colour, time, values) for (name, colour), values in lines.items())
+    return Panel(title, tuple(curves))

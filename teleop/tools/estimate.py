@@ -1,0 +1,368 @@
+"""Estimate the distal tension in measured data, offline, with the numbers a live slave would give.
+
+  teleop estimate bench.csv --fit                      fit K to the measured distal tension
+  teleop estimate bench.csv --fit --save sheath.yaml   ... and keep it as a calibration
+  teleop estimate run.csv --calibration sheath.yaml --out estimates.csv
+  teleop estimate run.csv --config configs/demo.yaml   with the model of a config (slave.tendons)
+  teleop estimate run.csv --model diagnosis/model.yaml     with what `teleop diagnose` found
+
+The data: a CSV, CSV.gz or Parquet table with time_s and proximal_tension_N, optionally
+proximal_displacement_m, distal_tension_N and distal_displacement_m; or a recording (.mcap).
+With a distal tension the estimate is judged against it.
+"""
+
+import argparse
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator import signals
+from estimator.calibration.sheath_fit import LONGEST, FitError, SheathFit, fit_sheath
+from estimator.effects.effect import DISTAL_TENSION
+from estimator.online import extension, online
+from estimator.online.estimator import Estimator
+from slave import model_files
+from slave.calibration import file
+from slave.calibration.file import Calibration, JointTendons
+from slave.config import SlaveConfig, tendon_configs
+from slave.rigs.simulated.simulated import SimulatedRigConfig, joint_tendons
+from slave.score import Score
+from slave.tendon_config import TendonConfig
+from teleop.config import add_arguments as add_config_arguments
+from teleop.config import as_tree, load
+from teleop.data.table import Columns, MeasuredTable, check_destination, read_table, write_table
+from teleop.errors import UsageError
+from teleop.messages import MAX_TENDONS, PHASE_NAMES
+from teleop.process import destination, write_summary
+from teleop.summary import force_line
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop estimate`."""
+    parser.add_argument("data", type=Path, metavar="DATA", help="measured data, or a recording")
+    model = parser.add_argument_group("the model of the sheath, one of")
+    model.add_argument("--fit", action="store_true", help="fit it to the data")
+    model.add_argument("--calibration", type=Path, metavar="FILE", help="a calibration file")
+    model_files.add_argument(parser)
+    add_config_arguments(parser)
+    fit = parser.add_argument_group("with --fit")
+    fit.add_argument(
+        "--save", type=destination, metavar="FILE", help="write the fit as a calibration"
+    )
+    fit.add_argument(
+        "--rig",
+        default="",
+        metavar="NAME",
+        help="of --save: the rig (slave.rig.name) that the fit is to be used on; without it the "
+        "calibration is good for playing measured data only",
+    )
+    fit.add_argument(
+        "--blocked-tip",
+        action="store_true",
+        help="a pull-release loop with a tip that cannot move: K and EA from the housing alone",
+    )
+    fit.add_argument(
+        "--length",
+        type=float,
+        default=1.0,
+        metavar="M",
+        help="[m] of the sheath (default 1); data tell only EA/L, so that EA scales with it; with "
+        "--model too",
+    )
+    parser.add_argument(
+        "--column",
+        action="append",
+        default=[],
+        metavar="NAME=COLUMN",
+        help="what the data call proximal_tension, proximal_displacement, distal_tension, "
+        "distal_displacement or time, e.g. --column proximal_tension=T_in",
+    )
+    parser.add_argument(
+        "--tendon",
+        metavar="1a",
+        help="which one, by joint and side or by number, of data or a model that have several "
+        "(default the first)",
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")
+    parser.add_argument(
+        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
+    )
+    parser.add_argument(
+        "--drop-nonfinite",
+        action="store_true",
+        help="leave out rows with values that are not finite",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Estimate, and say how good it is; returns the exit code."""
+    check_words(args)
+    if args.out is not None:
+        check_destination(args.out)
+    files = model_files.parse(args.model)
+    known, joints = ((), ()) if args.fit else configured(args)
+    k = chosen(args.tendon, joints, len(known))
+    table = read_table(args.data, named(args.column, k), args.drop_nonfinite)
+    summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
+    if args.tendon is not None or len(known) > 1:
+        summary["tendon"] = tendon_name(k, joints)
+    if args.fit:
+        try:
+            fit = fit_sheath(table, args.length, blocked_tip=args.blocked_tip)
+        except FitError as error:
+            raise UsageError(f"{table.path}, --fit: {error}") from error
+        tendon = tendon_config(fit)
+        if args.save is not None:
+            save(args.save, fit, tendon, table, args.rig)
+        summary["fit"] = {
+            "method": fit.method,
+            "parameters": {name: p._asdict() for name, p in fit.parameters.items()},
+            "length": tendon.length,
+            "accept": fit.accept,
+            "reason": fit.reason,
+        }
+    else:
+        tendon = of_tendon(k, known, joints, files) if files else known[k if len(known) > 1 else 0]
+        if not known:
+            tendon = with_noise(tendon, table, args.length)
+    estimates = Estimator(tendon.model()).run(table)
+    summary["model"] = as_tree(tendon)
+    if tendon.model_file is not None:
+        summary["effects"] = model_files.describe(tendon)
+    true = with_true_tip(table, tendon)
+    summary["force_error"] = judged(estimates, true, tendon.tension_noise)
+    summary["travel_contradicts"] = travel_contradicts(tendon, true, summary["force_error"])
+    summary["status"] = {
+        str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
+        for flag in online.Status
+        if flag
+    }
+    summary["phase"] = {
+        name: float(np.mean(estimates.phase == k)) for k, name in enumerate(PHASE_NAMES)
+    }
+    if args.out is not None:
+        write_table(args.out, table.columns() | columns(estimates))
+    write_summary(args.json, summary)
+    print("\n".join(format_report(summary)))
+    return 0
+
+
+def check_words(args: argparse.Namespace) -> None:
+    """Refuse options that contradict each other, before anything is read."""
+    configured = args.config is not None or bool(args.overrides)
+    ways = [args.fit, args.calibration is not None, configured]
+    if args.fit and args.model:
+        raise UsageError("--model: not with --fit, which finds the sheath in the data")
+    if sum(ways) > 1 or not (any(ways) or args.model):
+        raise UsageError(
+            "which sheath is it? Give one of --fit (needs a distal tension in the data), "
+            "--calibration FILE, and --config FILE, or --model FILE"
+        )
+    if not args.fit and (args.save is not None or args.blocked_tip):
+        raise UsageError("--save and --blocked-tip go with --fit")
+    if not 0.0 < args.length <= LONGEST:
+        raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LONGEST:g} m")
+    if args.rig and args.save is None:
+        raise UsageError("--rig goes with --save")
+
+
+def named(words: Sequence[str], tendon: int = 0) -> Columns:
+    """Return the columns' names of a tendon, from 0, with those given as NAME=COLUMN put in."""
+    known = [f.name for f in dataclasses.fields(Columns)]
+    given = {}
+    for word in words:
+        name, equals, column = word.partition("=")
+        if name not in known or not equals or not column:
+            raise UsageError(
+                f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(known)}"
+            )
+        given[name] = column
+    return dataclasses.replace(Columns.of_tendon(tendon + 1), **given)
+
+
+def of_tendon(
+    k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.Given
+) -> TendonConfig:
+    """Return tendon `k`, from 0, with the model file that is for it; one model is for all."""
+    count = max(sum(map(len, joints)), len(known), k + 1)
+    every = list(known) * count if len(known) == 1 else list(known)
+    tendon = model_files.apply(every or [None] * count, joints, files)[k]
+    if tendon is None:
+        raise UsageError(f"--model: has none for tendon {tendon_name(k, joints)}")
+    return tendon
+
+
+def with_noise(tendon: TendonConfig, table: MeasuredTable, length: float) -> TendonConfig:
+    """Return a tendon of which only a model file is known, with the noise of a record."""
+    travel = table.proximal_displacement
+    try:
+        return dataclasses.replace(
+            tendon,
+            length=length,
+            tension_noise=signals.noise_sigma(table.proximal_tension),
+            displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
+        )
+    except ValueError as error:
+        raise UsageError(f"{table.path}, --length {length:g}: {error}") from error
+
+
+def with_true_tip(table: MeasuredTable, tendon: TendonConfig) -> MeasuredTable:
+    """Return data whose tension at the tip is put right, as far as a model file tells how."""
+    extended = tendon.extended()
+    if extended is None or table.distal_tension is None:
+        return table
+    true = extension.true_at_tip(extended, table.time, DISTAL_TENSION, table.distal_tension)
+    return dataclasses.replace(table, distal_tension=true)
+
+
+def travel_contradicts(
+    tendon: TendonConfig, table: MeasuredTable, error: dict[str, Any] | None
+) -> bool:
+    """Return whether leaving the travel out would make the estimate a different one altogether."""
+    if error is None or table.proximal_displacement is None:
+        return False
+    alone = Estimator(tendon.model()).run(dataclasses.replace(table, proximal_displacement=None))
+    without = judged(alone, table, tendon.tension_noise)
+    return (
+        without is not None
+        and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
+    )
+
+
+def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
+    """Return the models that the calibration file or the config has, and the rig's joints.
+
+    One model is for all tendons, none is known where only model files are given; joints are empty
+    where nothing tells which they are.
+    """
+    if args.calibration is not None:
+        calibration = file.load(args.calibration)
+        return calibration.tendons, calibration.joints
+    if args.config is None and not args.overrides:
+        return (), ()
+    config = load(args.config, SlaveConfig, "slave", args.overrides)
+    if isinstance(config.calibration, Path):
+        calibration = file.load(config.calibration)
+        return calibration.tendons, calibration.joints
+    joints: JointTendons = ()
+    if isinstance(config.rig, SimulatedRigConfig):
+        joints = joint_tendons([len(joint.tendons) for joint in config.rig.joints])
+    count = sum(map(len, joints)) or max(len(config.tendons), 1)
+    return tendon_configs(config, count), joints
+
+
+def chosen(word: str | None, joints: JointTendons, count: int) -> int:
+    """Return the tendon, from 0, that `--tendon` means: 1a, 1b, 2a, ... or 1, 2, 3, ...
+
+    `count` models are known; one is for all tendons.
+    """
+    known = sum(map(len, joints)) or (count if count > 1 else MAX_TENDONS)
+    names = model_files.names_of(joints, known)
+    if word is None:
+        return 0
+    if word not in names:
+        raise UsageError(f"--tendon {word}: must be one of {', '.join(names)}")
+    return names[word]
+
+
+def tendon_name(k: int, joints: JointTendons) -> str:
+    """Return what tendon `k`, from 0, is called: by joint and side where that is known."""
+    for number, tendons in enumerate(joints, start=1):
+        if k in tendons:
+            return f"{number}{'ab'[tendons.index(k)]}"
+    return str(k + 1)
+
+
+def judged(
+    estimates: online.Estimates, table: MeasuredTable, noise: float
+) -> dict[str, Any] | None:
+    """Return the error against the measured distal tension, None without one.
+
+    `noise` [N] is that of the load cell at the housing.
+    """
+    if table.distal_tension is None:
+        return None
+    score = Score(noise)
+    score.add_columns(estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
+    return score.summary()
+
+
+def columns(estimates: online.Estimates) -> dict[str, Any]:
+    """Return the estimates as columns of a table."""
+    return {
+        "distal_tension_estimate_N": estimates.distal_tension,
+        "distal_tension_low_N": estimates.low,
+        "distal_tension_high_N": estimates.high,
+        "elongation_estimate_m": estimates.elongation,
+        "distal_displacement_estimate_m": estimates.distal_displacement,
+        "front_m": estimates.front,
+        "phase": estimates.phase,
+        "status": estimates.status,
+    }
+
+
+def tendon_config(fit: SheathFit) -> TendonConfig:
+    """Return a fitted tendon as calibration files have it."""
+    model = fit.model
+    return TendonConfig(
+        effective_friction=fit.K.value,
+        length=fit.sheath.length,
+        axial_stiffness=fit.sheath.axial_stiffness,
+        tension_noise=model.tension_noise,
+        displacement_noise=model.displacement_noise,
+        friction_error=model.friction_error,
+    )
+
+
+def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable, rig: str) -> None:
+    """Write a calibration that `--calibration` and `slave.calibration` take."""
+    ends = ", ".join(f"{n} {p.low:.4g} to {p.high:.4g}" for n, p in fit.parameters.items())
+    calibration = Calibration(
+        tendons=(tendon,),
+        rig=rig,
+        method=f"{fit.method}; 95 % intervals: {ends}",
+        source=f"{table.path.name}, {len(table.time)} samples",
+        accepted=fit.accept,
+        remark=fit.reason,
+    )
+    file.save(path, calibration)
+
+
+def format_report(summary: dict[str, Any]) -> list[str]:
+    """Return the summary as lines to read."""
+    lines = [f"{summary['data']}: {summary['samples']} samples"]
+    if "tendon" in summary:
+        lines.append(f"tendon    {summary['tendon']} (--tendon says which)")
+    if "fit" in summary:
+        fit = summary["fit"]
+        lines.append(f"fit       {fit['method']}")
+        for name, p in fit["parameters"].items():
+            lines.append(
+                f"          {name} = {p['value']:.4g} (95 %: {p['low']:.4g} to {p['high']:.4g})"
+            )
+        length, EA = fit["length"], summary["model"]["axial_stiffness"]
+        known = "" if "EA" in fit["parameters"] else " assumed"
+        lines.append(
+            f"          EA = {EA:.4g} N{known} for a length of {length:g} m (--length): "
+            f"EA and L only enter as EA/L = {EA / length:.4g} N/m"
+        )
+        lines.append(
+            f"          {'accepted' if fit['accept'] else 'NOT accepted'}: {fit['reason']}"
+        )
+    lines += [f"model     {sentence}" for sentence in summary.get("effects", ())]
+    lines.append(f"force     {force_line(summary['force_error'])}")
+    if summary["travel_contradicts"]:
+        lines.append(
+            "WARNING   the displacement contradicts the tension: without it the estimate is far "
+            "better. Is its unit the metre, and positive while pulling?"
+        )
+    told = [
+        f"{name.replace('_', ' ')} {share:.0%}"
+        for name, share in summary["status"].items()
+        if share
+    ]
+    lines.append("status    " + (", ".join(told) or "no warnings"))
+    return lines

@@ -1,0 +1,61 @@
+"""Reading the records of a pair."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.pair.pair import PairRecord
+from teleop.data.table_files import RawTable, read_columns
+from teleop.errors import UsageError
+from teleop.tools.pair.config import PairColumns, PairConfig
+
+
+def read(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
+    """Return the records of some files, in the order of their bends.
+
+    Raises
+    ------
+    UsageError
+        A file cannot be read, lacks a column or its bend, or holds what cannot be right.
+    """
+    return tuple(sorted((_record(path, config) for path in paths), key=lambda one: one.bend))
+
+
+def _record(path: Path, config: PairConfig) -> PairRecord:
+    bend = config.bend_of(path)
+    raw = read_columns(path)
+    columns = {f.name: _column(path, raw, config, f.name) for f in fields(PairColumns)}
+    time = columns["time"]
+    if (late := np.flatnonzero(np.diff(time) <= 0.0)).size:
+        place = raw.place(int(late[0]) + 1)
+        raise UsageError(
+            f"{path}: column {config.columns.time!r}, {place}: time must increase from row to row"
+        )
+    return PairRecord(
+        bend,
+        time,
+        config.radians * columns["command"],
+        config.radians * columns["angle"],
+        columns["tension_a"],
+        columns["tension_b"],
+    )
+
+
+def _column(path: Path, raw: RawTable, config: PairConfig, item: str) -> Array:
+    name = getattr(config.columns, item)
+    if name not in raw.columns:
+        raise UsageError(
+            f"{path}: there is no column {name!r} (it has {', '.join(raw.columns)}); "
+            f"--columns FILE says what {item} is called"
+        )
+    try:
+        column = np.asarray(raw.columns[name], dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UsageError(f"{path}: column {name!r} is not numbers throughout") from None
+    if (bad := np.flatnonzero(~np.isfinite(column))).size:
+        place = raw.place(int(bad[0]))
+        raise UsageError(f"{path}: column {name!r}, {place}: is blank or not finite")
+    return column

@@ -1,0 +1,159 @@
+"""A study of a pair in words: sentences, and tables of text."""
+
+import math
+
+import numpy as np
+
+from estimator.pair.pair_fit import Law
+from estimator.pair.pair_structure import offset_share, structure
+from estimator.pair.pair_study import SHARE, LeftOut, Number, PairStudy, Validation
+from estimator.text_table import Table
+
+OURS = Law.FULL.value
+LIMIT = 0.02  # of the span: a mean beyond depends on something
+
+
+def sentence(found: PairStudy) -> str:
+    """Return what was found in one sentence."""
+    share = mean_share(found.left_out[OURS])
+    return (
+        f"K grows by {within(found.growth)} per radian of bend, from {found.friction.value:.2f} at "
+        f"none; bends that were not fitted are predicted within {share:.1%} of the angle's span "
+        f"({degrees(mean_rmse(found.left_out[OURS]))}), where one K for all leaves "
+        f"{mean_share(found.left_out[Law.ONE_K.value]):.1%} and {SHARE} "
+        f"{mean_share(found.left_out[SHARE]):.1%}."
+    )
+
+
+def frictions(found: PairStudy) -> Table:
+    """Return K of each record, and what the straight line makes of it."""
+    model = found.fit.model
+    rows = tuple(
+        (
+            degrees(record.bend, 0),
+            within(K),
+            f"{model.friction_at(record.bend):.2f}",
+            degrees(neutral),
+        )
+        for record, K, neutral in zip(found.records, found.each, found.fit.neutrals, strict=True)
+    )
+    return Table(("bend", "K (95 %)", "K0 + mu bend", "neutral angle"), rows)
+
+
+def parameters(found: PairStudy) -> Table:
+    """Return the numbers of the model for all records."""
+    model = found.fit.model
+    degree = math.radians(1.0)
+    rows = (
+        ("K0", within(found.friction), "friction of the straight sheath with its bending section"),
+        ("mu", f"{within(found.growth)} 1/rad", "growth of K with the bend"),
+        (
+            "compliance",
+            f"{model.compliance / degree:.1f} deg/N",
+            "command per newton, without friction",
+        ),
+        ("bedding", f"{model.bedding:.1f} N", "tendons are soft at small tensions"),
+        ("stiffness", f"{model.stiffness * degree:.3f} N/deg", "of the joint"),
+        ("joint friction", f"{model.joint_friction:.2f} N", "between the tendons' tips"),
+        ("neutral angle", degrees(model.neutral), "mean of the records"),
+    )
+    return Table(("parameter", "value", "what it is"), rows)
+
+
+def left_out(found: PairStudy) -> Table:
+    """Return the errors of records that were not fitted."""
+    head = ("angle predicted by", *(degrees(r.bend, 0) for r in found.records), "mean")
+    rows = []
+    for method, errors in found.left_out.items():
+        cells = (f"{degrees(e.rmse)} {e.share:.1%}" for e in errors)
+        mean = f"{degrees(mean_rmse(errors))} {mean_share(errors):.1%}"
+        rows.append((method, *cells, mean))
+    zeroed = found.left_out[OURS]
+    rows.append(
+        (
+            "K grows, from the command, its zero known",
+            *(f"{e.zeroed:.1%}" for e in zeroed),
+            f"{np.mean([e.zeroed for e in zeroed]):.1%}",
+        )
+    )
+    return Table(head, tuple(rows))
+
+
+def validation(kept: tuple[Validation, ...]) -> Table:
+    """Return the errors of records kept apart."""
+    rows = tuple(
+        (
+            degrees(one.bend, 0),
+            f"{degrees(one.ours.rmse)} {one.ours.share:.1%}",
+            f"{one.ours.zeroed:.1%}",
+            f"{degrees(one.baseline.rmse)} {one.baseline.share:.1%}",
+        )
+        for one in kept
+    )
+    return Table(("bend kept apart", "predicted by the model", "its zero known", SHARE), rows)
+
+
+def parts(found: PairStudy) -> Table:
+    """Return what is left of records that were not fitted, by what it depends on."""
+    rows = tuple(
+        (part.what, f"{part.mean:+.1%}", f"{part.rms:.1%}")
+        for part in structure(found.records, found.predicted)
+    )
+    return Table(("samples in which", "mean", "RMS"), rows)
+
+
+def wrong(found: PairStudy) -> list[str]:
+    """Return what the model gets wrong."""
+    records, errors = found.records, found.left_out[OURS]
+    worst = max(range(len(errors)), key=lambda i: errors[i].share)
+    share = offset_share(records, found.predicted)
+    said = [
+        f"Worst is the bend of {degrees(records[worst].bend, 0)}: {errors[worst].share:.1%} of the "
+        f"span, {errors[worst].zeroed:.1%} if its zero were known.",
+        f"{share:.0%} of the mean square is a constant of each record: a joint with friction rests "
+        "anywhere in a band when its sensor is zeroed, and the command does not tell where.",
+    ]
+    found_parts = structure(records, found.predicted)
+    along = sorted(found_parts, key=lambda part: -abs(part.mean))
+    said += [
+        f"Where the {part.what}, the prediction is {abs(part.mean):.1%} of the span too "
+        f"{'high' if part.mean > 0.0 else 'low'} on average."
+        for part in along
+        if abs(part.mean) > LIMIT
+    ]
+    if all(abs(part.mean) <= LIMIT for part in found_parts):
+        said.append(
+            "The rest of the residual depends on direction, command and time by less than "
+            f"{LIMIT:.0%} of the span."
+        )
+    return said
+
+
+def format_report(found: PairStudy, kept: tuple[Validation, ...]) -> str:
+    """Return what was found, for a terminal."""
+    tables = [frictions(found), parameters(found), left_out(found), parts(found)]
+    if kept:
+        tables.insert(3, validation(kept))
+    pieces = [sentence(found), *(table.markdown() for table in tables)]
+    pieces.append("What is wrong:\n" + "\n".join(f"- {line}" for line in wrong(found)))
+    return "\n\n".join(pieces)
+
+
+def within(number: Number) -> str:
+    """Return a number with its interval."""
+    return f"{number.value:.2f} ({number.low:.2f} to {number.high:.2f})"
+
+
+def degrees(angle: float, digits: int = 1) -> str:
+    """Return an angle [rad] as text."""
+    return f"{math.degrees(angle):.{digits}f}°"
+
+
+def mean_share(errors: tuple[LeftOut, ...]) -> float:
+    """Return the mean of errors as shares of the span."""
+    return float(np.mean([error.share for error in errors]))
+
+
+def mean_rmse(errors: tuple[LeftOut, ...]) -> float:
+    """Return the mean RMSE [rad]."""
+    return float(np.mean([error.rmse for error in errors]))

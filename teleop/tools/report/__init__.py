@@ -1,0 +1,1 @@
+"""What reports are made of: a page, the style of figures, a progress bar."""

@@ -1,0 +1,77 @@
+"""One page that shows all: tables and figures in a single file that a browser opens."""
+
+import base64
+import html
+from collections.abc import Sequence
+from pathlib import Path
+
+from estimator.text_table import Table
+
+STYLE = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff;
+  max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { line-height: 1.2; } h2 { margin-top: 2.5rem; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums; }
+th, td { padding: 0.25rem 0.6rem; text-align: left; border-bottom: 1px solid #ddd;
+  white-space: nowrap; }
+th { background: #f4f7fa; }
+tr.ours td { background: #eaf3f9; }
+figure { margin: 1.5rem 0; } img { max-width: 100%; height: auto; }
+figcaption { font-size: 0.9rem; color: #444; max-width: 48rem; }
+"""
+
+
+class Page:
+    """A page under way; each method adds to its end."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._parts = [f"<h1>{html.escape(title)}</h1>"]
+
+    def heading(self, text: str) -> None:
+        """Add a heading."""
+        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+
+    def text(self, text: str) -> None:
+        """Add a paragraph."""
+        self._parts.append(f"<p>{html.escape(text)}</p>")
+
+    def points(self, items: Sequence[str]) -> None:
+        """Add a list."""
+        inner = "".join(f"<li>{html.escape(item)}</li>" for item in items)
+        self._parts.append(f"<ul>{inner}</ul>")
+
+    def table(self, table: Table, mark: str) -> None:
+        """Add a table; rows with a cell `mark` stand out."""
+        head = "".join(f"<th>{html.escape(cell)}</th>" for cell in table.head)
+        rows = "".join(
+            ('<tr class="ours">' if mark in row else "<tr>")
+            + "".join(f"<td>{html.escape(cell)}</td>" for cell in row)
+            + "</tr>"
+            for row in table.rows
+        )
+        self._parts.append(
+            f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
+            f"<tbody>{rows}</tbody></table></div>"
+        )
+
+    def figure(self, path: Path, caption: str) -> None:
+        """Add a PNG file, its bytes in the page."""
+        data = base64.b64encode(path.read_bytes()).decode()
+        words = html.escape(caption)
+        self._parts.append(
+            f'<figure><img src="data:image/png;base64,{data}" alt="{words}">'
+            f"<figcaption>{words}</figcaption></figure>"
+        )
+
+    def render(self) -> str:
+        """Return the page."""
+        return (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{html.escape(self._title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+            + "\n".join(self._parts)
+            + "\n</body>\n</html>\n"
+        )

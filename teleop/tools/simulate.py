@@ -1,0 +1,240 @@
+"""Write measured data as a simulated rig would give it, faster than real time.
+
+  teleop simulate configs/demo.yaml --out bench.csv
+  teleop simulate configs/demo.yaml --out nested.parquet --profile nested --duration 60 --seed 7
+
+The rig is slave.rig of the config file, defaults without one. In every joint one motor makes the
+motion; that of the other tendon, where there is one, follows and keeps it from going slack. The
+table has the housing's sensors and, as on a calibration bench, those at the tip
+(docs/data-format.md). The same command writes the same file.
+"""
+
+import argparse
+import dataclasses
+import sys
+import time
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from slave.config import SlaveConfig
+from slave.rigs.simulated.effect_text import described, late
+from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
+from teleop.config import load
+from teleop.data.table import Columns, check_destination, write_table
+from teleop.errors import UsageError
+from teleop.tools.motion import MOTIONS, Keep, Memory, Motion, Scale, Seen
+
+KEEP = 0.5  # [N] enough for a tendon not to go slack
+FOLLOW_SPEED = 0.04  # [m/s] most that the loose tendon's motor goes
+
+
+class Run(NamedTuple):
+    """What was measured: times [s], shape (samples,), and the rest, shape (samples, tendons)."""
+
+    time: Array
+    proximal_tension: Array  # [N]
+    proximal_displacement: Array  # [m]
+    distal_tension: Array  # [N]
+    distal_displacement: Array  # [m]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    scale = Scale()
+    parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="config file (YAML)")
+    parser.add_argument("--out", type=Path, required=True, help=".csv, .csv.gz or .parquet")
+    parser.add_argument("--duration", type=float, default=30.0, help="[s] (default 30)")
+    parser.add_argument(
+        "--profile",
+        choices=MOTIONS,
+        default="pull-release-pull",
+        help="pull-release-pull as in the paper's experiment (default), loop as for a calibration, "
+        "nested reversals, or a sine",
+    )
+    parser.add_argument("--rate", type=float, default=1000.0, help="[Hz] of samples (default 1000)")
+    parser.add_argument("--seed", type=int, help="of the noise, in place of the config's")
+    parser.add_argument(
+        "--peak",
+        type=float,
+        default=scale.peak,
+        help=f"[N] housing tension to turn at (default {scale.peak:g})",
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=scale.speed,
+        help=f"[m/s] of the motor between turns (default {scale.speed:g})",
+    )
+    parser.add_argument(
+        "--stroke",
+        type=float,
+        default=scale.stroke,
+        help=f"[m] of the sine (default {scale.stroke:g})",
+    )
+    parser.add_argument(
+        "--period",
+        type=float,
+        default=scale.period,
+        help=f"[s] of the sine (default {scale.period:g})",
+    )
+    parser.add_argument(
+        "--side",
+        choices=("a", "b"),
+        default="a",
+        help="which tendon of a pair makes the motion (default a)",
+    )
+    parser.add_argument(
+        "--keep",
+        type=float,
+        default=KEEP,
+        help=f"[N] housing tension of the other one (default {KEEP:g})",
+    )
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override one value of the config",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    for name in ("duration", "rate", "peak", "speed", "stroke", "period", "keep"):
+        if not 0.0 < getattr(args, name) <= 1e5:
+            raise UsageError(f"--{name} {getattr(args, name)}: must be above 0 and at most 100 000")
+    check_destination(args.out)
+    config = _rig_config(args)
+    if args.rate * config.period > 1.0 + 1e-9:
+        raise UsageError(
+            f"--rate {args.rate:g}: the rig's slave.rig.period allows 1/period at most"
+        )
+    scale = Scale(args.peak, args.speed, args.stroke, args.period)
+    motion = MOTIONS[args.profile](scale)
+    replaced = args.out.exists()
+    SimulatedRig(config)  # compiles what is not compiled yet, which is not the plant's time
+    began = time.perf_counter()
+    run = simulate(
+        config,
+        motion,
+        args.duration,
+        args.rate,
+        side=args.side,
+        keep=args.keep,
+        progress=sys.stderr.isatty(),
+    )
+    took = time.perf_counter() - began
+    write_table(args.out, table_of(run))
+    if replaced:
+        print(f"{args.out}: the file that was there has been replaced")
+    _print_summary(args, config, run, took)
+    return 0
+
+
+def simulate(
+    config: SimulatedRigConfig,
+    motion: Motion,
+    duration: float,
+    rate: float,
+    *,
+    side: Literal["a", "b"] = "a",
+    keep: float = KEEP,
+    progress: bool = False,
+) -> Run:
+    """Move all joints of a simulated rig by `motion` for `duration` [s], sampled at `rate` [Hz].
+
+    In a pair tendon `side` makes the motion, and the other one is kept at `keep` [N]. Motors are
+    sent on at every step of the plant, however few of its samples become rows.
+    """
+    rig = SimulatedRig(config)
+    loose = Keep(keep, FOLLOW_SPEED)
+    pair = (motion, loose) if side == "a" else (loose, motion)
+    motions = [m for tendons in rig.joints for m in (pair if len(tendons) == 2 else (motion,))]
+    memories = [Memory()] * rig.tendons
+    period, rows = config.period, []
+    due = [round(k / rate / period) for k in range(int(duration * rate + 1e-9) + 1)]
+    kept, last = set(due), due[-1]
+    for step in range(last + 1):
+        for sample in rig.read(step * period):
+            tensions = sample.proximal_tension.tolist()
+            moves = [
+                move.step(memory, Seen(sample.time_s, tension, period))
+                for move, memory, tension in zip(motions, memories, tensions, strict=True)
+            ]
+            memories = [memory for _, memory in moves]
+            rig.write(np.array([target for target, _ in moves]))
+            if step in kept:
+                rows.append(sample)
+        if progress and (step % 2000 == 0 or step == last):
+            _show_progress((step + 1) / (last + 1))
+    rig.close()
+    if not rows:
+        raise UsageError("slave.rig.effects: all samples were lost")
+    return Run(
+        np.array([row.time_s for row in rows]),
+        np.array([row.proximal_tension for row in rows]),
+        np.array([row.proximal_displacement for row in rows]),
+        np.array([row.bench_distal_tension for row in rows]),
+        np.array([row.bench_distal_displacement for row in rows]),
+    )
+
+
+def table_of(run: Run) -> dict[str, Array]:
+    """Return a run as the columns of a measured-data file; tendons 2, 3, ... are numbered."""
+    columns = {"time_s": run.time}
+    for tendon in range(run.proximal_tension.shape[1]):
+        names = Columns.of_tendon(tendon + 1).names()
+        del names["time"]
+        columns |= {name: getattr(run, item)[:, tendon] for item, name in names.items()}
+    return columns
+
+
+def _rig_config(args: argparse.Namespace) -> SimulatedRigConfig:
+    config = load(args.config, SlaveConfig, "slave", args.overrides).rig
+    place = args.config or "defaults"
+    if not isinstance(config, SimulatedRigConfig):
+        raise UsageError(f"{place}: slave.rig.type: must be simulated, {config.type} moves nothing")
+    if args.seed is None:
+        return config
+    try:
+        return dataclasses.replace(config, seed=args.seed)
+    except ValueError as error:
+        raise UsageError(f"--{error}") from error
+
+
+def _show_progress(share: float) -> None:
+    bar = "#" * round(40 * share)
+    print(f"\r[{bar:<40}] {share:4.0%}", end="\n" if share == 1.0 else "", file=sys.stderr)
+
+
+def _print_summary(
+    args: argparse.Namespace, config: SimulatedRigConfig, run: Run, took: float
+) -> None:
+    span = float(run.time[-1])
+    print(f"{args.out}: {len(run.time)} rows, {span:g} s, simulated {span / took:.3g} x real time")
+    tendons = [tendon for joint in config.joints for tendon in joint.tendons]
+    for i, tendon in enumerate(tendons):
+        sheath = tendon.sheath
+        bend = sum(section.length / section.radius for section in sheath.sections)
+        print(
+            f"tendon {i + 1}: K = {sheath.friction * bend:.4g}, EA = {sheath.axial_stiffness:g} N; "
+            f"peaks {run.proximal_tension[:, i].max():.3g} N at the housing, "
+            f"{run.distal_tension[:, i].max():.3g} N at the tip; "
+            f"the motor moved {1e3 * np.ptp(run.proximal_displacement[:, i]):.3g} mm, "
+            f"the tip {1e3 * np.ptp(run.distal_displacement[:, i]):.3g} mm"
+        )
+        most = tendon.load_cell.range
+        if run.proximal_tension[:, i].max() >= most:
+            beyond = f", --peak {args.peak:g} N is never read" if args.peak >= most else ""
+            print(
+                f"WARNING: tendon {i + 1}: its load cell's readings end at {most:g} N "
+                f"(load_cell.range){beyond}"
+            )
+    for effect in config.effects:
+        print(f"effect {described(effect)}")
+    for line in late(config.effects, args.duration):
+        print(line)

@@ -1,0 +1,135 @@
+"""Measure how transparent and how stable each coupling is, over each delay.
+
+  teleop bench transparency
+  teleop bench transparency --couplings passivity --round-trips 0 100 --quick
+  teleop bench transparency --jitter 50 --loss 0.1 --out over-a-bad-network
+
+The live code of master and slave, with a simulated hand, network and rig: rendered against true
+stiffness, Z-width, hybrid parameters over frequency, and Llewellyn's margin where it applies. In
+--out, `transparency.html` shows all of it on one page, `transparency.json` has the numbers
+(docs/transparency.md).
+"""
+
+import argparse
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from teleop.errors import UsageError
+from teleop.parallel import parallel_map, processors
+from teleop.process import make_folder, write_summary, write_whole
+from teleop.tools.report.progress import Progress
+from teleop.tools.transparency import page, report, study
+from teleop.tools.transparency.study import COUPLINGS, Case, Study, Task
+
+ROUND_TRIP_MAX = 400.0  # [ms] beyond it the sessions' watchdogs would have to be set slower
+QUICK = (0.0, 200.0)  # [ms] if no others are asked for
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    default = Study()
+    parser.add_argument(
+        "--couplings",
+        nargs="+",
+        choices=COUPLINGS,
+        default=list(COUPLINGS),
+        metavar="NAME",
+        help=f"which (default: {' '.join(COUPLINGS)})",
+    )
+    parser.add_argument(
+        "--round-trips",
+        nargs="+",
+        type=float,
+        metavar="MS",
+        help="delays of both ways together [ms] (default: 0 20 100 200 300; --quick: 0 200)",
+    )
+    parser.add_argument(
+        "--jitter", type=float, default=0.0, metavar="MS", help="+- [ms] of the round trip"
+    )
+    parser.add_argument(
+        "--loss", type=float, default=0.0, metavar="SHARE", help="of the messages, each way"
+    )
+    parser.add_argument(
+        "--force-scale",
+        type=float,
+        default=default.force_scale,
+        metavar="X",
+        help=f"force on the hand per force at the tip (default {default.force_scale:g})",
+    )
+    parser.add_argument(
+        "--position-scale",
+        type=float,
+        default=default.position_scale,
+        metavar="X",
+        help=f"tip travel per hand travel (default {default.position_scale:g})",
+    )
+    parser.add_argument("--quick", action="store_true", help="a rough look, in a minute")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("transparency"),
+        metavar="DIR",
+        help="folder for the page and the numbers (default transparency)",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=processors(),
+        metavar="N",
+        help="measurements at a time (default: one for each processor)",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    asked = chosen(args)
+    if not 1 <= args.jobs <= 256:
+        raise UsageError(f"--jobs {args.jobs}: must be 1 to 256")
+    make_folder(args.out, "transparency.html")
+    cases = run(asked, args.jobs)
+    print(report.summary(asked, cases).markdown(), flush=True)
+    write_summary(args.out / "transparency.json", report.tree(asked, cases))
+    write_whole(args.out / "transparency.html", page.render(asked, cases), "the page")
+    print(f"\nwritten: {args.out / 'transparency.html'}")
+    return 0
+
+
+def chosen(args: argparse.Namespace) -> Study:
+    """Return the study that is asked for."""
+    delays = args.round_trips or (QUICK if args.quick else None)
+    for name, values, least, most in (
+        ("round-trips", delays or (), 0.0, ROUND_TRIP_MAX),
+        ("jitter", (args.jitter,), 0.0, 100.0),
+        ("loss", (args.loss,), 0.0, 0.5),
+        ("force-scale", (args.force_scale,), 0.01, 0.5),
+        ("position-scale", (args.position_scale,), 0.05, 2.0),
+    ):
+        for value in values:
+            if not least <= value <= most:  # nor NaN
+                raise UsageError(f"--{name} {value:g}: must be {least:g} to {most:g}")
+    asked = Study(
+        couplings=tuple(dict.fromkeys(args.couplings)),
+        jitter=1e-3 * args.jitter,
+        loss=args.loss,
+        force_scale=args.force_scale,
+        position_scale=args.position_scale,
+    )
+    if delays:
+        asked = replace(asked, round_trips=tuple(sorted({1e-3 * d for d in delays})))
+    return study.quick(asked) if args.quick else asked
+
+
+def run(asked: Study, workers: int) -> list[Case]:
+    """Return what was measured, in so many processes."""
+    tasks, progress = study.tasks(asked), Progress()
+    done: dict[Task, Any] = {}
+    try:
+        results = parallel_map(partial(study.measure, asked), tasks, workers)
+        for task in tasks:
+            progress(f"{task.kind}, {task.coupling}", len(done) / len(tasks))
+            done[task] = next(results)
+    finally:
+        progress.end()
+    return study.gather(asked, done)

@@ -1,0 +1,478 @@
+"""The launcher: its words, whom it can do without, and in which order things happen."""
+
+import io
+import json
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from teleop import process
+from teleop import summary as summaries
+from teleop.app import cli
+from teleop.app.launch import command, watch
+from teleop.app.launch.keys import Keys
+from teleop.app.launch.supervisor import Supervisor, wait_for
+from teleop.errors import PeerError, TeleopError
+from teleop.link import Heard
+from teleop.messages import Event, Latency, LoopReport, SlaveState, TendonState, padded, text_bytes
+from teleop.remote.requests import CALL, RESET
+from teleop.session import Reason, State
+from teleop.stages import StageMeter
+from teleop.status_line import StatusLine, status_text
+from teleop.summary import loop_lines
+from teleop.topics import COMMAND, EVENT, LATENCY, REPORT, STATE, STOP, Role
+
+
+def loop(ticks=1000, latencies=0):
+    """A loop's summary, as `teleop.meter` makes it."""
+    none = {"n": 0, "p50": None, "p99": None, "p99_9": None}
+    some = {"n": max(ticks, 1), "p50": 2.0, "p99": 3.0, "p99_9": 4.0}
+    return {
+        "ticks": ticks, "rate_hz": 1000.0, "seconds": 1.0, "overruns": 3, "lateness_max_ms": 0.5,
+        "work_us": some if ticks else none, "latency_ms": some if latencies else none,
+        "role": "slave", "faults": [Reason.RIG_FAULT.text] if ticks else [],
+        "ticks_in": {"off": ticks - ticks // 2, "ready": 0, "engaged": ticks // 2, "fault": 0},
+        "not_usable": "no calibration", "reason": "", "ended_in": "",
+        "gate": {"PASSED": 1, "SPEED": ticks // 4},
+        "received": 999, "lost": 7, "rejected": {"corrupted": 1, "foreign": 2},
+    }  # fmt: skip
+
+
+# words
+
+
+def test_the_summary_of_a_session_in_words():
+    recorder = {"file": "a.mcap", "messages": {"state": 5, "hand": 6}, "gaps": {"state": 1}}
+    ping = {"p50_ms": 0.1, "p99_ms": 0.2, "p99_9_ms": 0.3}
+    slave = loop() | {"force_error": None}
+    whole = {"slave": slave, "master": loop(latencies=9), "record": recorder, "ping_pong": ping}
+    text = "\n".join(summaries.lines(whole))
+    for words in (
+        "received 999, lost 7, rejected 3",
+        f"1 fault, last: {Reason.RIG_FAULT.text}",
+        "speed 25.0 % of the ticks",
+        "command to force p50 2.00 ms",
+        "ping-pong, same sizes: p50 0.10 ms",
+        "no distal tension measured",
+        "a.mcap: 11 messages, 1 gaps",
+    ):
+        assert words in text
+
+
+def ended_in(fault):
+    return loop() | {"ended_in": fault}
+
+
+def test_a_session_that_was_never_usable_or_ended_in_a_fault_is_told_from_a_good_one():
+    never = loop() | {"ticks_in": dict.fromkeys(("ready", "engaged", "fault"), 0) | {"off": 9}}
+    assert summaries.trouble({"slave": loop(), "master": loop()}) == ""
+    assert summaries.trouble({"slave": loop(ticks=0), "master": None}) == ""
+    assert summaries.trouble({"slave": never}) == "the slave was never usable: no calibration"
+    afar = ended_in(Reason.PEER_FAULT.text)
+    broken = ended_in("a tendon is broken: joint 1, tendon a")
+    said = "ended the session: a tendon is broken: joint 1, tendon a"
+    assert summaries.trouble({"slave": broken, "master": afar}) == f"a fault of the slave {said}"
+    assert summaries.trouble({"slave": afar, "master": broken}) == f"a fault of the master {said}"
+    assert Reason.PEER_FAULT.text in summaries.trouble({"slave": loop(), "master": afar})
+
+
+def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():
+    error = {
+        "full_scale_N": 1.1, "rmse_N": 0.13, "mean_N": 0.1, "max_N": 0.6, "inside_interval": 1.0,
+        "rmse_percent": 11.6, "mean_percent": 9.0, "max_percent": 55.0, "pulled": False,
+    }  # fmt: skip
+    line = summaries.force_line(error)
+    assert "nothing was pulled: largest true force 1.1 N" in line
+    assert "max 0.600 N" in line
+    assert "55" not in line
+    assert "max 0.600 N (55.0 %) of 1.1 N" in summaries.force_line(error | {"pulled": True})
+
+
+def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
+    assert summaries.lines({"slave": loop(), "master": None})[-2:] == [
+        "master    left no summary (killed?)",
+        "force     no distal tension measured to compare the estimate with",
+    ]
+    assert summaries.lines({}) == []
+    assert summaries.lines({"slave": loop(ticks=0), "master": loop(ticks=0)}) == []
+
+
+def test_the_status_of_a_session_grows_with_what_is_known():
+    assert status_text({}, None, None) == "waiting for the master │ slave starting"
+    reports = {
+        Role.MASTER: LoopReport(state=State.ENGAGED, rate_hz=999.6, latency_p50_ns=2_000_000),
+        Role.SLAVE: LoopReport(rate_hz=1000),
+    }
+    state = SlaveState(joints=2, force=padded((1.0, -2.5), 8))
+    text = status_text(reports, state, TendonState(tendons=1))
+    assert text.startswith("engaged │ slave 1000 Hz │ master 1000 Hz │ latency 2.0/0.0 ms")
+    assert "1.00  -2.50 N │ slack" in text
+    assert "slack" not in status_text({}, None, TendonState(tendons=1, phase=(99,) * 16))
+
+
+def test_the_status_shows_where_the_time_from_hand_to_force_goes():
+    reports = {Role.MASTER: LoopReport(state=State.ENGAGED, latency_p50_ns=2_000_000)}
+    latency = Latency(
+        answered=500,
+        p50_ns=(20_000, 210_000, 100_000, 50_000, 380_000),
+        p99_ns=(0, 0, 0, 0, 500_000),
+        p99_9_ns=(0, 0, 0, 0, 800_000),
+        max_ns=(0, 0, 0, 0, 1_230_000),
+    )
+    text = status_text(reports, None, None, latency)
+    assert (
+        "latency p50 0.38 p99 0.50 p99.9 0.80 max 1.23 ms: "
+        "read 0.02, link 0.21, slave 0.10, render 0.05"
+    ) in text
+    # none was answered in its own tick: what there is, is the round trip
+    assert "latency 2.0/0.0 ms" in status_text(reports, None, None, Latency())
+
+
+def test_the_summary_shows_where_the_time_from_hand_to_force_went():
+    meter = StageMeter()
+    for _ in range(10):
+        meter.add((20_000, 210_000, 100_000, 50_000, 380_000))
+    told = loop_lines(loop() | {"stages_us": meter.summary()})
+    assert told[-1] == (
+        "latency   hand to force p50 0.38 p99 0.38 p99.9 0.38 max 0.38 ms: "
+        "read 0.02, link 0.21, slave 0.10, render 0.05 (10 commands answered in their own tick)"
+    )
+    assert loop_lines(loop() | {"stages_us": StageMeter().summary()}) == loop_lines(loop())
+
+
+def test_a_latency_that_is_heard_is_kept():
+    hearing = watch.Hearing()
+    assert hearing.take([heard(LATENCY, Latency(answered=3))]) == []
+    assert hearing.latency.answered == 3
+
+
+def test_without_a_terminal_there_is_no_status_line():
+    stream = io.StringIO()
+    line = StatusLine(stream)
+    line.show("status")
+    line.say("a word")
+    line.clear()
+    assert stream.getvalue() == "a word\n"
+
+
+def test_words_are_printed_above_the_status_line():
+    stream = io.StringIO()
+    stream.isatty = lambda: True
+    line = StatusLine(stream)
+    line.show("status")
+    line.say("a word")
+    assert stream.getvalue().endswith("\r\x1b[Ka word\nstatus")
+
+
+# what is heard
+
+
+def heard(topic, message):
+    return Heard(topic, message.pack(1, 1, 0), 0, 1, 1, 0)
+
+
+def event(role, state, text):
+    return heard(EVENT, Event(role=role, state=state, text=text_bytes(text)))
+
+
+def test_events_become_lines_and_a_side_that_says_the_same_again_is_heard_once():
+    hearing = watch.Hearing()
+    events = [
+        event(Role.SLAVE, State.OFF, "off: no calibration fits"),
+        event(Role.MASTER, State.READY, "ready"),
+        event(Role.SLAVE, State.OFF, "off: no calibration fits"),
+        event(Role.SLAVE, State.FAULT, "fault"),
+    ]
+    lines = ["[slave] off: no calibration fits", "[master] ready", "[slave] fault"]
+    assert hearing.take(events) == lines
+    again = event(Role.MASTER, State.READY, "ready")
+    assert hearing.take([event(Role.SLAVE, State.READY, "ready"), again]) == ["[slave] ready"]
+
+
+def test_what_is_not_understood_neither_steers_the_terminal_nor_ends_the_session():
+    hearing = watch.Hearing()
+    (line,) = hearing.take([event(9, State.READY, "a\x1b[2Jb\nc\u202ed\x00e")])
+    assert line == "[role_9] a [2Jb c d e"
+    assert hearing.take([heard(REPORT, LoopReport(role=9))]) == []
+    assert not hearing.running
+
+
+def test_a_session_runs_when_both_loops_have_reported():
+    hearing = watch.Hearing()
+    for role, running in ((Role.SLAVE, False), (Role.SLAVE, False), (Role.MASTER, True)):
+        hearing.take([heard(REPORT, LoopReport(role=role))])
+        assert hearing.running == running
+
+
+# children
+
+
+@pytest.fixture
+def family(tmp_path, monkeypatch):
+    """A supervisor whose children run the Python given in place of arguments."""
+    said = []
+    family = Supervisor(tmp_path, lambda name, line: said.append((name, line)))
+    family.said = said
+    program = tmp_path / "python"
+    program.write_text(f'#!/bin/sh\nshift 3\nexec {sys.executable} -c "$@"\n')
+    program.chmod(0o755)
+    monkeypatch.setattr("teleop.app.launch.supervisor.sys.executable", str(program))
+    yield family
+    family.stop(list(family.children))
+
+
+COMPLAIN = "print('teleop: no room'); raise SystemExit({})"
+
+
+def ended(family, name, code):
+    family.start(name, [code])
+    assert wait_for(lambda: family.children[name].exit_code is not None, 20.0)
+
+
+@pytest.mark.parametrize("name", ["view", "record"])
+def test_a_session_goes_on_without_a_viewer_or_recorder_and_says_so_once(family, name):
+    ended(family, name, COMPLAIN.format(1))
+    assert family.casualty() is None
+    assert family.casualty() is None
+    assert family.said == [(name, "no room; the session goes on")]
+
+
+@pytest.mark.parametrize(("name", "code"), [("view", 2), ("slave", 1), ("master", 0), ("slave", 2)])
+def test_a_vital_child_or_a_wrong_option_ends_the_session(family, name, code):
+    ended(family, name, COMPLAIN.format(code))
+    child = family.casualty()
+    assert (child.name, child.exit_code, child.complaint) == (name, code, "no room")
+    assert family.said == []
+
+
+def test_children_are_ended_in_order_and_know_their_launcher(family):
+    code = (
+        "import os, signal, sys\n"
+        f"assert os.environ['{process.SUPERVISED}'] == str(os.getppid())\n"
+        "signal.signal(signal.SIGTERM, lambda *_: sys.exit('bye'))\n"
+        "print('here', flush=True)\n"
+        "signal.pause()\n"
+    )
+    for name in ("record", "slave", "master"):
+        family.start(name, [code])
+    assert wait_for(lambda: len(family.said) == 3, 20.0)
+    family.stop(command.ENDING)
+    assert family.said[3:] == [("master", "bye"), ("slave", "bye"), ("record", "bye")]
+
+
+SAY_AND_END = (
+    "import signal, sys, time\n"
+    "def end(*_):\n"
+    "    for _ in range({}):\n"
+    "        time.sleep(0.2)\n"
+    "        print('letting go', flush=True)\n"
+    "    {}\n"
+    "signal.signal(signal.SIGTERM, end)\n"
+    "print('here', flush=True)\n"
+    "while True: signal.pause()\n"
+)
+
+
+@pytest.mark.parametrize(("after", "killed"), [("sys.exit(0)", False), ("time.sleep(60)", True)])
+def test_a_child_that_still_speaks_is_given_time_and_a_silent_one_is_killed(
+    family, monkeypatch, after, killed
+):
+    monkeypatch.setattr("teleop.app.launch.supervisor._PATIENCE_S", 1.0)
+    child = family.start("slave", [SAY_AND_END.format(10, after)])
+    assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
+    family.stop(["slave"])
+    assert family.said.count(("slave", "letting go")) == 10
+    assert (child.exit_code != 0) == killed
+    assert any("was killed" in line for _, line in family.said) == killed
+
+
+def test_a_child_that_only_speaks_is_killed_in_the_end(family, monkeypatch):
+    monkeypatch.setattr("teleop.app.launch.supervisor._LONGEST_S", 1.0)
+    family.start("slave", [SAY_AND_END.format(1000, "pass")])
+    assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
+    family.stop(["slave"])
+    assert any("was killed" in line for _, line in family.said)
+
+
+class Mute:
+    """A link on which no slave has answered yet, and a listener that hears of its calibration."""
+
+    def subscribe_latest(self, _topic):
+        pass
+
+    def latest(self, _topic):
+        return self
+
+    message = None
+
+    def drain(self):
+        return [event(Role.SLAVE, State.OFF, "off: calibrating")]
+
+
+class StopAt:
+    def __init__(self, asked):
+        self.left = asked
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0
+
+
+def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(family, monkeypatch):
+    stream = io.StringIO()
+    child = family.start("slave", ["import signal; signal.pause()"])
+    monkeypatch.setattr(watch, "START_S", 0.5)
+    waiting = (Mute(), Mute(), watch.Hearing(), family, StatusLine(stream))
+    keyboard = watch.Keyboard(Keys(), Mute())
+    assert watch.wait_for_slave(*waiting, StopAt(2), keyboard) is None
+    assert stream.getvalue() == "[slave] off: calibrating\n"
+    child.heard_s += 1.0
+    assert watch.wait_for_slave(*waiting, StopAt(7), keyboard) is None
+    child.heard_s -= 2.0
+    with pytest.raises(TeleopError, match="did not start"):
+        watch.wait_for_slave(*waiting, StopAt(7), keyboard)
+
+
+class Pressed:
+    """Keys that are pressed one look after the other."""
+
+    def __init__(self, *keys):
+        self.keys = list(keys)
+
+    def wait(self, _seconds):
+        return self.keys.pop(0) if self.keys else ""
+
+
+class Sides:
+    """A link to two sides, each in the state and with the stops that a test says."""
+
+    def __init__(self):
+        self.states, self.stops, self.sent = {}, {}, []
+
+    def latest(self, topic):
+        side = {STATE: Role.SLAVE, COMMAND: Role.MASTER}[topic]
+        state = self.states.get(side)
+        told = (
+            None if state is None else SimpleNamespace(state=state, stops=self.stops.get(side, 0))
+        )
+        return SimpleNamespace(message=told)
+
+    def publish(self, topic, message):
+        assert topic is STOP
+        self.sent.append((message.action, message.side, message.number))
+
+
+STOPPING = (CALL, 0, 0)
+
+
+def test_a_stop_from_the_keyboard_is_called_until_both_sides_have_stopped():
+    sides = Sides()
+    keyboard = watch.Keyboard(Pressed(" "), sides)
+    for _ in range(3):  # nobody is there yet
+        keyboard.look(0.0)
+    sides.states[Role.SLAVE] = State.STOPPED
+    keyboard.look(0.0)
+    sides.states[Role.MASTER] = State.READY
+    keyboard.look(0.0)
+    assert sides.sent == [STOPPING] * 5
+    sides.states[Role.MASTER] = State.STOPPED
+    keyboard.look(0.0)
+    sides.states[Role.MASTER] = State.READY  # reset by another process
+    keyboard.look(0.0)
+    assert len(sides.sent) == 5
+
+
+def test_a_reset_from_the_keyboard_names_the_stops_that_it_takes_back_and_no_later_one():
+    sides = Sides()
+    sides.states = dict.fromkeys((Role.MASTER, Role.SLAVE), State.STOPPED)
+    sides.stops = {Role.MASTER: 4, Role.SLAVE: 6}
+    keyboard = watch.Keyboard(Pressed("r", "", " r"), sides)
+    keyboard.look(0.0)
+    assert sorted(sides.sent) == [(RESET, Role.MASTER, 4), (RESET, Role.SLAVE, 6)]
+    sides.sent.clear()
+    sides.stops[Role.SLAVE] = 7  # somebody has called anew
+    sides.states[Role.MASTER] = State.READY
+    keyboard.look(0.0)
+    assert sides.sent == []
+    keyboard.look(0.0)
+    assert sides.sent == [STOPPING]
+
+
+# the order of events
+
+
+class Scene:
+    """Stands in for link and supervisor; writes down what is asked of them."""
+
+    def __init__(self):
+        self.log, self.children = [], {}
+        self.there, self.casualties = set(), []
+        self.session = "demo"
+
+    def __enter__(self):
+        self.log.append("link")
+        return self
+
+    def __exit__(self, *_):
+        self.log.append("unlink")
+
+    def present(self, role):
+        return role in self.there
+
+    def listen(self, _topics):
+        self.log.append("listen")
+
+    def start(self, name, _arguments):
+        self.log.append(name)
+
+    def stop(self, _order):
+        self.log.append("stop")
+
+
+class NeverStop:
+    reason = ""
+
+    def __call__(self):
+        return False
+
+
+@pytest.fixture
+def scene(monkeypatch, tmp_path):
+    scene = Scene()
+    monkeypatch.setattr(command, "Link", lambda *_: scene)
+    monkeypatch.setattr(command, "Supervisor", lambda *_: scene)
+    monkeypatch.setattr(command, "Stop", NeverStop)
+    monkeypatch.setattr(command.watch, "wait_for_slave", lambda *_: scene.log.append("wait"))
+    monkeypatch.setattr(command.watch, "watch", lambda *_: scene.log.append("watch"))
+    monkeypatch.setattr(command, "_summary", lambda *_: {"reason": "", "exit_code": 0})
+    return scene
+
+
+def test_the_master_starts_last_and_all_is_heard_from_the_beginning(scene):
+    assert cli.main(["run", "--record", "somewhere", "--view", "web"]) == 0
+    assert scene.log[:8] == ["link", "listen", "record", "slave", "view", "wait", "master", "watch"]
+    assert scene.log[-2:] == ["unlink", "stop"]
+
+
+@pytest.mark.parametrize("role", [Role.SLAVE, Role.MASTER])
+def test_nothing_is_started_in_a_session_that_is_taken(scene, role, capsys):
+    scene.there.add(role)
+    assert cli.main(["run", "--record", "somewhere"]) == PeerError.exit_code
+    assert set(scene.log) == {"link", "unlink", "stop"}
+    assert f"has a {role.name.lower()} already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--duration=nan", "--json=/no/where.json", "--record="])
+def test_a_wrong_option_is_found_before_anything_else(scene, option, capsys):
+    assert cli.main(["run", option]) == 2
+    assert scene.log == []
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_an_interrupted_start_says_nothing_and_measures_nothing(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(command, "ping_pong", lambda *_: pytest.fail("nothing ran"))
+    summary = {"slave": loop(ticks=0), "reason": "SIGINT", "exit_code": 0}
+    assert command._conclude(summary, tmp_path / "run.json") == 130
+    assert capsys.readouterr().out == ""
+    assert json.loads((tmp_path / "run.json").read_text())["reason"] == "SIGINT"

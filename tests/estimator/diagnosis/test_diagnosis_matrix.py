@@ -1,0 +1,86 @@
+"""Every effect hidden twice, and nothing, two at once, and what the catalogue does not know.
+
+Short records, and each against a part of the catalogue that differs from case to case. One case in
+five is quick; `make test-all` has all of them, `make bench-diagnosis` the same at full length.
+"""
+
+import zlib
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden.campaign import Case, judge
+from estimator.diagnosis.outcome import Verdict
+from estimator.effects import CATALOGUE, NAMES
+from tests import hidden
+
+SHORT = {"duration": 30.0, "rate": 50.0}
+RIVALS = 2  # causes beside the true ones, in a case
+STRANGERS = 12  # causes that must not be taken for what the catalogue does not know
+
+
+def _case(seed, effects, bench):
+    return Case(seed, effects, 1.0, bench, **SHORT)
+
+
+def _twice(name):
+    """Return an effect on both benches, or on the one that has it from two seeds."""
+    benches = hidden.VISIBLE[name]
+    pairs = [(11, benches[0]), (12, benches[-1])]
+    return [_case(seed, (name,), bench) for seed, bench in pairs]
+
+
+SINGLE = [case for name in hidden.EFFECTS for case in _twice(name)]
+CLEAN = [_case(seed, (), bench) for seed in (21,) for bench in ("blocked", "spring")]
+OUTSIDE = [  # of friction that wanders tells test_diagnosis
+    _case(31, (name,), "spring") for name in hidden.OUTSIDE if "wandering_friction" not in name
+]
+PAIRS = [
+    _case(41, ("friction_step", "distal_tension_bias"), "spring"),
+    _case(42, ("viscous_friction", "encoder_slip"), "blocked"),
+    _case(43, ("creep", "tension_dependent_friction"), "blocked"),
+]
+
+
+def named(case):
+    return f"{'+'.join(case.effects) or 'clean'}-{case.bench}-{case.seed}"
+
+
+def one_in_five(cases):
+    """Return the cases as parameters, all but every fifth marked slow."""
+    return [
+        pytest.param(case, id=named(case), marks=pytest.mark.slow if k % 5 else ())
+        for k, case in enumerate(cases)
+    ]
+
+
+def quickly(case):
+    """Judge a case against a part of the catalogue; a clean one against all of it."""
+    if case in CLEAN:
+        return judge(case, oracle=False)
+    rng = np.random.default_rng(zlib.crc32(repr(case).encode()))
+    others = STRANGERS if case in OUTSIDE else RIVALS
+    among = {*case.effects, *rng.choice(NAMES, others, replace=False).tolist()}
+    return judge(case, [effect for effect in CATALOGUE if effect.name in among], oracle=False)
+
+
+@pytest.mark.parametrize("case", [*one_in_five(SINGLE), *one_in_five(PAIRS)])
+def test_what_was_hidden_is_in_the_answer(case):
+    found = quickly(case)
+    print(found)
+    assert not found.absorbed, "too small for a test: the plain law takes it up"
+    assert found.right
+
+
+@pytest.mark.parametrize("case", one_in_five(CLEAN))
+def test_a_clean_record_is_called_clean(case):
+    found = quickly(case)
+    print(found)
+    assert found.verdict == Verdict.CLEAN
+
+
+@pytest.mark.parametrize("case", one_in_five(OUTSIDE))
+def test_what_the_catalogue_does_not_know_is_not_given_a_name(case):
+    found = quickly(case)
+    print(found)
+    assert found.verdict in {Verdict.UNEXPLAINED, Verdict.CLEAN}

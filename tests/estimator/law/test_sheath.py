@@ -1,0 +1,104 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from estimator.law.sheath import MAX_K, Section, Sheath, SheathError
+from estimator.law.tables import K, arc_length, friction_coordinate, integral, tables
+
+SECTIONS = st.lists(
+    st.builds(Section, st.floats(0.01, 1.0), st.one_of(st.just(math.inf), st.floats(0.02, 2.0))),
+    min_size=1,
+    max_size=6,
+).map(tuple)
+
+
+def sheaths():
+    return st.builds(
+        Sheath,
+        SECTIONS,
+        st.one_of(st.just(0.0), st.floats(0.01, 0.2)),
+        st.just(9000.0),
+        st.just(0.0),
+        st.floats(0.5, 1.6),
+    ).filter(lambda sheath: sheath.K < 5)
+
+
+def along(sheath, x):
+    """Return s(x) by adding up what of each section lies before `x`."""
+    s, start = 0.0, 0.0
+    for section in sheath.sections:
+        s += sheath.friction * min(max(x - start, 0.0), section.length) / section.radius
+        start += section.length
+    return s
+
+
+@settings(deadline=None)
+@given(sheaths(), st.floats(0.0, 1.0), st.sampled_from([-1, 0, 1]))
+def test_integrals_are_the_areas_they_name(sheath, fraction, direction):
+    slope = {-1: -1.0, 0: 0.0, 1: sheath.asymmetry}[direction]
+    table = tables(sheath)
+    s_end = fraction * table[K]
+    area, start = 0.0, 0.0
+    for section in sheath.sections:
+        x = start + section.length * np.linspace(0.0, 1.0, 201)
+        s = np.array([along(sheath, v) for v in x])
+        if s[-1] - s[0] < 1e-9:
+            area += section.length * math.exp(slope * s[0]) * (s[0] <= s_end + 1e-9)
+        else:
+            s, x = np.minimum(s, s_end), np.interp(np.minimum(s, s_end), s, x)
+            area += np.trapezoid(np.exp(slope * s), x)
+        start += section.length
+    assert integral(table, s_end, slope) == pytest.approx(area, rel=1e-4)
+
+
+@settings(deadline=None)
+@given(sheaths(), st.floats(0.0, 1.0))
+def test_coordinates_invert_each_other(sheath, fraction):
+    table = tables(sheath)
+    x = fraction * sheath.length
+    assert friction_coordinate(table, x) == pytest.approx(along(sheath, x), abs=1e-7)
+    s = fraction * table[K]
+    assert friction_coordinate(table, arc_length(table, s)) == pytest.approx(s, abs=1e-7)
+
+
+def test_totals_add_up():
+    sheath = Sheath((Section(0.2, 0.1), Section(0.5), Section(0.3, 0.15)), 0.1, 9000.0)
+    assert sheath.length == pytest.approx(1.0)
+    assert sheath.bend_angle == pytest.approx(4.0)
+    assert math.isclose(sheath.K, 0.4)
+
+
+@pytest.mark.parametrize("friction", [0.0, 1e-12, 0.3, 5.0])
+def test_uniform_has_the_friction_it_was_asked_for(friction):
+    sheath = Sheath.uniform(friction, 1.5, 9000.0)
+    assert math.isclose(sheath.K, friction)
+    assert sheath.length == 1.5
+
+
+@pytest.mark.parametrize(
+    ("make", "word"),
+    [
+        (lambda: Section(0.0), "length"),
+        (lambda: Section(math.inf), "length"),
+        (lambda: Section(math.nan), "length"),
+        (lambda: Section(1.0, 0.0), "radius"),
+        (lambda: Section(1.0, math.nan), "radius"),
+        (lambda: Sheath((), 0.1, 9000.0), "sections"),
+        (lambda: Sheath((Section(1.0),), -0.1, 9000.0), "friction"),
+        (lambda: Sheath((Section(1.0),), math.nan, 9000.0), "friction"),
+        (lambda: Sheath((Section(1.0),), 0.1, 0.0), "axial_stiffness"),
+        (lambda: Sheath((Section(1.0),), 0.1, 9000.0, drag=-1.0), "drag"),
+        (lambda: Sheath((Section(1.0),), 0.1, 9000.0, asymmetry=0.0), "asymmetry"),
+        (lambda: Sheath.uniform(-1.0, 1.0, 9000.0), "K"),
+        (lambda: Sheath.uniform(math.nan, 1.0, 9000.0), "K"),
+        (lambda: Sheath.uniform(1.0, 1.0, 9000.0, friction=0.0), "friction"),
+        (lambda: Sheath.uniform(1.01 * MAX_K, 1.0, 9000.0), "K"),
+    ],
+)
+def test_an_impossible_sheath_is_refused_by_name(make, word):
+    with pytest.raises(SheathError, match=word) as caught:
+        make()
+    assert "\n" not in str(caught.value)

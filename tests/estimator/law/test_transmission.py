@@ -1,0 +1,579 @@
+"""The transmission law against the brute-force chain, a node sweep, and its own properties."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from estimator.law.profile import point, point_count
+from estimator.law.sheath import Section, Sheath, SheathError
+from estimator.law.transmission import (
+    CAPACITY,
+    Phase,
+    batch,
+    certified_interval,
+    drive_distal,
+    drive_proximal,
+    envelope,
+    forgotten,
+    observe,
+    pretensioned_profile,
+    push_displacement,
+    push_displacement_spring,
+    push_distal,
+    push_proximal,
+    read_out,
+    sensitivity,
+    slack_profile,
+    tables,
+    tension_at,
+)
+from tests.brute.chain import Chain, Force, Position, Spring
+
+MU, EA = 0.1, 9000.0
+UNIFORM = ((1.5, 0.15),)  # K = 1
+BENT = ((0.5, 0.08), (0.4, math.inf), (0.3, 0.15), (0.3, 0.4))  # (length, radius) [m]
+NESTED = (0.1, 20.0, 5.0, 15.0, 7.0, 12.0, 3.0, 9.0, 4.0, 18.0, 0.5, 20.0, 1.0)
+
+TENSIONS = st.floats(0.2, 30.0)
+HISTORIES = st.lists(TENSIONS, min_size=1, max_size=25)
+MOVES = st.lists(st.tuples(st.sampled_from(["motor", "tip"]), TENSIONS), min_size=1, max_size=20)
+SHEATHS = st.builds(
+    Sheath,
+    st.lists(
+        st.builds(
+            Section, st.floats(0.05, 0.6), st.one_of(st.just(math.inf), st.floats(0.03, 1.0))
+        ),
+        min_size=1,
+        max_size=4,
+    ).map(tuple),
+    st.one_of(st.just(0.0), st.floats(0.02, 0.15)),
+    st.just(EA),
+    st.one_of(st.just(0.0), st.floats(0.01, 3.0)),
+    st.one_of(st.just(1.0), st.floats(0.5, 2.0)),
+).filter(lambda sheath: sheath.K < 3.0)
+
+
+def examples(count):
+    return settings(deadline=None, max_examples=count)
+
+
+def sheath_of(sections, drag=0.0, asymmetry=1.0):
+    return Sheath(tuple(Section(*section) for section in sections), MU, EA, drag, asymmetry)
+
+
+def ramps(levels, steps=12):
+    """Return the way through `levels` in small steps, the first level included."""
+    parts = [np.linspace(a, b, steps + 1)[1:] for a, b in itertools.pairwise(levels)]
+    return np.concatenate([[levels[0]], *parts])
+
+
+def driven(table, profile, moves):
+    for end, tension in moves:
+        profile = {"motor": drive_proximal, "tip": drive_distal}[end](table, profile, tension)
+    return profile
+
+
+def after(table, tensions, start=5.0):
+    profile = pretensioned_profile(table, start)
+    for tension in tensions:
+        push_proximal(table, profile, tension)
+    return profile
+
+
+def points(profile):
+    return [point(profile, k) for k in range(point_count(profile))]
+
+
+def same(table, one, other):
+    """Whether two profiles are the same state, told by what both ends and the inside show."""
+    x = np.linspace(0.0, table[1], 50)
+    inside = np.allclose(tension_at(table, one, x), tension_at(table, other, x), rtol=1e-9)
+    return inside and np.allclose(read_out(table, one)[:3], read_out(table, other)[:3], rtol=1e-9)
+
+
+def worst(model, truth):
+    """Largest error over the largest true value."""
+    return np.abs(np.array(model) - np.array(truth)).max() / np.abs(truth).max()
+
+
+# Against the chain: 1e-3 of full scale.
+
+
+@pytest.mark.parametrize(
+    ("sections", "drag", "asymmetry", "start"),
+    [
+        (UNIFORM, 0.0, 1.0, 0.0),
+        (BENT, 0.0, 1.0, 0.0),
+        (BENT[::-1], 0.0, 1.0, 0.0),
+        (UNIFORM, 2.0, 1.0, 0.0),
+        (UNIFORM, 0.0, 1.5, 0.0),
+        (UNIFORM, 0.0, 1.0, 6.0),
+        (BENT, 1.0, 0.7, 4.0),
+    ],
+)
+def test_motor_driven_by_force(sections, drag, asymmetry, start):
+    chain = Chain(sections, MU, EA, beads=200, drag=drag, asymmetry=asymmetry, tension=start)
+    table = tables(sheath_of(sections, drag, asymmetry))
+    profile = pretensioned_profile(table, start)
+    levels = (start, *NESTED[1:]) if start else NESTED
+    model, truth = [], []
+    for tension in ramps(levels):
+        chain.move(Force(tension), Position(0.0))
+        push_proximal(table, profile, tension)
+        seen = observe(table, profile)
+        model.append((seen.T_out, seen.elongation))
+        truth.append((chain.T_out, chain.elongation))
+    for column in (0, 1):
+        assert worst(np.array(model)[:, column], np.array(truth)[:, column]) < 1e-3
+
+
+@pytest.mark.parametrize("sections", [UNIFORM, BENT])
+@pytest.mark.parametrize("drag", [0.0, 1.0])
+def test_motor_driven_by_travel_with_the_tip_held(sections, drag):
+    chain = Chain(sections, MU, EA, beads=200, drag=drag)
+    chain.travel += 0.01
+    table = tables(sheath_of(sections, drag))
+    profile = slack_profile(table)
+    model, truth = [], []
+    for travel in ramps([1e-5, 2e-3, 1.4e-3, 1.8e-3, 1.5e-3, 2.2e-3, 6e-4, 2e-3]):
+        chain.move(Position(travel + 0.01), Position(0.01))
+        push_displacement(table, profile, travel + 0.01, 0.01)
+        seen = observe(table, profile)
+        assert seen.elongation == pytest.approx(travel, rel=1e-9)
+        model.append((seen.T_in, seen.T_out))
+        truth.append((chain.T_in, chain.T_out))
+    assert worst(model, truth) < 1e-3
+
+
+@pytest.mark.parametrize("sections", [UNIFORM, BENT])
+@pytest.mark.parametrize("drag", [0.0, 1.0])
+def test_motor_driven_by_travel_against_a_spring(sections, drag):
+    stiffness, rest = 2000.0, 0.01
+    chain = Chain(sections, MU, EA, beads=200, drag=drag)
+    chain.travel += rest
+    table = tables(sheath_of(sections, drag))
+    profile = slack_profile(table)
+    model, truth = [], []
+    for travel in ramps([1e-5, 6e-3, 4.5e-3, 5.5e-3, 4.8e-3, 7e-3, 1e-3, 6e-3]):
+        chain.move(Position(rest + travel), Spring(stiffness, rest))
+        push_displacement_spring(table, profile, rest + travel, rest, stiffness)
+        seen = observe(table, profile)
+        assert seen.elongation + seen.T_out / stiffness == pytest.approx(travel, rel=1e-9)
+        model.append((seen.T_in, seen.T_out, 1e3 * seen.elongation))
+        truth.append((chain.T_in, chain.T_out, 1e3 * chain.elongation))
+    for column in range(3):
+        assert worst(np.array(model)[:, column], np.array(truth)[:, column]) < 1e-3
+
+
+@pytest.mark.parametrize("sections", [UNIFORM, BENT])
+@pytest.mark.parametrize("motor", [(0.1, 15.0), (0.1, 30.0, 2.0), (0.1, 30.0, 8.0, 20.0, 12.0)])
+@pytest.mark.parametrize("tip", [(30.0, 1.5, 9.0, 4.0), (2.0, 25.0, 6.0, 11.0)])
+@pytest.mark.parametrize("drag", [0.0, 1.0])
+def test_tip_driven_after_the_motor(sections, motor, tip, drag):
+    asymmetry = 1.3
+    chain = Chain(sections, MU, EA, beads=200, drag=drag, asymmetry=asymmetry)
+    table = tables(sheath_of(sections, drag, asymmetry))
+    profile = pretensioned_profile(table, 0.0)
+    for tension in ramps(motor):
+        chain.move(Force(tension), Position(0.0))
+        push_proximal(table, profile, tension)
+    held = Position(chain.travel[0])
+    model, truth = [], []
+    for tension in ramps((chain.T_out, *tip)):
+        chain.move(held, Force(tension))
+        push_distal(table, profile, tension)
+        seen = observe(table, profile)
+        model.append((seen.T_in, 1e3 * seen.elongation))
+        truth.append((chain.T_in, 1e3 * chain.elongation))
+    for column in (0, 1):
+        assert worst(np.array(model)[:, column], np.array(truth)[:, column]) < 1e-3
+
+
+@pytest.mark.parametrize("motor", [(0.1, 20.0), (0.1, 20.0, 9.0), (0.1, 20.0, 2.0, 6.0, 4.0)])
+@pytest.mark.parametrize("up", [False, True])
+def test_certified_interval_is_how_far_the_tip_can_go_unseen(motor, up):
+    beads, sections = 200, UNIFORM
+    chain = Chain(sections, MU, EA, beads=beads)
+    table = tables(sheath_of(sections))
+    profile = slack_profile(table)
+    for tension in ramps(motor):
+        chain.move(Force(tension), Position(0.0))
+        push_proximal(table, profile, tension)
+    seen = observe(table, profile)
+    near = slice(0, max(1, round(seen.front / sections[0][0] * beads) - 2))
+    certain = chain.tensions[near]
+    T_in, held = chain.T_in, Position(chain.travel[0])
+    reached_front = reached_housing = None
+    for tension in chain.T_out * (1.01 if up else 1 / 1.01) ** np.arange(400):
+        chain.move(held, Force(tension))
+        if reached_front is None and np.abs(chain.tensions[near] / certain - 1).max() > 1e-6:
+            reached_front = tension
+        if abs(chain.T_in / T_in - 1) > 1e-6:
+            reached_housing = tension
+            break
+    assert certified_interval(table, profile)[up] == pytest.approx(reached_front, rel=0.04)
+    assert envelope(table, T_in)[up] == pytest.approx(reached_housing, rel=0.02)
+
+
+# Against a sweep of clipped nodes: the operator in its most naive form.
+
+
+@examples(60)
+@given(SHEATHS, TENSIONS, MOVES)
+def test_profile_equals_a_sweep_of_clipped_nodes(sheath, start, moves):
+    assume(sheath.K > 0.0)
+    table = tables(sheath)
+    x = np.linspace(0.0, sheath.length, 400)
+    angle = np.zeros_like(x)
+    edge = 0.0
+    for section in sheath.sections:
+        angle += np.clip(x - edge, 0.0, section.length) / section.radius
+        edge += section.length
+    steps = np.diff(sheath.friction * angle)
+    down, up = np.exp(-steps), np.exp(sheath.asymmetry * steps)
+    nodes = np.full(x.size, start + sheath.drag)
+    for end, tension in moves:
+        if end == "motor":
+            nodes[0] = tension + sheath.drag
+            for k in range(steps.size):
+                nodes[k + 1] = min(max(nodes[k + 1], nodes[k] * down[k]), nodes[k] * up[k])
+        else:
+            nodes[-1] = tension + sheath.drag
+            for k in reversed(range(steps.size)):
+                nodes[k] = min(max(nodes[k], nodes[k + 1] / up[k]), nodes[k + 1] / down[k])
+    profile = driven(table, pretensioned_profile(table, start), moves)
+    assert tension_at(table, profile, x) == pytest.approx(nodes - sheath.drag, rel=1e-6, abs=1e-6)
+
+
+# Properties over any history.
+
+
+@examples(100)
+@given(SHEATHS, TENSIONS, MOVES)
+def test_friction_bounds_the_profile_everywhere(sheath, start, moves):
+    table = tables(sheath)
+    profile = driven(table, pretensioned_profile(table, start), moves)
+    for (s_a, y_a, slope), (s_b, y_b, _) in itertools.pairwise(points(profile)):
+        assert s_b >= s_a
+        assert -(s_b - s_a) - 1e-9 <= y_b - y_a <= sheath.asymmetry * (s_b - s_a) + 1e-9
+        assert y_b - y_a == pytest.approx(slope * (s_b - s_a), abs=1e-9)
+    seen = observe(table, profile)
+    low, high = envelope(table, seen.T_in)
+    inner_low, inner_high = certified_interval(table, profile)
+    ordered = [low, inner_low, seen.T_out, inner_high, high]
+    assert all(a <= b * (1 + 1e-9) + 1e-9 for a, b in itertools.pairwise(ordered))
+    if seen.phase in {Phase.PULL, Phase.RELEASE}:
+        assert inner_low == pytest.approx(inner_high)
+
+
+@examples(60)
+@given(SHEATHS, TENSIONS, MOVES)
+def test_elongation_is_the_integral_of_the_strain(sheath, start, moves):
+    table = tables(sheath)
+    profile = driven(table, pretensioned_profile(table, start), moves)
+    x = (np.arange(20000) + 0.5) * sheath.length / 20000
+    area = tension_at(table, profile, x).mean() * sheath.length
+    assert observe(table, profile).elongation == pytest.approx(area / EA, rel=1e-4)
+
+
+@examples(100)
+@given(SHEATHS, HISTORIES, TENSIONS, TENSIONS)
+def test_a_closed_minor_loop_leaves_no_trace(sheath, history, a, b):
+    table = tables(sheath)
+    assume(abs(history[-1] - a) > 1e-3)
+    low, high = sorted((history[-1], a))
+    before = after(table, [*history, a])
+    inside = min(max(b, low), high)
+    assert same(table, before, after(table, [*history, a, inside, a]))
+
+
+@examples(100)
+@given(SHEATHS, HISTORIES)
+def test_a_larger_swing_wipes_out_all_smaller_ones(sheath, history):
+    table = tables(sheath)
+    top, bottom = max(history), min(history)
+    once = after(table, [top + 1.0, bottom * 0.9])
+    many = after(table, [top + 1.0, bottom * 0.9, *history, bottom * 0.9])
+    assert same(table, once, many)
+    wide = math.exp((1.0 + sheath.asymmetry) * sheath.K) * 1.01
+    full = [40.0, (40.0 + sheath.drag) / wide - sheath.drag, 40.0]
+    assume(full[1] > 0.0)
+    assert same(table, after(table, full), after(table, [*history, *full]))
+    assert point_count(after(table, [*history, *full])) == 2
+
+
+@examples(60)
+@given(HISTORIES, HISTORIES, TENSIONS, TENSIONS)
+def test_loops_between_the_same_tensions_are_congruent(one, other, a, b):
+    table = tables(Sheath.uniform(1.2, 1.5, EA))
+    assume(abs(a - b) > 1e-3)
+    shapes = []
+    for history in (one, other):
+        profile = after(table, [*history, a, b, a])
+        T = np.linspace(a, b, 20)
+        shapes.append(np.log([observe(table, drive_proximal(table, profile, t)).T_out for t in T]))
+        loops = batch(table, profile, np.concatenate([T, T[::-1]]))[0]
+        shapes[-1] = np.diff(np.log(loops))
+    assert shapes[0] == pytest.approx(shapes[1], abs=1e-9)
+
+
+@examples(100)
+@given(SHEATHS, HISTORIES)
+def test_friction_never_creates_energy(sheath, history):
+    table = tables(sheath)
+    loop = ramps([*history, history[0]], steps=200)[1:]
+    profile = after(table, [*history, *history, history[0]])
+    T_in = np.concatenate([[observe(table, profile).T_in], loop])
+    start = observe(table, profile).elongation
+    e = np.concatenate([[start], batch(table, profile, loop)[1]])
+    work = np.sum((T_in[1:] + T_in[:-1]) / 2 * np.diff(e))
+    stored = 30.0 * e.max()
+    assert work >= -1e-4 * stored
+    if max(history) > 1.5 * min(history) and sheath.K > 0.1:
+        assert work > 0.0
+
+
+@examples(60)
+@given(SHEATHS, HISTORIES, st.floats(0.05, 20.0))
+def test_all_tensions_scale_together(sheath, history, factor):
+    plain, scaled = (
+        tables(sheath),
+        tables(
+            Sheath(sheath.sections, sheath.friction, EA, factor * sheath.drag, sheath.asymmetry)
+        ),
+    )
+    one = observe(plain, after(plain, history, 5.0))
+    many = observe(scaled, after(scaled, [factor * T for T in history], factor * 5.0))
+    assert many.T_out == pytest.approx(factor * one.T_out)
+    assert many.elongation == pytest.approx(factor * one.elongation)
+    assert (many.phase, many.front) == (one.phase, pytest.approx(one.front, abs=1e-6))
+
+
+@examples(60)
+@given(HISTORIES, st.floats(0.5, 2.0))
+def test_mirrored_histories_give_mirrored_profiles(history, rho):
+    """Pull and release change places in ln T when the two frictions do."""
+    K = 0.8
+    one = tables(Sheath.uniform(K, 1.5, EA, asymmetry=rho))
+    other = tables(Sheath.uniform(rho * K, 1.5, EA, asymmetry=1.0 / rho))
+    T_out = observe(one, after(one, history, 5.0)).T_out
+    mirror = observe(other, after(other, [25.0 / T for T in history], 5.0)).T_out
+    assert T_out * mirror == pytest.approx(25.0)
+
+
+@examples(60)
+@given(MOVES)
+def test_the_two_ends_are_alike(moves):
+    """A sheath turned end for end, with the frictions exchanged, does the same."""
+    rho, swap = 1.4, {"motor": "tip", "tip": "motor"}
+    sections = tuple(Section(*section) for section in BENT)
+    one = tables(Sheath(sections, MU, EA, 0.5, rho))
+    other = tables(Sheath(sections[::-1], rho * MU, EA, 0.5, 1.0 / rho))
+    here = observe(one, driven(one, pretensioned_profile(one, 5.0), moves))
+    turned = [(swap[end], tension) for end, tension in moves]
+    there = observe(other, driven(other, pretensioned_profile(other, 5.0), turned))
+    assert (here.T_in, here.T_out) == pytest.approx((there.T_out, there.T_in))
+    assert here.elongation == pytest.approx(there.elongation)
+
+
+@examples(60)
+@given(SHEATHS, MOVES, HISTORIES)
+def test_batch_is_the_step_repeated(sheath, moves, history):
+    table = tables(sheath)
+    profile = driven(table, pretensioned_profile(table, 5.0), moves)
+    stepped, expected = profile.copy(), []
+    for tension in history:
+        stepped = drive_proximal(table, stepped, tension)
+        expected.append(observe(table, stepped)[1:3])
+    T_out, elongation = batch(table, profile, np.array(history))
+    assert np.array_equal(np.array([T_out, elongation]).T, np.array(expected))
+    assert np.array_equal(profile, stepped)
+
+
+@examples(100)
+@given(SHEATHS, MOVES, TENSIONS)
+def test_travel_and_force_drive_the_same_transmission(sheath, moves, tension):
+    table = tables(sheath)
+    profile = driven(table, pretensioned_profile(table, 5.0), moves)
+    by_force = drive_proximal(table, profile, tension)
+    by_travel, by_spring = profile.copy(), profile.copy()
+    wanted = observe(table, by_force)
+    push_displacement(table, by_travel, 0.3 + wanted.elongation, 0.3)
+    q_p = 0.3 + wanted.elongation + wanted.T_out / 500.0
+    push_displacement_spring(table, by_spring, q_p, 0.3, 500.0)
+    for profile in (by_travel, by_spring):
+        seen = observe(table, profile)
+        assert seen.T_in == pytest.approx(tension, rel=1e-5)
+        assert seen.T_out == pytest.approx(wanted.T_out, rel=1e-5)
+        assert seen.elongation == pytest.approx(wanted.elongation, rel=1e-9)
+
+
+@examples(60)
+@given(SHEATHS, HISTORIES)
+def test_sensitivity_is_the_slope_of_what_follows(sheath, history):
+    table = tables(sheath)
+    profile = after(table, history)
+    before = observe(table, profile)
+    assume(before.phase != Phase.SLACK and len(set(history)) > 1)
+    up = point(profile, 0)[2] < 0.0
+    step = 1e-6 * before.T_in * (1.0 if up else -1.0)
+    then = observe(table, drive_proximal(table, profile, before.T_in + step))
+    assume(then.phase == before.phase)
+    gain, compliance = sensitivity(table, profile)
+    assert (then.T_out - before.T_out) / step == pytest.approx(gain, rel=1e-3, abs=1e-6)
+    assert (then.elongation - before.elongation) / step == pytest.approx(
+        compliance, rel=1e-3, abs=1e-9
+    )
+
+
+# Limits and single facts.
+
+
+@examples(40)
+@given(HISTORIES, st.sampled_from([0.0, 1e-12]))
+def test_without_friction_the_tip_is_the_housing(history, K):
+    sheath = Sheath.uniform(K, 1.5, EA)
+    table = tables(sheath)
+    seen = observe(table, after(table, history))
+    assert seen.T_out == pytest.approx(seen.T_in)
+    assert seen.elongation == pytest.approx(seen.T_in * 1.5 / EA)
+    profile = slack_profile(table)
+    push_displacement(table, profile, 1e-3, 0.0)
+    assert observe(table, profile).T_in == pytest.approx(1e-3 * EA / 1.5)
+    push_distal(table, profile, 3.0)
+    assert observe(table, profile).T_in == pytest.approx(3.0)
+
+
+def test_vanishing_friction_is_continuous():
+    history = [20.0, 5.0, 12.0]
+    few, none = (tables(Sheath.uniform(K, 1.5, EA)) for K in (1e-6, 0.0))
+    assert observe(few, after(few, history))[:3] == pytest.approx(
+        observe(none, after(none, history))[:3], rel=1e-5
+    )
+
+
+def test_phases_and_front_of_one_pull_and_release():
+    table = tables(Sheath.uniform(1.0, 1.5, EA))
+    profile = slack_profile(table)
+    assert observe(table, profile).phase == Phase.SLACK
+    for tension, phase, front in [
+        (20.0, Phase.PULL, 1.5),
+        (20.0 * math.exp(-1.0), Phase.PULL_TO_RELEASE, 0.75),
+        (20.0 * math.exp(-2.5), Phase.RELEASE, 1.5),
+        (20.0 * math.exp(-2.1), Phase.RELEASE_TO_PULL, 0.3),
+        (30.0, Phase.PULL, 1.5),
+        (0.0, Phase.SLACK, 1.5),
+    ]:
+        profile = drive_proximal(table, profile, tension)
+        seen = observe(table, profile)
+        assert (seen.phase, seen.front) == (phase, pytest.approx(front))
+    assert seen.T_out == pytest.approx(0.0, abs=1e-6)
+    profile = pretensioned_profile(table, 5.0)
+    assert (observe(table, profile).phase, observe(table, profile).front) == (Phase.VIRGIN, 0.0)
+    profile = drive_proximal(table, profile, 5.0 * math.exp(0.5))
+    assert observe(table, profile).phase == Phase.VIRGIN
+    assert observe(table, profile).front == pytest.approx(0.75)
+    profile = drive_proximal(table, profile, 5.0 * math.exp(1.1))
+    assert observe(table, profile).phase == Phase.PULL
+
+
+def test_front_is_measured_along_the_sheath():
+    table = tables(sheath_of(BENT))
+    profile = drive_proximal(table, drive_proximal(table, slack_profile(table), 20.0), 12.0)
+    seen = observe(table, profile)
+    x = np.linspace(0.0, 1.5, 100001)
+    assert x[np.argmax(tension_at(table, profile, x))] == pytest.approx(seen.front, abs=1e-4)
+    assert seen.T_front == pytest.approx(tension_at(table, profile, np.array([seen.front]))[0])
+
+
+def test_going_slack_is_forgetting():
+    table = tables(sheath_of(BENT))
+    profile = after(table, [20.0, 5.0, 9.0, 0.0])
+    push_displacement(table, profile, -1e-3, 0.0)
+    assert observe(table, profile).phase == Phase.SLACK
+    assert observe(table, profile).elongation == pytest.approx(0.0, abs=1e-12)
+    pulled = drive_proximal(table, profile, 7.0)
+    assert same(table, pulled, drive_proximal(table, slack_profile(table), 7.0))
+
+
+@examples(60)
+@given(SHEATHS, HISTORIES)
+def test_holding_a_travel_plants_no_reversals(sheath, history):
+    table = tables(sheath)
+    profile = after(table, history)
+    for travel in 1e-4 * np.array(history):
+        push_displacement(table, profile, travel, 0.0)
+        held = profile.copy()
+        for _ in range(3):
+            push_displacement(table, profile, travel, 0.0)
+        assert np.array_equal(profile, held)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_stays_outside(bad):
+    table = tables(sheath_of(UNIFORM))
+    profile = after(table, [20.0, 8.0])
+    before = profile.copy()
+    push_proximal(table, profile, bad)
+    push_distal(table, profile, bad)
+    push_displacement(table, profile, bad, 0.0)
+    push_displacement_spring(table, profile, bad, 0.0, 1e3)
+    assert np.array_equal(profile, before)
+    with pytest.raises(SheathError, match="finite"):
+        drive_proximal(table, profile, bad)
+    with pytest.raises(SheathError, match="finite"):
+        drive_distal(table, profile, bad)
+    with pytest.raises(ValueError, match="finite"):
+        batch(table, profile, np.array([1.0, bad]))
+    with pytest.raises(SheathError, match="pretension"):
+        pretensioned_profile(table, bad)
+
+
+@pytest.mark.parametrize("K", [1.0, 6.0])
+def test_a_full_profile_errs_by_no_more_than_it_says(K):
+    table = tables(Sheath.uniform(K, 1.5, EA))
+    profile = after(table, [200.0, 1e-3])
+    x = np.linspace(0.0, 1.5, 3000)
+    step = math.exp(-K / (x.size - 1))
+    nodes = 1e-3 * step ** -np.arange(x.size)
+    swings = 0.99 * K * (1.0 - np.arange(1.5 * CAPACITY) / (1.5 * CAPACITY + 20)) ** 2
+    told = []
+    for k, swing in enumerate(swings):
+        nodes[0] = 10.0 * math.exp((-1) ** k * swing)
+        smallest = min(b[0] - a[0] for a, b in itertools.pairwise(points(profile)))
+        push_proximal(table, profile, nodes[0])
+        for j in range(x.size - 1):
+            nodes[j + 1] = min(max(nodes[j + 1], nodes[j] * step), nodes[j] / step)
+        error = np.abs(np.log(tension_at(table, profile, x) / nodes)).max()
+        if forgotten(profile) > (told[-1] if told else 0.0):
+            told.append(forgotten(profile))
+            if len(told) == 1:
+                assert error == pytest.approx(told[0], rel=0.15)
+                assert told[0] <= 2.2 * smallest
+            assert told[-1] <= len(told) * 2.0 * K / (CAPACITY - 6)
+        assert error <= forgotten(profile) + 1e-9
+        assert point_count(profile) < CAPACITY
+    assert len(told) > 3
+    for (s_a, y_a, slope), (s_b, y_b, _) in itertools.pairwise(points(profile)):
+        assert y_b - y_a == pytest.approx(slope * (s_b - s_a), abs=1e-9)
+    seen = observe(table, profile)
+    assert (seen.T_in, seen.T_out) == pytest.approx((nodes[0], nodes[-1]))
+    area = tension_at(table, profile, (np.arange(20000) + 0.5) * 1.5 / 20000).mean() * 1.5
+    assert seen.elongation == pytest.approx(area / EA, rel=1e-4)
+    push_proximal(table, profile, 1e5)
+    assert forgotten(profile) == 0.0
+
+
+def test_a_long_noisy_history_does_not_drift():
+    table = tables(sheath_of(BENT, drag=0.3, asymmetry=1.2))
+    noise = np.random.default_rng(1).normal(0.0, 0.05, 400_000)
+    tensions = 10.0 + 3.0 * np.sin(np.arange(noise.size) / 300.0) + noise
+    profile = slack_profile(table)
+    push_proximal(table, profile, 20.0)
+    elongation = batch(table, profile, tensions)[1][-1]
+    x = (np.arange(200_000) + 0.5) * 1.5 / 200_000
+    assert elongation == pytest.approx(tension_at(table, profile, x).mean() * 1.5 / EA, rel=1e-7)

@@ -1,0 +1,166 @@
+"""The law on nodes: against the closed law, and against chains of beads that know no law."""
+
+import numpy as np
+import pytest
+
+from estimator.law.sheath import Sheath
+from estimator.law.transmission import batch, slack_profile, tables
+from estimator.lumped.lumped_model import Physics, by_tension, by_travel
+from estimator.lumped.nodes import EDGES, even_weights
+from tests.brute.chain import Chain, Position, Spring
+
+K, LENGTH, EA = 0.9, 1.5, 9e3
+SECTIONS = [(LENGTH, 0.15 * LENGTH / K)]
+TIME = np.arange(300) * 0.02
+DEPTHS = (0.0, 1.0, 0.1, 0.9, 0.3, 0.7, 0.02, 1.0, 0.5)  # of the largest travel, in turn
+
+
+def nested(largest, least=0.0):
+    """Return a travel [m] that turns again and again, at first from zero."""
+    depths = np.array([0.0, *(max(depth, least) for depth in DEPTHS[1:])])
+    return largest * np.interp(TIME, np.linspace(0.0, TIME[-1], len(depths)), depths)
+
+
+def physics(**changes):
+    return Physics(np.array([K]), LENGTH / EA, even_weights(), **changes)
+
+
+def simulated(travel, **changes):
+    return by_travel(physics(**changes), TIME, travel, np.gradient(travel, TIME))
+
+
+def chain(**changes):
+    return Chain(SECTIONS, 0.15, EA, beads=240, **changes)
+
+
+def through(beads, travel, tip):
+    """Return T_in, T_out and q_d of a chain of beads whose motor goes through a travel."""
+    rows = []
+    for q, held in zip(travel, tip, strict=True):
+        beads.move(Position(float(q)), held)
+        rows.append((max(beads.T_in, 0.0), max(beads.T_out, 0.0), beads.travel[-1]))
+    return np.array(rows).T
+
+
+def test_without_effects_it_is_the_law():
+    done = simulated(nested(2e-3))
+    table = tables(Sheath.uniform(K, LENGTH, EA))
+    T_out, e = batch(table, slack_profile(table), done.proximal_tension)
+    full = done.proximal_tension.max()
+    assert full > 15.0
+    assert np.abs(T_out - done.distal_tension).max() < 2e-4 * full
+    assert np.abs(e - done.proximal_displacement).max() < 1e-3 * e.max()
+    assert np.abs(done.proximal_displacement - nested(2e-3)).max() < 1e-12
+
+
+@pytest.mark.parametrize("effect", [{}, {"asymmetry": 0.7}, {"drag": 0.5}, {"creep": 0.1}])
+def test_a_tension_drives_it_as_the_travel_did_that_made_it(effect):
+    done = simulated(nested(2e-3), **effect)
+    rate = np.gradient(done.proximal_tension, TIME)
+    again = by_tension(physics(**effect), TIME, done.proximal_tension, rate)
+    assert np.abs(again.distal_tension - done.distal_tension).max() < 1e-6
+    assert np.abs(again.proximal_displacement - done.proximal_displacement).max() < 1e-9
+
+
+@pytest.mark.parametrize("turns", [1, 2], ids=["in a release", "in a pull"])
+@pytest.mark.parametrize("by", ["travel", "tension"])
+def test_a_record_may_begin_in_the_midst_of_motion(by, turns):
+    travel = nested(2e-3, least=0.45)
+    T_in, T_out, _ = through(chain(), travel, [Position(0.0)] * len(travel))
+    at = (np.flatnonzero(np.diff(np.sign(np.diff(travel)))) + 1)[:turns]
+    begin = at[-1] + 15
+    drive, run = {"travel": (travel, by_travel), "tension": (T_in, by_tension)}[by]
+    rest, time = drive[begin:], TIME[begin:]
+    slow = np.zeros_like(rest)
+    done = run(physics(earlier=drive[at] - rest[0]), time, rest, slow)
+    assert np.abs(done.distal_tension - T_out[begin:]).max() < 0.002 * T_in.max()
+    assert np.abs(done.proximal_tension - T_in[begin:]).max() < 0.006 * T_in.max()
+    without = run(physics(), time, rest, slow)
+    assert np.abs(without.distal_tension - T_out[begin:]).max() > 0.05 * T_in.max()
+
+
+@pytest.mark.parametrize(
+    ("effect", "beads"),
+    [({}, {}), ({"drag": 0.6}, {"drag": 0.6}), ({"asymmetry": 0.7}, {"asymmetry": 0.7})],
+)
+@pytest.mark.parametrize("softness", [0.0, 4e-4])
+def test_beads_agree(effect, beads, softness):
+    travel = nested(2e-3 if softness == 0.0 else 5e-3, least=0.45)  # these beads know no slack
+    tip = Position(0.0) if softness == 0.0 else Spring(1.0 / softness)
+    T_in, T_out, q_d = through(chain(**beads), travel, [tip] * len(travel))
+    done = simulated(travel, tip_compliance=softness, **effect)
+    assert T_in.max() > 10.0
+    assert np.abs(done.proximal_tension - T_in).max() < 0.006 * T_in.max()
+    assert np.abs(done.distal_tension - T_out).max() < 0.002 * T_in.max()
+    assert np.abs(done.distal_displacement - q_d).max() < 0.002 * max(q_d.max(), 1e-6)
+
+
+def test_beads_agree_where_the_environment_moves_the_tip():
+    moved = 4e-4 * np.interp(TIME, [2.5, 3.0, 4.5, 4.7], [0.0, -1.0, -1.0, 0.5])
+    travel = 1.5e-3 * np.interp(TIME, [0.0, 1.0, 2.0, 3.5, 4.0], [0.0, 1.0, 0.8, 0.8, 1.0])
+    T_in, T_out, _ = through(chain(), travel, [Position(float(z)) for z in moved])
+    done = simulated(travel, tip_offset=moved)
+    assert np.ptp(T_out[TIME > 2.5]) > 5.0
+    assert np.abs(done.proximal_tension - T_in).max() < 0.006 * T_in.max()
+    assert np.abs(done.distal_tension - T_out).max() < 0.006 * T_in.max()
+
+
+def test_a_fall_of_friction_relaxes_a_tendon_at_rest_and_a_rise_does_nothing():
+    travel = np.minimum(TIME / 2.0, 1.0) * 2e-3
+    friction = np.where(TIME < 4.0, K, 0.75 * K)
+    fallen = by_travel(physics()._replace(friction=friction), TIME, travel, 0.0 * TIME)
+    beads = chain()
+    through(beads, travel[TIME < 4.0], [Position(0.0)] * int((TIME < 4.0).sum()))
+    beads.limit_motor, beads.limit_tip = 0.75 * beads.limit_motor, 0.75 * beads.limit_tip
+    beads.move(Position(float(travel[-1])), Position(0.0))
+    assert fallen.proximal_tension[-1] == pytest.approx(beads.T_in, rel=2e-3)
+    assert fallen.distal_tension[-1] == pytest.approx(beads.T_out, rel=2e-3)
+    risen = by_travel(physics()._replace(friction=2 * K - friction), TIME, travel, 0.0 * TIME)
+    resting = TIME > 2.1
+    assert np.ptp(risen.proximal_tension[resting]) < 1e-9
+
+
+def test_samples_left_out_between_turns_change_nothing():
+    travel = nested(5e-3)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(travel)))) + 1
+    kept = np.unique(np.concatenate([[0, len(travel) - 1], turns, np.arange(0, len(travel), 7)]))
+    soft = physics(tip_compliance=4e-4)
+    every = by_travel(soft, TIME, travel, 0.0 * TIME)
+    some = by_travel(soft, TIME[kept], travel[kept], 0.0 * TIME[kept])
+    assert np.abs(every.proximal_tension[kept] - some.proximal_tension).max() < 1e-6
+    assert np.abs(every.distal_tension[kept] - some.distal_tension).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"viscosity": 500.0},
+        {"stribeck": 0.3},
+        {"stribeck": 0.3, "stribeck_memory": 0.2},
+        {"static": 0.3},
+        {"exponent": 0.85},
+        {"rise": 0.01},
+        {"presliding": 3e-5},
+        {"presliding": 3e-5, "presliding_tension": 10.0},
+        {"toe": 1e-4},
+        {"compression": 1e-6, "threshold": 3.0},
+        {"load_low": -0.4, "load_high": 0.4},
+        {"mass": 0.3, "damping": 20.0},
+    ],
+)
+def test_whatever_it_does_the_motor_is_where_it_is_and_a_slack_tendon_pulls_nothing(effect):
+    travel = nested(5e-3) - 3e-4
+    done = simulated(travel, tip_compliance=4e-4, **effect)
+    taut = done.proximal_tension > 0.0
+    assert np.abs(done.proximal_displacement - travel)[taut].max() < 1e-8
+    assert (done.proximal_tension >= 0.0).all()
+    assert (done.distal_tension >= 0.0).all()
+    assert (done.proximal_tension[travel < -1e-4] < 1e-6).all()
+    plain = simulated(travel, tip_compliance=4e-4)
+    assert np.std(done.proximal_tension - plain.proximal_tension) > 0.005
+
+
+def test_weights_are_a_sheath_s_whole_compliance():
+    assert even_weights().sum() == pytest.approx(1.0)
+    assert EDGES[0] == 0.0
+    assert EDGES[-1] == 1.0

@@ -1,0 +1,73 @@
+"""Every example runs from its file alone, and what it says is right."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+
+
+def run(folder, name, *words):
+    """Run an example in a folder that has nothing else; return what it prints."""
+    ended = subprocess.run(
+        [sys.executable, str(EXAMPLES / name), *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        timeout=500,
+    )
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+def test_every_example_is_short_and_tested():
+    files = sorted(path.name for path in EXAMPLES.glob("*.py"))
+    tested = re.findall(r'run\(tmp_path, "(\w+\.py)"', Path(__file__).read_text())
+    sessions = Path(__file__).with_name("test_session_examples.py").read_text()
+    tested += re.findall(r'run\(tmp_path, "(\w+\.py)"', sessions)
+    assert files == sorted(set(tested))
+    for name in files:
+        lines = (EXAMPLES / name).read_text().splitlines()
+        assert len(lines) <= (120 if name == "walk_through.py" else 40), name
+
+
+def test_the_law_gives_the_tip_less_by_friction(tmp_path):
+    said = run(tmp_path, "law_loop.py", tmp_path / "loop.png")
+    assert float(re.search(r"are ([\d.]+) N at the tip", said)[1]) == pytest.approx(8.99, abs=0.01)
+    assert float(re.search(r"come back to ([\d.]+) N", said)[1]) == pytest.approx(4.04, abs=0.05)
+    assert (tmp_path / "loop.png").stat().st_size > 10_000
+
+
+def test_a_fit_on_one_half_holds_on_the_other(tmp_path):
+    said = run(tmp_path, "estimate_record.py")
+    assert float(re.search(r"RMSE ([\d.]+) N", said)[1]) < 0.2
+    assert int(re.search(r"(\d+)% of it", said)[1]) > 90
+
+
+def test_the_effect_that_was_put_in_is_found(tmp_path):
+    said = run(tmp_path, "diagnose_record.py")
+    assert "distal_tension_gain" in said.partition("\n\n")[0]
+    gain = re.search(r"distal_tension_gain.gain +\| +([\d.]+)", said)[1]
+    assert float(gain) == pytest.approx(0.15, abs=0.02)
+
+
+def test_the_snippet_of_the_readme_runs_as_it_is(tmp_path):
+    (snippet,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    words = "simulate --out bench.csv --duration 12 --rate 100 --profile nested"
+    subprocess.run([sys.executable, "-m", "teleop", *words.split()], cwd=tmp_path, check=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", snippet], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "| K " in ended.stdout
+
+
+def test_the_walk_through_ends_with_the_cause_of_its_data(tmp_path):
+    said = run(tmp_path, "walk_through.py")
+    verdict = next(line for line in said.splitlines() if line.startswith("verdict:"))
+    assert verdict == "verdict: named, causes: friction_step"

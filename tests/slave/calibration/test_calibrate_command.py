@@ -1,0 +1,191 @@
+"""`teleop calibrate`, from the command line to the file."""
+
+import dataclasses
+import re
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from slave.calibration import command, file, run
+from slave.calibration.config import InitialiseConfig
+from slave.calibration.initialise import initialise
+from slave.config import SlaveConfig, hindrance_of, tendon_configs
+from slave.rigs import open_rig
+from teleop.app import cli
+from teleop.config import as_tree
+from tests.slave.calibration.calibration_bench import (
+    EA,
+    GATE,
+    KNOWN,
+    LENGTH,
+    HousingOnly,
+    but,
+    joint,
+    rig_config,
+)
+
+SHORT = joint(body={"stops": (-0.003, 0.003)})
+
+
+def config_file(folder, rig, **slave):
+    tree = {"slave": {"rig": as_tree(rig), "gate": as_tree(GATE), **slave}, "rate_hz": 500}
+    path = folder / "rig.yaml"
+    path.write_text(yaml.safe_dump(tree))
+    return path
+
+
+def teleop(*words):
+    return cli.main(["calibrate", *map(str, words)])
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """The command has run on a rig of two joints; the folder it did that in."""
+    folder = tmp_path_factory.mktemp("calibrate")
+    sheaths = [{"length": LENGTH, "axial_stiffness": EA}]
+    rig = rig_config(SHORT, joint(0.6, body={"stops": (-0.003, 0.003)}))
+    path = config_file(folder, rig, initialise={"sheaths": sheaths})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        words = ["--config", path, "--quick", "--together", "--figure", "figure.png"]
+        assert teleop(*words) == 0
+    return folder
+
+
+def test_it_writes_a_file_of_its_rigs_name_that_fits_the_rig(done):
+    calibration = file.load(done / "bench-calibration.yaml")
+    assert calibration.joints == ((0, 1), (2, 3))
+    assert [d.K.value for d in calibration.directions] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
+    assert calibration.ranges == pytest.approx([0.006, 0.006], rel=0.03)
+    config = SlaveConfig(rig=rig_config(SHORT, SHORT), calibration=done / "bench-calibration.yaml")
+    assert hindrance_of(config, open_rig(config.rig)) == ""
+    models = [tendon.model().sheath for tendon in tendon_configs(config, 4)]
+    assert [model.K for model in models] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
+
+
+def test_it_draws_what_was_measured(done):
+    assert (done / "figure.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_one_joint_alone_renews_its_part_of_the_file(done, capsys):
+    before = file.load(done / "bench-calibration.yaml")
+    out = done / "copy.yaml"
+    file.save(out, before)
+    words = ["--config", done / "rig.yaml", "--set", "slave.rig.seed=5", "--quick", "--out", out]
+    assert teleop(*words, "--joint", 2) == 0
+    after = file.load(out)
+    assert after.tendons[:2] == before.tendons[:2]
+    assert after.tendons[2:] != before.tendons[2:]
+    assert len(after.directions) == 4
+    assert "joint 1 as of" in after.method
+    printed, noted = capsys.readouterr()
+    assert "K" in printed
+    assert f"{out}: replaces the calibration of {before.time}" in printed
+    assert f"teleop run --calibration {out}" in printed
+    assert {"tendon a", "tendon b"} == set(re.findall(r"joint 2, (tendon [ab]): ", noted))
+    assert len(noted.splitlines()) < 8
+
+
+def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(command, "initialise", lambda *_, **__: pytest.fail("work was done"))
+    config, other = config_file(tmp_path, rig_config(SHORT)), tmp_path / "notes.yaml"
+    other.write_text("of: mine")
+    before = config.read_bytes()
+    new = tmp_path / "new.yaml"
+    for words, said in [
+        (["--out", config], "is the config"),
+        (["--out", other], "is no calibration"),
+        (["--out", new, "--figure", config], "is the config or"),
+        (["--out", new, "--figure", new], "is the config or"),
+    ]:
+        assert teleop("--config", config, *words) == 2
+        line = capsys.readouterr().err
+        assert said in line
+        assert len(line.splitlines()) == 1
+    assert (config.read_bytes(), other.read_text()) == (before, "of: mine")
+    assert not new.exists()
+
+
+def test_every_setting_of_the_procedure_is_in_the_document_with_its_default():
+    text = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \| ([^|]+?) \|", text, re.MULTILINE))
+    defaults = {
+        field.name: as_tree(getattr(InitialiseConfig(), field.name))
+        for field in dataclasses.fields(InitialiseConfig)
+    }
+    assert {name: yaml.safe_load(value) for name, value in rows.items()} == defaults
+
+
+def test_one_joint_alone_needs_to_know_the_others(done, tmp_path, capsys):
+    words = ["--config", done / "rig.yaml", "--joint", 2, "--out", tmp_path / "new.yaml"]
+    assert teleop(*words) == 2
+    assert "calibrate all" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", ["0", "3"])
+def test_a_joint_that_is_not_there_is_refused(done, tmp_path, capsys, number):
+    words = ["--config", done / "rig.yaml", "--joint", number, "--out", tmp_path / "new.yaml"]
+    assert teleop(*words) == 2
+    assert f"--joint {number}: the rig has joints 1 to 2" in capsys.readouterr().err
+
+
+def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, capsys):
+    path = config_file(tmp_path, rig_config(joint(range=12.0)))
+    assert teleop("--config", path, "--quick", "--out", tmp_path / "new.yaml") == 1
+    *under_way, said = capsys.readouterr().err.splitlines()
+    assert said.startswith("teleop: joint 1, tendon a: the load cell reads 12.00 N")
+    assert all(re.match(r" +[\d.]+ s +\d+%  joint 1, tendon [ab]: \w", line) for line in under_way)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_ctrl_c_ends_it_without_a_file(tmp_path, capsys, monkeypatch):
+    path = config_file(tmp_path, rig_config(SHORT))
+
+    def ticks(rate_hz):
+        for tick in run.fast_ticks(rate_hz):
+            if tick.index == 300:
+                signal.raise_signal(signal.SIGINT)
+            yield tick
+
+    monkeypatch.setattr(command, "fast_ticks", ticks)
+    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    try:
+        code = teleop("--config", path, "--out", tmp_path / "new.yaml")
+    finally:
+        for number, handler in zip((signal.SIGINT, signal.SIGTERM), handlers, strict=True):
+            signal.signal(number, handler)
+    assert code == 130
+    assert "SIGINT: stopped, nothing is written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_measured_data_cannot_be_moved(capsys):
+    assert teleop("--set", "slave.rig={type: replayed, file: x.csv}") == 2
+    assert "teleop estimate DATA --fit" in capsys.readouterr().err
+
+
+def test_at_the_start_of_a_slave_the_same_is_done_and_the_samples_are_handed_over():
+    rig = HousingOnly(rig_config(SHORT))
+    config = SlaveConfig(rig=rig_config(SHORT), gate=GATE, initialise=but(KNOWN, at_start=True))
+    found = initialise(rig, config, run.fast_ticks(500.0), 0)
+    assert found.calibration.rig == "bench"
+    assert found.calibration.method.endswith("quick form")
+    assert len(found.samples) == len(found.record.time)
+    assert np.diff([sample.time_s for sample in found.samples]).min() > 0.0
+    swing = np.array([sample.proximal_tension for sample in found.samples])
+    assert (swing.max(axis=0) / swing[-1]).min() > np.exp(2.0)  # the estimators' past is erased
+
+
+def test_a_range_that_was_found_once_is_expected_again(done, capsys):
+    wall = "{type: wall, position: 0.001, stiffness: 1.0e+6}"
+    words = ["--set", f"slave.rig.joints.0.environment={wall}"]
+    out = done / "bench-calibration.yaml"
+    before = out.read_text()
+    assert teleop("--config", done / "rig.yaml", *words, "--quick", "--together", "--out", out) == 1
+    said = capsys.readouterr().err
+    assert "joint 1: it travels 4.0 mm between its stops, 6.0 mm were expected" in said
+    assert out.read_text() == before

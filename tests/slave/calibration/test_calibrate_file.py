@@ -1,0 +1,197 @@
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from slave.calibration import file
+from slave.calibration.file import Calibration, Direction, Value, fits
+from slave.config import SlaveConfig, hindrance_of, tendon_configs
+from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.simulated.plant.sheath import SectionConfig
+from slave.tendon_config import TendonConfig
+from teleop.config import load
+from teleop.errors import UsageError
+from tests.slave.calibration.calibration_bench import joint, rig_config
+
+EVEN = TendonConfig(effective_friction=1.02, axial_stiffness=8990.0, friction_error=0.03)
+UNEVEN = TendonConfig(
+    friction=0.1, sections=(SectionConfig(0.3), SectionConfig(1.2, 0.12)), tension_noise=0.01
+)
+WHOLE = Calibration(
+    rig="arm",
+    joints=((0, 1),),
+    time="2026-03-01T12:00:00+00:00",
+    method="pulls and releases against the stops, quick form",
+    tendons=(EVEN, UNEVEN),
+    directions=(
+        Direction(
+            joint=1,
+            tendon="a",
+            K=Value(1.02, 0.004),
+            K_slopes=Value(1.03, 0.01),
+            K_paper=Value(1.1, 0.05),
+            M_pull=Value(1.05e-4, 1e-7),
+            M_rel=Value(2.8e-4, 3e-7),
+            stiffness_per_length=Value(5990.0, 12.0),
+            uniform=True,
+            stop=0.0148,
+            free_tension=1.8,
+            zero=0.002,
+            remark="the sheath is bent unevenly: K = 1.02 stands",
+        ),
+    ),
+    ranges=(0.03, None),
+)
+
+
+@dataclass
+class Rig:
+    name: str = "arm"
+    joints: tuple = ((0, 1),)
+
+
+def saved(tmp_path, calibration=WHOLE):
+    path = tmp_path / "arm.yaml"
+    file.save(path, calibration)
+    return path
+
+
+def test_what_is_saved_is_what_is_loaded(tmp_path):
+    assert file.load(saved(tmp_path)) == WHOLE
+
+
+def test_a_file_says_what_it_is_of_before_anything_else(tmp_path):
+    text = saved(tmp_path).read_text()
+    assert text.startswith("rig: arm\njoints:")
+    assert [line for line in text.splitlines() if line.startswith("time:")]
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    path = saved(tmp_path)
+    before = path.read_text()
+
+    def broken(self, _text):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", broken)
+    with pytest.raises(UsageError, match="the calibration cannot be written: No space left"):
+        file.save(path, replace(WHOLE, rig="other"))
+    assert path.read_text() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("tendons: []", "tendons: "),
+        ("rig: arm", "tendons: is missing"),
+        ("tendons: [{effective_friction: 1}]\njoints: [[0, 1]]", "joints: must name each"),
+        ("tendons: [{effective_friction: 1}]\nspeed: 3", "speed: unknown key"),
+    ],
+)
+def test_what_is_no_calibration_is_said_in_one_line(tmp_path, text, said):
+    path = tmp_path / "arm.yaml"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=said):
+        file.load(path)
+
+
+def test_it_fits_the_rig_it_was_made_of():
+    assert fits(WHOLE, Rig()) is None
+
+
+@pytest.mark.parametrize(
+    ("calibration", "rig", "said"),
+    [
+        (WHOLE, Rig(name="leg"), "of the rig 'arm', this one is 'leg'"),
+        (WHOLE, Rig(joints=((0,), (1,))), r"joints 1\+2 .*the rig has 1, 2"),
+        (WHOLE, Rig(joints=((0, 1), (2, 3))), r"the rig has 1\+2, 3\+4"),
+        (replace(WHOLE, rig=""), Rig(), "of no rig that it names"),
+        (
+            replace(WHOLE, accepted=False, remark="noisy"),
+            Rig(),
+            "not accepted: noisy",
+        ),
+        (replace(WHOLE, joints=()), Rig(joints=((0,), (1,), (2,))), "describes 2 tendons"),
+    ],
+)
+def test_it_fits_no_other(calibration, rig, said):
+    assert re.search(said, fits(calibration, rig))
+
+
+def test_one_model_that_names_no_joints_is_for_all_tendons():
+    assert fits(Calibration(rig="arm", tendons=(EVEN,)), Rig(joints=((0, 1), (2,)))) is None
+
+
+# What a slave makes of it.
+
+SIMULATED = rig_config(joint())
+BENCH = Rig(name="bench")
+
+
+def test_without_a_calibration_a_rig_is_barred_even_a_simulated_one():
+    config = SlaveConfig(rig=SIMULATED)
+    assert "teleop calibrate" in hindrance_of(config, BENCH)
+    with pytest.raises(UsageError, match="teleop calibrate"):
+        tendon_configs(config, 2)
+
+
+def test_as_built_must_be_asked_for_and_is_for_simulated_rigs_alone(tmp_path):
+    config = SlaveConfig(rig=SIMULATED, calibration="as-built")
+    assert hindrance_of(config, BENCH) == ""
+    models = tendon_configs(config, 2)
+    assert [model.model().sheath.K for model in models] == pytest.approx([1.0, 1.0])
+    with pytest.raises(ValueError, match="as-built is for simulated rigs"):
+        SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "x.csv"), calibration="as-built")
+
+
+def test_a_file_that_fits_gives_the_models(tmp_path):
+    config = SlaveConfig(rig=SIMULATED, calibration=saved(tmp_path, replace(WHOLE, rig="bench")))
+    assert hindrance_of(config, BENCH) == ""
+    assert tendon_configs(config, 2) == (EVEN, UNEVEN)
+
+
+def test_a_file_that_does_not_fit_bars_the_rig_and_says_why(tmp_path):
+    config = SlaveConfig(rig=SIMULATED, calibration=saved(tmp_path))
+    said = hindrance_of(config, BENCH)
+    assert said.startswith("arm.yaml does not fit: it is of the rig 'arm', this one is 'bench'")
+    assert "teleop calibrate" in said
+    assert "\n" not in said
+
+
+def test_measured_data_take_the_calibration_of_any_rig_unless_they_have_a_name(tmp_path):
+    path = saved(tmp_path, Calibration(tendons=(EVEN,), source="bench.csv, 100 samples"))
+    played = SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "x.csv"), calibration=path)
+    rig = Rig(name="x.csv", joints=((0,),))
+    assert hindrance_of(played, rig) == ""
+    named = replace(played, rig=replace(played.rig, name="leg"))
+    assert "of no rig that it names" in hindrance_of(named, replace(rig, name="leg"))
+
+
+def test_models_given_by_hand_need_no_file():
+    assert hindrance_of(SlaveConfig(rig=SIMULATED, tendons=(EVEN,)), BENCH) == ""
+
+
+def test_as_built_in_a_config_file_is_no_path(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("slave: {calibration: as-built}")
+    assert load(path, SlaveConfig, "slave").calibration == "as-built"
+    path.write_text("slave: {calibration: arm.yaml}")
+    assert load(path, SlaveConfig, "slave").calibration == tmp_path / "arm.yaml"
+
+
+def test_a_config_or_no_file_in_place_of_a_calibration_is_called_what_it_is(tmp_path):
+    path = tmp_path / "demo.yaml"
+    with pytest.raises(UsageError, match=r"demo\.yaml: cannot read the calibration"):
+        file.load(path)
+    path.write_text("session: demo\nslave: {}\n")
+    with pytest.raises(UsageError, match=r"demo\.yaml: is no calibration but a session's config"):
+        file.load(path)
+
+
+def test_a_calibration_of_too_many_tendons_says_what_it_is_of(tmp_path):
+    path = tmp_path / "arm.yaml"
+    file.save(path, Calibration(rig="arm", tendons=(TendonConfig(effective_friction=1.0),) * 8))
+    with pytest.raises(UsageError, match=r"arm\.yaml: .*'arm': 8 tendons described, the rig has 2"):
+        tendon_configs(SlaveConfig(calibration=path), 2)

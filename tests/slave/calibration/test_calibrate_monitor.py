@@ -1,0 +1,254 @@
+"""The monitor, fed by the estimators of a simulated joint in use."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimator.law.sheath import Sheath
+from estimator.law.transmission import Phase
+from estimator.online import online
+from estimator.online.tendon_estimate import TendonEstimate
+from estimator.records import as_record, one
+from slave.calibration import monitor
+from slave.calibration.monitor import Advice, MonitorConfig, TendonMonitor
+from slave.config import SlaveConfig, tendon_configs
+from slave.rigs.simulated.plant.environment import LoadMotorConfig, TissueConfig
+from slave.rigs.simulated.plant.sheath import SectionConfig
+from slave.rigs.simulated.simulated import SimulatedRig
+from slave.tendons import EstimatedTendon, rig_layout
+from tests.slave.calibration.calibration_bench import TIGHT_FIRST, effect, joint, rig_config
+
+SETTINGS = MonitorConfig()
+CONFIG = as_record(SETTINGS)
+RATE = 500.0  # [Hz]
+TISSUE = TissueConfig(position=0.002, stiffness=20_000.0)
+KEEP, GAIN = 0.3, 0.004  # [N] in the tendon that is drawn out, [m/s/N] by which it is kept
+REACH, REST = 0.008, 0.1  # [m], [s] of a hand that presses and lets go
+
+
+def hand(time_s, fastest=0.032):
+    """Return the speed [m/s] of a joint that goes to and fro, smoothly, and rests at both ends."""
+    leg = 2.0 * REACH / fastest
+    place = time_s % (2.0 * (leg + REST))
+    way = 1.0 if place < leg + REST else -1.0
+    share = min((place % (leg + REST)) / leg, 1.0)
+    return way * fastest * math.sin(math.pi * share) ** 2
+
+
+def slow_hand(time_s):
+    return hand(time_s, 0.016)
+
+
+class Use:
+    """A joint in use: what the monitor says at each moment."""
+
+    def __init__(self, config, seconds, accepted=None, move=hand):
+        models = tendon_configs(SlaveConfig(rig=accepted or config, calibration="as-built"), 2)
+        self.models = [model.model() for model in models]
+        prepared = [online.prepare(model) for model in self.models]
+        constants = monitor.prepare(self.models)
+        states = [online.initial(p) for p in prepared]
+        monitors = TendonMonitor.array(2)
+        self.monitors = [one(monitors, i) for i in range(2)]
+        self.time, self.advice, self.errors = [], [], []
+        rig, motor, dt = SimulatedRig(config), np.zeros(2), 1.0 / RATE
+        for k in range(round(seconds * RATE)):
+            for sample in rig.read(k * dt):
+                T, q = sample.proximal_tension, sample.proximal_displacement
+                estimates = [None, None]
+                for i in range(2):
+                    estimates[i], states[i] = online.step(prepared[i], states[i], T[i], q[i], dt)
+                for i in range(2):
+                    against = estimates[1 - i].distal_tension
+                    monitor.step(
+                        CONFIG,
+                        constants[i],
+                        monitors[i],
+                        estimates[i],
+                        T[i],
+                        q[i],
+                        against,
+                        dt,
+                    )
+            self.time.append(k * dt)
+            self.advice.append(monitor.advice(CONFIG, monitors, 2))
+            self.errors.append(monitors["force_error"].copy())
+            speed = move(k * dt)
+            for i, pulled in enumerate((speed > 0.0, speed < 0.0)):
+                tension = sample.proximal_tension[i]
+                kept = max(GAIN * (KEEP - tension), -0.005) - abs(speed)
+                motor[i] += (abs(speed) if pulled else kept if speed else 0.0) * dt
+            rig.write(motor)
+        self.errors = np.array(self.errors)
+
+    def first(self, advice):
+        return next(t for t, said in zip(self.time, self.advice, strict=True) if said >= advice)
+
+
+@pytest.mark.parametrize("K", [0.6, 1.0, 1.5])
+def test_a_sheath_that_keeps_its_shape_is_never_doubted(K):
+    use = Use(rig_config(joint(K, environment=TISSUE)), 30.0)
+    assert set(use.advice) == {Advice.NONE}
+    assert max(one.count for one in use.monitors) == SETTINGS.transitions
+
+
+@pytest.mark.parametrize("change", [0.25, -0.25])
+@pytest.mark.parametrize("K", [0.8, 1.2])
+def test_a_change_of_shape_is_found_within_4_s_of_use(K, change):
+    start = 8.4
+    step = effect("friction_step", change=change, start=start, tendon="a")
+    use = Use(rig_config(joint(K, environment=TISSUE), effects=(step,)), start + 6.0)
+    assert start < use.first(Advice.DEMANDED) < start + 4.0
+    assert use.errors[-1, 0] == pytest.approx(math.expm1(K * change), abs=0.04)
+    assert abs(use.errors[-1, 1]) < SETTINGS.advise
+
+
+def test_on_an_uneven_sheath_a_change_is_found_too_unless_all_bends_are_at_the_tip():
+    start = 8.0
+    step = effect("friction_step", change=0.25, start=start, tendon="a")
+    uneven = joint(1.0, sections=TIGHT_FIRST, environment=TISSUE, nodes=200)
+    use = Use(rig_config(uneven, effects=(step,)), start + 10.0, move=slow_hand)
+    assert set(use.advice[: round(start * RATE)]) == {Advice.NONE}
+    assert use.advice[-1] >= Advice.ADVISED
+    assert 0.0 < use.errors[-1, 0] < math.expm1(0.25) + 0.03
+    at_tip = joint(1.0, sections=(SectionConfig(1.3), SectionConfig(0.2, 0.05)))
+    model = tendon_configs(SlaveConfig(rig=rig_config(at_tip), calibration="as-built"), 2)[
+        0
+    ].model()
+    assert monitor.prepare([model])[0]["blind"]
+    straight = replace(model, sheath=Sheath.uniform(0.0, 1.5, 9000.0))
+    assert monitor.prepare([straight])[0]["blind"]
+
+
+def test_a_smaller_change_is_advised_of_but_not_demanded():
+    accepted = rig_config(joint(1.0, environment=TISSUE))
+    use = Use(rig_config(joint(1.1, environment=TISSUE)), 12.0, accepted)
+    assert use.advice[-1] == Advice.ADVISED
+
+
+@pytest.mark.parametrize("swing", [0.8, 2.0])
+def test_a_tip_that_is_moved_by_its_environment_is_no_change_of_shape(swing):
+    breath = ((0.0, 0.0), (1.1, swing), (2.9, -swing), (4.3, 0.0))
+    pushed = LoadMotorConfig(profile=breath, repeat=True)
+    use = Use(rig_config(joint(1.0, environment=pushed)), 30.0)
+    assert set(use.advice) == {Advice.NONE}
+
+
+def known(*errors, doubt=0.01):
+    """Return the monitor of a tendon after transitions with these errors."""
+    after = TendonMonitor.new(count=len(errors))
+    after.errors[: len(errors)], after.doubts[: len(errors)] = errors, doubt
+    return after
+
+
+def test_nothing_is_said_before_three_transitions():
+    assert monitor.force_error(known(0.5, 0.5)) == 0.0
+    assert monitor.force_error(known(0.5, 0.5, 0.5)) == 0.5
+    assert monitor.force_error(known(0.5, 0.0, 0.0, 0.01)) < 0.01
+
+
+def test_transitions_that_contradict_each_other_say_nothing():
+    assert monitor.force_error(known(0.3, 0.9, 0.35, 0.88, -0.3)) == 0.0
+    assert monitor.force_error(known(0.0, 0.01, 0.28, 0.29, 0.27)) == 0.27
+
+
+def test_an_error_within_its_doubt_says_nothing():
+    assert monitor.force_error(known(0.12, 0.11, 0.13, doubt=0.07)) == 0.0
+    assert monitor.force_error(known(-0.12, -0.11, -0.13, doubt=0.05)) == -0.12
+
+
+def test_what_the_estimator_does_not_trust_does_not_count():
+    model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
+    prepared = online.prepare(model)
+    estimate, _ = online.step(prepared, online.initial(prepared), 5.0, 0.0, 0.0)
+    assert estimate.status & online.Status.UNINITIALISED
+    tendon = known(0.1)
+    tendon.pulled, tendon.reached, tendon.transition.points = True, 4.0, 3
+    constants = monitor.prepare([model])[0]
+    monitor.step(CONFIG, constants, tendon, estimate, 5.0, 0.0, 0.0, 0.001)
+    assert tendon.tobytes() == known(0.1).tobytes()
+
+
+def transitions(config, count, tendons=1, scale=1.2):
+    """Return monitors after the first of them saw so many pulls and releases of one travel."""
+    model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
+    constants, monitors = monitor.prepare([model] * tendons), TendonMonitor.array(tendons)
+    limits = as_record(config)
+    pull = [(int(Phase.PULL), 1.5, 1.0 + 0.5 * k, 0.0) for k in range(10)]
+    release = [(int(Phase.PULL_TO_RELEASE), 0.005 * k, 5.0, -4e-6 * k) for k in range(50)]
+    for n in range(count):
+        for phase, front, tension, elongation in pull + release:
+            estimate = TendonEstimate.new(
+                distal_tension=2.0, elongation=elongation, front=front, phase=phase
+            )
+            travel = (scale - 0.01 * n) * elongation
+            monitor.step(limits, constants[0], monitors[0], estimate, tension, travel, 0.0, 0.001)
+    return monitors
+
+
+def test_only_the_latest_transitions_count_and_the_newest_is_the_last():
+    after = transitions(MonitorConfig(transitions=3), 8)
+    every = transitions(MonitorConfig(transitions=99), 8)
+    errors = one(every).errors[: one(every).count]
+    assert one(every).count == 7  # the eighth has not ended
+    assert (np.diff(errors) > 0.0).all()  # less travel for the same stretch: more friction
+    assert one(after).errors[:3].tolist() == errors[-3:].tolist()
+    assert one(after).count == 3
+    assert one(after).force_error == monitor.force_error(one(after)) != 0.0
+
+
+def test_one_tendon_says_nothing_of_another():
+    monitors = transitions(SETTINGS, 6, tendons=3, scale=1.3)
+    assert monitors[1:].tobytes() == TendonMonitor.array(2).tobytes()
+    assert monitors["force_error"][0] < -SETTINGS.demand
+    assert monitor.advice(CONFIG, monitors, 3) == Advice.DEMANDED
+    assert monitor.advice(CONFIG, monitors[1:].copy(), 2) == Advice.NONE
+
+
+def test_a_rig_is_watched_tendon_by_tendon_against_the_other_of_its_joint():
+    """`step_rig` is `step` of each, by the corrected readings."""
+    rng, joints = np.random.default_rng(4), ((2, 0), (1,))
+    model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
+    constants, layout = monitor.prepare([model] * 3), one(rig_layout(joints))
+    alone, together = TendonMonitor.array(3), TendonMonitor.array(3)
+    others = {0: 2, 2: 0}
+    for k in range(400):
+        tendons = EstimatedTendon.array(16)
+        down = k % 100 - 50
+        for i in range(3):
+            tendon = one(tendons, i)
+            tendon.corrected_tension = 9.0 if down >= 0 else 60.0 + down
+            tendon.corrected_displacement = -4e-6 * down * (1.0 + 0.1 * i)
+            estimate = tendon.estimate
+            estimate.distal_tension = 2.0 + rng.uniform(-0.01, 0.04)
+            estimate.elongation = -4e-6 * down
+            estimate.phase = int(Phase.PULL_TO_RELEASE if down >= 0 else Phase.PULL)
+            estimate.front = 0.005 * down if down >= 0 else 1.5
+        for i in range(3):
+            tendon = one(tendons, i)
+            against = one(tendons, others[i]).estimate.distal_tension if i in others else 0.0
+            force, travel = tendon.corrected_tension, tendon.corrected_displacement
+            monitor.step(
+                CONFIG, constants[i], alone[i], tendon.estimate, force, travel, against, 0.001
+            )
+        said = monitor.step_rig(CONFIG, layout, constants, together, tendons, 0.001)
+        assert said == monitor.advice(CONFIG, alone, 3)
+        assert together.tobytes() == alone.tobytes()
+    assert alone["count"][1] == 3  # nothing moves against it
+    assert alone["count"].sum() > 3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"advise": 0.0}, "advise"),
+        ({"advise": 0.2}, "advise"),
+        ({"demand": 11.0}, "advise"),
+        ({"transitions": 2}, "transitions"),
+    ],
+)
+def test_thresholds_that_mean_nothing_are_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        MonitorConfig(**wrong)

@@ -1,0 +1,326 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slave.rig import RigFault, RigFinished
+from slave.rigs import open_rig
+from slave.rigs.replayed import ReplayedRigConfig
+from slave.rigs.simulated.plant.body import BodyConfig
+from slave.rigs.simulated.plant.environment import WallConfig
+from slave.rigs.simulated.plant.joint import Joint
+from slave.rigs.simulated.plant.sensors import EncoderConfig, LoadCellConfig
+from slave.rigs.simulated.simulated import (
+    STEPS_AT_ONCE,
+    JointConfig,
+    SimulatedRig,
+    SimulatedRigConfig,
+    TendonPlantConfig,
+    build_joint,
+)
+from teleop.config import load
+from teleop.data.table import Columns, read_table, write_table
+from teleop.errors import UsageError
+from teleop.messages import MAX_JOINTS
+
+TENDON = TendonPlantConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))
+QUIET = JointConfig((TENDON,))
+PAIR = JointConfig((TENDON, TENDON))
+
+
+def played(rig, targets, start=0):
+    """Read once a millisecond, then write; return the samples."""
+    samples = []
+    for k, target in enumerate(targets, start):
+        samples.extend(rig.read(k * 1e-3))
+        rig.write(np.full(rig.tendons, target))
+    return samples
+
+
+# --- simulated
+
+
+def test_a_plant_computed_ahead_gives_the_same_samples():
+    config = SimulatedRigConfig(joints=(PAIR, QUIET))
+    plain, ahead = SimulatedRig(config), SimulatedRig(config)
+    ahead.advance()
+    for k in range(200):
+        target = np.array([k * 1e-5, -k * 1e-5, 2e-5 * k])
+        (expected,), (sample,) = plain.read(k * 1e-3), ahead.read(k * 1e-3)
+        assert sample.time_s == expected.time_s
+        assert (sample.proximal_tension == expected.proximal_tension).all()
+        assert (sample.bench_distal_displacement == expected.bench_distal_displacement).all()
+        for rig in (plain, ahead):
+            rig.write(target)
+        ahead.advance()
+        ahead.advance()  # at most one step ahead
+    assert ahead.read(0.19) == ()  # nothing before its time
+
+
+def test_the_default_scene_feels_a_spring_then_tissue():
+    rig = SimulatedRig(SimulatedRigConfig(joints=(QUIET,)))
+    samples = played(rig, np.linspace(0.0, 14e-3, 20_000))  # slow, so damping says little
+    force = np.array([s.bench_distal_tension[0] for s in samples])
+    travel = np.array([s.bench_distal_displacement[0] for s in samples])
+    tissue = np.clip(travel - 8e-3, 0.0, None)
+    assert (tissue > 0.0).sum() > 1000
+    assert force == pytest.approx(1.0 + 200.0 * travel + 9400.0 * tissue**1.5, abs=0.01)
+
+
+def test_tendons_are_numbered_joint_after_joint():
+    rig = SimulatedRig(SimulatedRigConfig(name="arm", joints=(PAIR, QUIET, PAIR)))
+    assert rig.name == "arm"
+    assert rig.joints == ((0, 1), (2,), (3, 4))
+    assert rig.tendons == 5
+    for k in range(100):
+        (sample,) = rig.read(k * 1e-3)
+        rig.write(np.array([2e-3, -2e-3, 0.0, 0.0, 0.0]))
+    travel = sample.bench_distal_displacement
+    assert travel[0] == -travel[1]
+    assert travel[0] > 1e-4
+    assert travel[2:] == pytest.approx(0.0, abs=1e-9)
+    assert sample.proximal_displacement[:2] == pytest.approx([2e-3, -2e-3], abs=1e-6)
+
+
+def test_a_rig_at_rest_stays_at_its_pretension():
+    config = SimulatedRigConfig(joints=(PAIR, replace(QUIET, body=BodyConfig(pretension=5.0))))
+    samples = played(SimulatedRig(config), np.zeros(300))
+    for sample in samples[::50]:
+        assert sample.proximal_tension == pytest.approx([1.0, 1.0, 5.0], abs=1e-6)
+        assert sample.bench_distal_tension == pytest.approx([1.0, 1.0, 5.0], abs=1e-6)
+        assert sample.proximal_displacement == pytest.approx(0.0, abs=1e-9)
+        assert sample.bench_distal_displacement == pytest.approx(0.0, abs=1e-9)
+
+
+def test_samples_come_on_the_plants_grid_once_each():
+    rig = SimulatedRig(SimulatedRigConfig())
+    times = [rig.read(time) for time in (0.0, 0.0004, 0.0011, 0.0012, 0.0042)]
+    assert [[s.time_s for s in samples] for samples in times] == [
+        [0.0],
+        [],
+        [0.001],
+        [],
+        [0.004],
+    ]
+
+
+def test_the_same_seed_gives_the_same_samples_and_another_does_not():
+    targets = np.linspace(0.0, 5e-3, 200)
+
+    def tensions(seed):
+        rig = SimulatedRig(SimulatedRigConfig(seed=seed))
+        return [s.proximal_tension[0] for s in played(rig, targets)]
+
+    assert tensions(3) == tensions(3)
+    assert tensions(3) != tensions(4)
+
+
+def test_the_load_cells_are_noisy_each_by_itself_and_the_bench_is_not():
+    cell = LoadCellConfig(noise=0.05, resolution=0.002)
+    noisy = JointConfig((replace(TENDON, load_cell=cell),))
+    rig = SimulatedRig(SimulatedRigConfig(joints=(noisy, noisy)))
+    samples = played(rig, np.zeros(4000))
+    readings = np.array([s.proximal_tension for s in samples])
+    assert readings.std(axis=0) == pytest.approx([0.05, 0.05], rel=0.06)
+    assert abs(np.corrcoef(readings.T)[0, 1]) < 0.08
+    assert np.ptp([s.bench_distal_tension for s in samples]) < 1e-6
+
+
+def test_a_late_read_catches_up_in_few_steps_and_says_so():
+    rig = SimulatedRig(SimulatedRigConfig(joints=(QUIET,)))
+    rig.read(0.0)
+    rig.write(np.array([4e-3]))
+    rig.read(STEPS_AT_ONCE * 1e-3)
+    assert rig.coarse_reads == 0
+    (sample,) = rig.read(2.0)
+    assert rig.coarse_reads == 1
+    assert sample.time_s == pytest.approx(2.0)
+    assert sample.proximal_displacement[0] == pytest.approx(4e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("targets", [[math.nan], [math.inf], [0.0, 0.0], []])
+def test_a_motor_position_that_is_none_is_a_fault_and_moves_nothing(targets):
+    rig = SimulatedRig(SimulatedRigConfig(joints=(QUIET,)))
+    rig.read(0.0)
+    with pytest.raises(RigFault):
+        rig.write(np.array(targets))
+    (sample,) = rig.read(0.1)
+    assert sample.proximal_displacement[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_joints_are_independent():
+    targets = np.linspace(0.0, 10e-3, 300)
+    alone = played(SimulatedRig(SimulatedRigConfig(joints=(QUIET,))), targets)[-1]
+    stiff = replace(QUIET, body=BodyConfig(spring=5000.0))
+    both = played(SimulatedRig(SimulatedRigConfig(joints=(stiff, QUIET))), targets)[-1]
+    assert both.proximal_tension[1] == alone.proximal_tension[0]
+    assert both.proximal_tension[0] > alone.proximal_tension[0]
+
+
+def test_the_state_stays_finite_whatever_the_motors_are_sent():
+    rng = np.random.default_rng(0)
+    wall = WallConfig(position=0.002, stiffness=1e6, damping=50.0)
+    body = BodyConfig(mass=0.0, damping=0.0, friction=1.0, spring=0.0, pretension=0.0)
+    rig = SimulatedRig(SimulatedRigConfig(joints=(JointConfig((TENDON,) * 2, body, wall), QUIET)))
+    for k in range(2000):
+        (sample,) = rig.read(k * 1e-3)
+        if k % 7 == 0:
+            rig.write(rng.uniform(-1.0, 1.0, 3) * 10.0 ** rng.uniform(-4, 2, 3))
+        for values in (sample.proximal_tension, sample.bench_distal_tension):
+            assert np.all(np.isfinite(values))
+            assert values.min() >= 0.0 or values is sample.proximal_tension
+        assert np.all(np.abs(sample.bench_distal_displacement) <= 0.030)
+
+
+def test_a_config_file_makes_the_rig(tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text(
+        "slave:\n"
+        "  type: simulated\n"
+        "  name: bench\n"
+        "  joints:\n"
+        "    - tendons:\n"
+        "        - sheath: {sections: [{length: 0.5}, {length: 1, radius: 0.2}], friction: 0.1}\n"
+        "        - {motor: {pulley_radius: 0.005}, encoder: {decoding: 4}}\n"
+        "      body: {mass: 0.1, stops: [-0.01, 0.02]}\n"
+        "      environment: {type: several, parts: [{type: wall}, {type: tissue, side: b}]}\n"
+        "    - environment: {type: load_motor, mode: position, profile: [[0, 0], [1, 0.002]]}\n"
+        "  effects: [{type: joint_friction, joint: 2, start: 3}]\n"
+    )
+    config = load(file, SimulatedRigConfig, "slave")
+    joint = build_joint(config.joints[0])
+    assert isinstance(joint, Joint)
+    assert joint.pair
+    assert joint.a.chain.friction.sum() == pytest.approx(0.1 * 1.0 / 0.2)
+    assert joint.b.motor.mass == pytest.approx(4.0 * joint.a.motor.mass)
+    assert len(joint.environment.kind) == 2
+    assert open_rig(config).joints == ((0, 1), (2,))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("joints: [{tendons: [{sheath: {nodes: 0}}]}]", r"joints\.0\.tendons\.0\.sheath\.nodes"),
+        ("joints: [{tendons: [{}, {}, {}]}]", r"joints\.0\.tendons: must be 1 or 2"),
+        ("joints: [{tendons: []}]", r"joints\.0\.tendons: must be 1 or 2"),
+        ("joints: []", f"joints: must be 1 to {MAX_JOINTS}"),
+        ("joints: [{environment: {type: wal}}]", r"environment\.type: .*did you mean 'wall'"),
+        ("joints: [{body: {stops: [0.01]}}]", r"body\.stops: has 1 items, 2 are needed"),
+        ("joints: [{tendons: [{encoder: {decoding: 3}}]}]", r"encoder\.decoding: 3 is not one of"),
+        ("name: ' '", r"name: .*must not be empty"),
+        ("joints: [{tendons: [{motor: {gear: 5}}]}]", r"period: 0.001: .* rotor .* joint 1"),
+    ],
+)
+def test_a_rig_that_cannot_be_is_named_where_it_stands(text, message, tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text(f"slave: {{{text}}}\n")
+    with pytest.raises(UsageError, match=message):
+        load(file, SimulatedRigConfig, "slave")
+
+
+# --- replayed
+
+ROWS = 50
+
+
+@pytest.fixture
+def measured(tmp_path):
+    rng = np.random.default_rng(0)
+    path = tmp_path / "measured.csv"
+    time = 1_700_000_000.0 + np.cumsum(rng.uniform(0.0005, 0.02, ROWS))
+    columns = {
+        "time_s": time,
+        "proximal_tension_N": rng.uniform(0, 20, ROWS),
+        "proximal_displacement_m": rng.uniform(0, 0.01, ROWS),
+        "distal_tension_N": rng.uniform(0, 10, ROWS),
+        "proximal_tension_2_N": rng.uniform(0, 20, ROWS),
+    }
+    write_table(path, columns)
+    return path
+
+
+@pytest.mark.parametrize("period", [0.0003, 0.001, 0.05, 10.0])
+def test_every_row_is_given_once_unchanged_and_in_order(measured, period):
+    table = read_table(measured)
+    rig = open_rig(ReplayedRigConfig(file=measured))
+    samples, tick = [], 0
+    while len(samples) < ROWS:
+        new = rig.read(tick * period)
+        assert all(s.time_s - table.time[0] <= tick * period for s in new)
+        samples.extend(new)
+        tick += 1
+    with pytest.raises(RigFinished):
+        rig.read(tick * period)
+    assert [s.time_s for s in samples] == table.time.tolist()
+    assert [s.proximal_tension.tolist() for s in samples] == table.proximal_tension[
+        :, None
+    ].tolist()
+    travel = [s.proximal_displacement.tolist() for s in samples]
+    assert travel == table.proximal_displacement[:, None].tolist()
+    bench = [s.bench_distal_tension.tolist() for s in samples]
+    assert bench == table.distal_tension[:, None].tolist()
+    assert all(s.bench_distal_displacement is None for s in samples)
+
+
+def test_the_last_row_is_played_before_the_end_is_told(measured):
+    rig = open_rig(ReplayedRigConfig(file=measured))
+    assert len(rig.read(1e6)) == ROWS
+    with pytest.raises(RigFinished):
+        rig.read(1e6)
+
+
+def test_a_row_waits_for_its_time(measured):
+    time = read_table(measured).time
+    rig = open_rig(ReplayedRigConfig(file=measured))
+    assert len(rig.read(0.0)) == 1
+    assert rig.read(0.999 * float(time[1] - time[0])) == ()
+    rig.write(np.array([math.nan]))  # the motors of measured data are not there
+    assert len(rig.read(1.001 * float(time[1] - time[0]))) == 1
+
+
+def test_a_loop_goes_on_for_ever_with_time_that_increases(measured):
+    table = read_table(measured)
+    rig = open_rig(ReplayedRigConfig(file=measured, loop=True))
+    samples = [s for k in range(2000) for s in rig.read(k * 1e-3)]
+    assert len(samples) > 2 * ROWS
+    assert np.all(np.diff([s.time_s for s in samples]) > 0)
+    second = [float(s.proximal_tension[0]) for s in samples[ROWS : 2 * ROWS]]
+    assert second == table.proximal_tension.tolist()
+
+
+def test_several_tendons_of_one_file(measured):
+    both = (Columns(), Columns.of_tendon(2))
+    rig = open_rig(ReplayedRigConfig(file=measured, tendons=both))
+    (sample,) = rig.read(0.0)
+    assert rig.tendons == 2
+    assert rig.joints == ((0,), (1,))
+    assert rig.name == "measured.csv"
+    assert open_rig(ReplayedRigConfig(file=measured, name="bench 3")).name == "bench 3"
+    assert sample.proximal_tension[1] == read_table(measured, both[1]).proximal_tension[0]
+    assert np.isfinite(sample.proximal_displacement[0])
+    assert np.isnan(sample.proximal_displacement[1])  # the second has no encoder
+
+
+def test_a_file_that_cannot_be_right_does_not_become_a_rig(tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text("time_s,proximal_tension_N\n0,1\n0,2\n")
+    with pytest.raises(UsageError, match="line 3"):
+        open_rig(ReplayedRigConfig(file=path))
+
+
+def test_a_file_of_more_tendons_than_joints_can_be_is_refused(measured):
+    columns = tuple(Columns.of_tendon(k + 1) for k in range(MAX_JOINTS + 1))
+    ReplayedRigConfig(file=measured, tendons=columns[:-1])
+    with pytest.raises(ValueError, match=f"^tendons: must be 1 to {MAX_JOINTS}"):
+        ReplayedRigConfig(file=measured, tendons=columns)
+
+
+def test_measured_data_without_travel_can_be_played_and_tells_how_far(tmp_path):
+    path = tmp_path / "tension_only.csv"
+    write_table(path, {"time_s": np.arange(5) * 0.01, "proximal_tension_N": np.full(5, 2.0)})
+    rig = open_rig(ReplayedRigConfig(file=path))
+    (first, second) = rig.read(0.015)
+    assert first.proximal_displacement is second.proximal_displacement is None
+    assert rig.starts_at_zero
+    assert rig.summary() == {"rows": 5, "played": 2}

@@ -1,0 +1,30 @@
+"""How far a diagnosis is: one bar on a terminal, one line a stage elsewhere."""
+
+import io
+
+from teleop.tools.report.progress import WIDTH, Progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def shown(stream):
+    progress = Progress(stream)
+    for what in ("fitting", "trying"):
+        for share in (0.0, 0.5, 1.0):
+            progress(what, share)
+    progress.end()
+    return stream.getvalue()
+
+
+def test_each_stage_is_a_line_where_nobody_watches():
+    assert shown(io.StringIO()) == "fitting ...\ntrying ...\n"
+
+
+def test_on_a_terminal_it_is_one_line_that_is_gone_at_the_end():
+    text = shown(Terminal())
+    assert "\n" not in text
+    assert f"[{'#' * (WIDTH // 2):<{WIDTH}}] trying" in text
+    assert text.endswith("\r\x1b[K")

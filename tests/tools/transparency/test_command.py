@@ -1,0 +1,145 @@
+"""`teleop bench transparency`: what it writes of what was measured, and what it refuses."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from teleop.app import cli
+from teleop.tools.transparency import command, report, study
+from teleop.tools.transparency.hybrid import Hybrid
+from teleop.tools.transparency.multisine import Response
+from teleop.tools.transparency.stiffness import Pressed
+from teleop.tools.transparency.study import HANDS, Case, Study, Task, Walls
+from teleop.tools.transparency.zwidth import Width
+
+
+def case(asked, name, delay):
+    """Return a case as a study could have found it: ideal, but for what is set here."""
+    frequency = asked.excitation.frequency
+    late = np.exp(-2j * np.pi * frequency * delay / 2)
+    scale = asked.force_scale * asked.position_scale
+    ends = {"direct": Width(0.0, asked.lowest), "wave": Width(asked.cap, math.inf)}
+    trusted = np.where(frequency < 10.0, 1.0, 0.5)
+
+    def answers(value):
+        return Response(value + 0j * frequency, trusted, 0.02)
+
+    return Case(
+        name,
+        delay,
+        tuple(Pressed(k, scale * k * 0.9, 0.9, 0.1) for k in asked.stiffnesses),
+        {
+            (hand, b): Walls(ends.get(name, Width(300.0, 350.0)), math.nan)
+            for hand in HANDS
+            for b in asked.dampings
+        },
+        Hybrid(
+            frequency,
+            answers(0.5),
+            answers(asked.force_scale * late),
+            answers(-asked.position_scale * late),
+            answers(-0.001),
+        ),
+    )
+
+
+@pytest.fixture
+def measured(monkeypatch):
+    def run(asked, _workers):
+        return [case(asked, n, d) for n in asked.couplings for d in asked.round_trips]
+
+    monkeypatch.setattr(command, "run", run)
+
+
+def bench(*words):
+    return cli.main(["bench", "transparency", *map(str, words)])
+
+
+@pytest.mark.usefixtures("measured")
+def test_it_writes_a_page_and_numbers(tmp_path, capsys):
+    words = ["--couplings", "direct", "wave", "--round-trips", 0, 100]
+    assert bench(*words, "--out", tmp_path / "out") == 0
+    told = capsys.readouterr()
+    assert "wave" in told.out
+    assert "does not apply" in told.out
+    page = (tmp_path / "out" / "transparency.html").read_text()
+    assert page.count('src="data:image/png;base64,') == 5
+    for outside in ("http:", "https:", "<script", "<link"):
+        assert outside not in page
+    assert "≥ 10000" in page
+    assert "&lt; 100" in page
+    assert "describing functions" in page
+    numbers = json.loads(
+        (tmp_path / "out" / "transparency.json").read_text(), parse_constant=pytest.fail
+    )
+    assert numbers["settings"]["round_trips"] == [0.0, 0.1]
+    assert len(numbers["cases"]) == 4
+    told = {(c["coupling"], c["round_trip"]): c for c in numbers["cases"]}
+    assert told["wave", 0.0]["z_width"][0]["unstable"] is None
+    assert told["wave", 0.0]["llewellyn"] is None
+    assert told["direct", 0.1]["llewellyn"]["stable"] == [False] * 9  # Re h22 < 0
+
+
+@pytest.mark.usefixtures("measured")
+def test_over_a_bad_network_llewellyn_does_not_apply(tmp_path, capsys):
+    words = ["--couplings", "direct", "--jitter", 20, "--loss", 0.1, "--round-trips", 100]
+    assert bench(*words, "--out", tmp_path) == 0
+    assert "does not apply" in capsys.readouterr().out
+    page = (tmp_path / "transparency.html").read_text()
+    assert "none of these is one" in page
+    assert page.count("data:image/png") == 3
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--couplings", "magic"],
+        ["--round-trips", "-1"],
+        ["--round-trips", "20", "1000"],
+        ["--round-trips", "nan"],
+        ["--round-trips", "soon"],
+        ["--jitter", "500"],
+        ["--loss", "1"],
+        ["--force-scale", "0"],
+        ["--position-scale", "inf"],
+        ["--jobs", "0"],
+        ["--out", __file__],
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_a_line(words, capsys):
+    assert bench(*words) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert len(told.err.splitlines()) == 1
+    assert words[0] in told.err
+
+
+def test_each_task_is_gathered_where_it_belongs():
+    asked = Study(couplings=("direct", "wave"), round_trips=(0.0, 0.1))
+    done = {task: (task,) for task in study.tasks(asked)}
+    cases = study.gather(asked, done)
+    assert [(c.coupling, c.round_trip) for c in cases] == [
+        (n, d) for n in asked.couplings for d in asked.round_trips
+    ]
+    for one in cases:
+        cell = one.coupling, one.round_trip
+        assert one.pressed == (Task("stiffness", *cell),)
+        assert one.hybrid == (Task("hybrid", *cell),)
+        assert one.walls["firm", 5.0] == (Task("zwidth", *cell, "firm", 5.0),)
+
+
+def test_the_worst_hand_counts():
+    asked = Study()
+    found = case(asked, "passivity", 0.0)
+    found.walls["firm", 0.5] = Walls(Width(200.0, 220.0), 0.3)
+    found.walls["relaxed", 0.5] = Walls(Width(400.0, math.inf), 0.1)
+    assert report.worst(found, 0.5) == Walls(Width(200.0, 220.0), 0.3)
+
+
+def test_a_measurement_runs_the_live_loops():
+    asked = Study(cap=200.0, lowest=200.0)
+    found = study.measure(asked, Task("zwidth", "direct", 0.0, "firm", 5.0))
+    assert found.width == Width(200.0, math.inf)
+    assert 0.0 < found.buzz < 0.05
