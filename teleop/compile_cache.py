@@ -75,10 +75,7 @@ def announced(
             self.said = True
             print(f"compiling {what} (once on this machine; about {about_s:.0f} s) ...", flush=True)
             if beside is not None:
-                # not a fork of this process, which is in the middle of compiling
-                start = multiprocessing.get_context("spawn").Process
-                self.helper = start(target=_help, args=(beside,), daemon=True)
-                self.helper.start()
+                self.helper = _start_helper(beside)
 
         def on_end(self, _event: object) -> None:
             """Do nothing; a listener must have it."""
@@ -90,6 +87,35 @@ def announced(
             announcement.helper.join()
         if beside is not None:
             beside()
+
+
+@contextlib.contextmanager
+def compiling_beside(work: Callable[[], object]) -> Iterator[None]:
+    """Compile by another process during this context, if the cache is empty; else do nothing.
+
+    Parameters
+    ----------
+    work : callable
+        Calls what is to be compiled: a function of a module, or a `functools.partial` of one.
+    """
+    folder = choose()
+    if folder is None or any(folder.glob("*/*")):
+        yield
+        return
+    helper = _start_helper(work)
+    try:
+        yield
+    finally:
+        helper.kill()
+        helper.join()
+
+
+def _start_helper(work: Callable[[], object]) -> BaseProcess:
+    # not a fork of this process, which may be in the middle of compiling
+    start = multiprocessing.get_context("spawn").Process
+    helper = start(target=_help, args=(work,), daemon=True)
+    helper.start()
+    return helper
 
 
 def _help(beside: Callable[[], object]) -> None:

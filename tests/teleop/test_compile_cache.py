@@ -1,10 +1,12 @@
 """Compiled code is not taken for that of other sources, and finding a place for it never fails."""
 
+import multiprocessing
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -154,3 +156,28 @@ def test_what_is_compiled_beside_is_in_the_cache_when_it_is_called(tmp_path):
     line = "compiling a sum (once on this machine; about 12 s) ..."
     there, here = "1 compiled here", "0 compiled here"
     assert [run.stdout.splitlines() for run in runs] == [[line, there, here], [here]]
+
+
+def test_another_process_compiles_only_where_nothing_is_compiled_yet(unnamed, monkeypatch):
+    caches = unnamed / "mine"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(caches))
+    mark = partial(Path.touch, unnamed / "done")
+    with compile_cache.compiling_beside(mark):
+        deadline = time.monotonic() + 30.0
+        while not (unnamed / "done").exists() and time.monotonic() < deadline:
+            time.sleep(0.02)
+    assert (unnamed / "done").exists()
+
+    (unnamed / "done").unlink()
+    (caches / "slave_0").mkdir(parents=True)
+    (caches / "slave_0" / "loop.nbi").touch()
+    with compile_cache.compiling_beside(mark):
+        time.sleep(1.0)
+    assert not (unnamed / "done").exists()
+
+
+def test_the_other_process_ends_with_the_work_beside_it(unnamed, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(unnamed / "mine"))
+    with compile_cache.compiling_beside(partial(time.sleep, 60.0)):
+        (helper,) = multiprocessing.active_children()
+    assert not helper.is_alive()

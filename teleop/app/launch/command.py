@@ -22,6 +22,7 @@ from teleop import summary as summaries
 from teleop.app.launch import watch
 from teleop.app.launch.keys import HELP, Keys
 from teleop.app.launch.supervisor import Child, Supervisor
+from teleop.compile_cache import compiling_beside
 from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
@@ -121,6 +122,7 @@ def main(args: argparse.Namespace) -> int:
         family.start("slave", [*shared, *(f"--model={word}" for word in args.model)])
         if view != "none":
             family.start("view", [*shared, "--view", view])
+        stack.enter_context(compiling_beside(_compile_master))
         keys = stack.enter_context(Keys())
         keyboard = watch.Keyboard(keys, link)
         if keys.there:
@@ -137,6 +139,10 @@ def main(args: argparse.Namespace) -> int:
             family.stop(ENDING)
         summary = _summary(family, ended, stop.reason)
     return _conclude(summary, args.json, config.realtime)
+
+
+def _compile_master() -> None:
+    import_module("master.process").warm_up()
 
 
 def _conclude(
