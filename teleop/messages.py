@@ -246,7 +246,7 @@ def text_of(raw: tuple[int, ...]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command(Message):
-    """Master to slave, every master tick: where the tips shall be."""
+    """Master to slave, at `rate_hz`: the setpoints of the tips."""
 
     state: U32 = 0  # teleop.session.State of the master
     reason: U32 = 0  # teleop.session.Reason behind it
@@ -262,7 +262,7 @@ class Command(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveState(Message):
-    """Slave to master, every slave tick: the force at the tips, and how far it can be trusted."""
+    """Slave to master, every slave tick: the force at the tips, with its certified interval."""
 
     state: U32 = 0  # teleop.session.State of the slave
     reason: U32 = 0  # teleop.session.Reason behind it

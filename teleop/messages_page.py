@@ -5,10 +5,21 @@ python -m teleop.messages_page > docs/messages.md
 
 import inspect
 import re
+from collections.abc import Mapping
+from enum import IntEnum
 from typing import Any
 
-from teleop.messages import LAYOUT, MESSAGES, Message
-from teleop.topics import TOPICS, Topic
+from teleop.messages import (
+    LAYOUT,
+    MESSAGES,
+    PHASE_NAMES,
+    STAGE_NAMES,
+    STATUS_NAMES,
+    STOP_ACTIONS,
+    Message,
+)
+from teleop.session import Reason, State
+from teleop.topics import TOPICS, Role, Topic
 
 _HEAD_FIELDS = 5
 _COMMENT = re.compile(r"^\s+(?P<name>\w+): .*?# (?P<comment>.*)$", re.MULTILINE)
@@ -16,31 +27,88 @@ _COMMENT = re.compile(r"^\s+(?P<name>\w+): .*?# (?P<comment>.*)$", re.MULTILINE)
 _INTRODUCTION = """\
 # Topics and messages
 
-Made from `teleop/messages.py` and `teleop/topics.py` by `python -m teleop.messages_page`, not by
-hand.
+Generated from `teleop/messages.py` and `teleop/topics.py` by `python -m teleop.messages_page`; do
+not edit.
 
-A topic's key on the network is `teleop/<session>/<topic>`, its channel in a recording `/<topic>`.
-The bytes are CDR, little-endian: `00 01 00 00`, then each field at its natural alignment. All
-arrays have a fixed length; where a message says how many entries are in use, the others mean
-nothing. Units are SI.
-
-A *live* topic is best effort: what cannot be sent at once is dropped, and readers look at the
-newest value and its age. A *reliable* one keeps its order and is repeated by the transport, but
-even there a sender never waits; what a stalled listener misses shows as a gap in the sequence.
+| | |
+|---|---|
+| key on the network (Zenoh) | `teleop/<session>/<topic>` |
+| channel in a [recording](recordings.md) | `/<topic>` |
+| bytes | CDR, little-endian: `00 01 00 00`, then each field at its natural alignment, counted \
+from byte 4; the tables below give each field's first byte |
+| arrays | of fixed length; entries beyond the number in use mean nothing |
+| units | SI |
+| live topics | best effort: what cannot be sent at once is dropped; readers use the newest value \
+and its age |
+| reliable topics | ordered, and repeated by the transport; a sender never waits, so what a \
+stalled listener misses is a gap in the sequence |
 """
 
 _HEAD_TEXT = """\
 ## The head
 
-Every message begins with these fields, filled in and checked by the link.
+Every message begins with these fields.
 
-| field | type | |
-|---|---|---|
-| `checksum` | uint32 | CRC-32 of everything behind it |
-| `layout` | uint32 | CRC-32 of all declarations; in this version `{layout:08x}` |
-| `sender` | uint64 | drawn when the sending process started |
-| `sequence` | uint64 | counts the messages of this topic from this sender, from 1 |
-| `stamp_ns` | int64 | when it was sent [ns since the Unix epoch, on the sender's clock] |
+| byte | field | type | |
+|---|---|---|---|
+{fields}
+**Checksum.** CRC-32 as `zlib.crc32` computes it (IEEE 802.3: polynomial `04c11db7`, reflected
+`edb88320`, initial value and final exclusive or `ffffffff`), seeded with the CRC-32 of the
+message's name in ASCII. It covers bytes 8 to the end, that is, everything after the checksum
+itself. So it equals the CRC-32 of the name followed by these bytes:
+
+```python
+def seal(name: str, message: bytearray) -> None:  # seal("Command", ...)
+    checksum = zlib.crc32(message[8:], zlib.crc32(name.encode()))
+    message[4:8] = checksum.to_bytes(4, "little")
+```
+
+**Layout.** CRC-32 (seed 0) of the text of all declarations: for each message in the order of this
+page its name, then one `type name` for each field, the head's included, each on a line of its own.
+Array types have their length: `float64[8] position`. In this version `{layout:08x}`; a message of
+another layout is dropped.
+
+## A client of your own
+
+| to | a process must |
+|---|---|
+| connect | open a Zenoh session in peer mode without scouting, to both endpoints of `link` \
+([configuration](configuration.md#the-link)) |
+| listen | subscribe to the topic's key |
+| stop a session | publish `stop` with action 0; no announcement is needed |
+| reset a stop, or change a setting | be announced: declare the liveliness token \
+`teleop/<session>/@/remote/<layout>/<sender>/held`, with layout and sender in 8 and 16 hexadecimal\
+ digits |
+| publish any topic | draw a new `sender` at each start, and count its messages from 1 |
+
+Topics from the master or the slave are accepted from the announced process of that role only. A
+session has one of each; a newcomer first announces itself with `claim` in place of `held`
+(`teleop/link/presence.py`).
+"""
+
+_HEAD_COMMENTS = {
+    "checksum": "see below",
+    "layout": "see below",
+    "sender": "nonce drawn when the sending process started",
+    "sequence": "number of this message among those of its topic and sender, from 1",
+    "stamp_ns": "when it was sent [ns since the Unix epoch, on the sender's clock]",
+}
+
+_NUMBERS = """\
+## Numbers
+
+| field | values, from 0 |
+|---|---|
+| `role` | {roles} |
+| `state` | {states} ([safety](safety.md#session-states)) |
+| `phase` | {phases} |
+| `status`, bits from the lowest | {statuses} |
+| `action` of `stop` | {actions} |
+| stages of `latency` | {stages} |
+
+| `reason` | |
+|---|---|
+{reasons}
 """
 
 
@@ -49,9 +117,10 @@ def page() -> str:
     lines = [_INTRODUCTION, "## Topics\n", "| topic | message | from | rate | kind |"]
     lines.append("|---|---|---|---|---|")
     lines += map(_topic_row, TOPICS)
-    lines += ["", _HEAD_TEXT.format(layout=LAYOUT)]
-    for cls in MESSAGES:
-        lines.append(_section(cls))
+    head = "\n".join(_field_rows(MESSAGES[0], _HEAD_COMMENTS, slice(_HEAD_FIELDS)))
+    lines += ["", _HEAD_TEXT.format(fields=head + "\n", layout=LAYOUT)]
+    lines += map(_section, MESSAGES)
+    lines.append(_numbers())
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -65,13 +134,38 @@ def _topic_row(topic: Topic[Any]) -> str:
 
 def _section(cls: type[Message]) -> str:
     comments = {m["name"]: m["comment"] for m in _COMMENT.finditer(inspect.getsource(cls))}
-    lines = [f"## {cls.__name__}\n", f"{inspect.getdoc(cls)}\n"]
-    lines.append(f"{cls.schema.size} bytes.\n")
-    lines += ["| field | type | |", "|---|---|---|"]
-    for name, wire in list(cls.schema.wires.items())[_HEAD_FIELDS:]:
-        count = f"[{wire.count}]" if wire.count > 1 else ""
-        lines.append(f"| `{name}` | {wire.ros}{count} | {comments.get(name, '')} |")
+    lines = [f"## {cls.__name__}\n", f"{inspect.getdoc(cls)}\n", f"{cls.schema.size} bytes.\n"]
+    lines += ["| byte | field | type | |", "|---|---|---|---|"]
+    lines += _field_rows(cls, comments, slice(_HEAD_FIELDS, None))
     return "\n".join(lines) + "\n"
+
+
+def _field_rows(cls: type[Message], comments: dict[str, str], which: slice) -> list[str]:
+    """Return a table's rows of some fields of a message."""
+    offsets: Mapping[str, Any] = cls.schema.dtype.fields or {}
+    rows = []
+    for name, wire in list(cls.schema.wires.items())[which]:
+        count = f"[{wire.count}]" if wire.count > 1 else ""
+        comment = comments.get(name, "")
+        rows.append(f"| {offsets[name][1]} | `{name}` | {wire.ros}{count} | {comment} |")
+    return rows
+
+
+def _numbers() -> str:
+    """Return the meaning of the numbers that stand for names."""
+    return _NUMBERS.format(
+        roles=_names(Role),
+        states=_names(State),
+        phases=", ".join(PHASE_NAMES),
+        statuses=", ".join(STATUS_NAMES),
+        actions=", ".join(STOP_ACTIONS),
+        stages=", ".join(STAGE_NAMES),
+        reasons="\n".join(f"| {reason.value} | {reason.text} |" for reason in Reason),
+    )
+
+
+def _names(numbers: type[IntEnum]) -> str:
+    return ", ".join(number.name.lower() for number in numbers)
 
 
 if __name__ == "__main__":

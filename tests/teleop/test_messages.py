@@ -1,6 +1,8 @@
 """Packed messages: against numpy, against ROS 2's own reader, and against damage."""
 
+import re
 import struct
+import zlib
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -191,6 +193,18 @@ def test_padding_fills_up_and_too_many_values_do_not_pass() -> None:
         padded([0.0] * 9, 8)
     with pytest.raises(struct.error):
         Command(position=(0.0,) * 9).pack(1, 2, 3)
+
+
+def test_the_checksum_of_the_docs_is_that_of_every_message() -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", page(), re.DOTALL)
+    scope: dict[str, Any] = {"zlib": zlib}
+    exec(code, scope)  # noqa: S102 - our own page
+    for cls in MESSAGES:
+        data = cls().pack(1, 2, 3)
+        message = bytearray(data)
+        message[4:8] = b"\0\0\0\0"
+        scope["seal"](cls.__name__, message)
+        assert message == data
 
 
 def test_the_page_in_the_docs_is_current() -> None:
