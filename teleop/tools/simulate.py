@@ -25,6 +25,7 @@ from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.config import load
 from teleop.data.table import Columns, check_destination, write_table
 from teleop.errors import UsageError
+from teleop.options import add_options
 from teleop.tools.motion import MOTIONS, Keep, Memory, Motion, Scale, Seen
 
 KEEP = 0.5  # [N] enough for a tendon not to go slack
@@ -92,14 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=KEEP,
         help=f"[N] housing tension of the other one (default {KEEP:g})",
     )
-    parser.add_argument(
-        "--set",
-        dest="overrides",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override one value of the config",
-    )
+    add_options(parser, "--set")
 
 
 def main(args: argparse.Namespace) -> int:

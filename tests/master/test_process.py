@@ -12,11 +12,13 @@ from master.config import MasterConfig
 from master.device import DeviceFault, DeviceLost, HandState
 from master.devices.virtual import VirtualConfig
 from master.gate import FADE_S
-from master.process import LATE_ANSWERS, TRY_EVERY, WAIT, Master, run
+from master.process import LATE_ANSWERS, TRY_EVERY, WAIT, Master
+from teleop import loop_process
 from teleop.clock import Grid, now_ns
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
+from teleop.loop_process import run
 from teleop.messages import (
     STAGE_NAMES,
     Command,
@@ -632,8 +634,8 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
 def quiet_process(monkeypatch):
     """Let a command run inside the test process without leaving its traces there."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setattr(process, "go_realtime", lambda _: ["a test"])
-    monkeypatch.setattr(process, "enter_loop", lambda *_: None)
+    monkeypatch.setattr(loop_process, "go_realtime", lambda _: ["a test"])
+    monkeypatch.setattr(loop_process, "enter_loop", lambda *_: None)
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -14,12 +14,14 @@ import pytest
 from slave import loop, process, rigs
 from slave.calibration.config import InitialiseConfig
 from slave.config import SlaveConfig, TendonConfig
-from slave.process import SlaveProcess, run
+from slave.process import SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated.simulated import SimulatedRigConfig
+from teleop import loop_process
 from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
+from teleop.loop_process import run
 from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
 from teleop.remote.requests import CALL, RESET, RequestListener
 from teleop.session import Reason, State, outline
@@ -593,8 +595,8 @@ def test_what_goes_out_is_what_the_table_says():
 def quiet_process(monkeypatch):
     """Let a command run inside the test process without leaving its traces there."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setattr(process, "go_realtime", lambda _: ["a test"])
-    monkeypatch.setattr(process, "enter_loop", lambda *_: None)
+    monkeypatch.setattr(loop_process, "go_realtime", lambda _: ["a test"])
+    monkeypatch.setattr(loop_process, "enter_loop", lambda *_: None)
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import UsageError
+from teleop.options import add_option
 from teleop.parallel import parallel_map, processors
 from teleop.process import make_folder, write_summary, write_whole
 from teleop.tools.report.progress import Progress
@@ -65,21 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         help=f"tip travel per hand travel (default {default.position_scale:g})",
     )
-    parser.add_argument("--quick", action="store_true", help="a rough look, in a minute")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("transparency"),
-        metavar="DIR",
-        help="folder for the page and the numbers (default transparency)",
-    )
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        default=processors(),
-        metavar="N",
-        help="measurements at a time (default: one for each processor)",
-    )
+    add_option(parser, "--quick", "two round trips, in a minute")
+    add_option(parser, "--out", "default transparency", default=Path("transparency"))
+    add_option(parser, "--jobs", default=processors())
 
 
 def main(args: argparse.Namespace) -> int:
