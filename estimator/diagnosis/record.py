@@ -136,21 +136,7 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
     RecordError
         If nothing can be found out from the data.
     """
-    if PROXIMAL_TENSION not in signals:
-        raise RecordError("proximal_tension is missing: nothing is known without it")
-    if len(signals) < 2:
-        raise RecordError(
-            "proximal_tension alone: a travel or the tension at the tip is needed beside it"
-        )
-    if len(time) < LEAST:
-        raise RecordError(f"{len(time)} samples, at least {LEAST} are needed: record for longer")
-    for name, signal in signals.items():
-        if name not in CHANNELS:
-            raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
-        if signal.shape != time.shape or not np.isfinite(signal).all():
-            raise RecordError(f"{name}: {time.shape} finite values are needed")
-    if not np.ptp(signals[PROXIMAL_TENSION]) > 0.0:
-        raise RecordError("proximal_tension never changes: pull and release while you record")
+    _check(time, signals)
     time = time - time[0]
     good, troubles = {}, list(_repeated(time, signals))
     for name, signal in signals.items():
@@ -170,8 +156,7 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         jitter = JITTER * _encoder_noise(whole)
         drive = monotone(whole, jitter)
         turns = _between_samples(time, drive, jitter)
-        added = {name: np.interp(turns.time, time, signal) for name, signal in signals.items()}
-        signals = {name: np.insert(one, turns.rows, added[name]) for name, one in signals.items()}
+        signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
         good = {name: np.insert(mask, turns.rows, False) for name, mask in good.items()}
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
@@ -193,6 +178,24 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         troubles=tuple(troubles),
         thinned=thinned,
     )
+
+
+def _check(time: Array, signals: Signals) -> None:
+    if PROXIMAL_TENSION not in signals:
+        raise RecordError("proximal_tension is missing: nothing is known without it")
+    if len(signals) < 2:
+        raise RecordError(
+            "proximal_tension alone: a travel or the tension at the tip is needed beside it"
+        )
+    if len(time) < LEAST:
+        raise RecordError(f"{len(time)} samples, at least {LEAST} are needed: record for longer")
+    for name, signal in signals.items():
+        if name not in CHANNELS:
+            raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
+        if signal.shape != time.shape or not np.isfinite(signal).all():
+            raise RecordError(f"{name}: {time.shape} finite values are needed")
+    if not np.ptp(signals[PROXIMAL_TENSION]) > 0.0:
+        raise RecordError("proximal_tension never changes: pull and release while you record")
 
 
 def in_full(record: Record) -> Record:
@@ -320,6 +323,10 @@ class _Turns(NamedTuple):
     rows: list[int]  # before which they belong
     time: list[float]  # [s]
     drive: list[float]  # [m]
+
+    def insert(self, time: Array, signal: Array) -> Array:
+        """Return a signal with rows at the turns, interpolated."""
+        return np.insert(signal, self.rows, np.interp(self.time, time, signal))
 
 
 def _between_samples(time: Array, drive: Array, least: float) -> _Turns:
