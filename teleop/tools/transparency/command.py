@@ -52,20 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--loss", type=float, default=0.0, metavar="SHARE", help="of the messages, each way"
     )
-    parser.add_argument(
-        "--force-scale",
-        type=float,
-        default=default.force_scale,
-        metavar="X",
-        help=f"force on the hand per force at the tip (default {default.force_scale:g})",
-    )
-    parser.add_argument(
-        "--position-scale",
-        type=float,
-        default=default.position_scale,
-        metavar="X",
-        help=f"tip travel per hand travel (default {default.position_scale:g})",
-    )
+    for name, value, text in (
+        ("force", default.force_scale, "force on the hand per force at the tip"),
+        ("position", default.position_scale, "tip travel per hand travel"),
+    ):
+        parser.add_argument(
+            f"--{name}-scale", type=float, default=value, metavar="X",
+            help=f"{text} (default {value:g})",
+        )  # fmt: skip
     add_option(parser, "--quick", "two round trips, in a minute")
     add_option(parser, "--out", "default transparency", default=Path("transparency"))
     add_option(parser, "--jobs", default=processors())
