@@ -152,7 +152,8 @@ def _lag(channel: str, forward: Change, inverse: Change, equation: str, how: str
             equation=equation,
             parameters=(Parameter("time", "s", 0.0, 2.0, 0.01),),
             source="range assumed: 1 to 100 ms",
-            advice="Compare the edges of one sharp pull in all channels; look at filters and time stamps.",
+            advice="Compare the edges of one sharp pull in all channels; look at filters and time "
+            "stamps.",
             starts=lambda _: [(0.03,)],
             where=f"{WORDS[channel]}, {how}",
         ),
@@ -192,7 +193,8 @@ def _scale(channel: str) -> Effect:
         lambda q, values, _: q / (1.0 + values[0]),
         Effect(
             name="encoder_scale",
-            cause=f"{WORDS[channel]} counts too much or too little, as on a pulley of another radius",
+            cause=f"{WORDS[channel]} counts too much or too little, as on a pulley of another "
+            "radius",
             equation="reading = (1 + gain) q",
             parameters=(Parameter("gain", "", -0.8, 4.0, 0.02),),
             source="range assumed: up to 5 %, by the wrap radius",

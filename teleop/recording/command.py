@@ -10,7 +10,6 @@ Python: see docs/recordings.md.
 
 import argparse
 import dataclasses
-import os
 import time
 from pathlib import Path
 from typing import Any
@@ -18,13 +17,11 @@ from typing import Any
 from teleop.clock import now_ns
 from teleop.link import Link
 from teleop.options import add_options
-from teleop.process import Stop, folder, supervised, write_summary
+from teleop.process import Stop, folder, let_loops_first, supervised, write_summary
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.run_config import load_section
 from teleop.topics import TOPICS, Role
-
-_NICENESS = 5  # where loops and recorder share a processor, the loops go first
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +36,7 @@ def main(args: argparse.Namespace) -> int:
     if args.out:
         config = dataclasses.replace(config, directory=args.out)
     config_text = args.config.read_text() if args.config else ""
-    os.nice(_NICENESS)
+    let_loops_first()
     stop = Stop(args.duration)
     with Link(run.link, run.session, Role.RECORDER) as link:
         listener = link.listen(TOPICS)

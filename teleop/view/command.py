@@ -11,7 +11,6 @@ It only listens: neither loop ever waits for it. See docs/viewing.md.
 """
 
 import argparse
-import os
 import time
 from contextlib import ExitStack
 from dataclasses import replace
@@ -21,7 +20,7 @@ from typing import Any
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.options import ViewMode, add_options
-from teleop.process import Stop, has_display, supervised, write_summary
+from teleop.process import Stop, has_display, let_loops_first, supervised, write_summary
 from teleop.recording.reader import open_recording
 from teleop.recording.replay import require_playable
 from teleop.run_config import load_section
@@ -30,8 +29,6 @@ from teleop.view.config import LAYOUTS, ViewConfig
 from teleop.view.feed import Discard, Fed, Show, from_link, from_recording
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-
-_NICENESS = 5  # where loops and view share a processor, the loops go first
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
     mode: ViewMode = args.view or ("native" if has_display() else "web")
     if args.file is not None:
         require_playable(open_recording(args.file))
-    os.nice(_NICENESS)
+    let_loops_first()
     stop = Stop(args.duration)
     name = Path(args.file).stem if args.file else run.session
     summary: dict[str, Any] = {"session": run.session, "view": mode, "source": args.file or "link"}
