@@ -9,14 +9,8 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.diagnosis.model import Base, Simulated, base_of, scene_of, simulate
 from estimator.diagnosis.record import Record, in_full
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION, Effect, EffectContext, Values
-
-ROUGHLY = 3e-3  # of a channel's range
-ACCURACY = 1e-3  # of it, that a simulation is taken to be off by itself
-NOISE = 1.25  # times the tolerance: an error that is nothing wrong with the model
-LEFT = 0.3  # of the root mean square that a model leaves
-TAKEN_UP = 2.0  # standard uncertainties about its start within which a slack record is taut
-TAUT_LEAST = 1e-6  # [m]
 
 
 class Dataset(NamedTuple):
@@ -62,7 +56,7 @@ def dataset_of(records: Sequence[Record]) -> Dataset:
     """
     scale = tuple(
         {
-            channel: max(noise, ROUGHLY * float(np.ptp(record.signals[channel])))
+            channel: max(noise, SETTINGS.scale_min * float(np.ptp(record.signals[channel])))
             for channel, noise in record.noise.items()
         }
         for record in records
@@ -84,10 +78,11 @@ def mean_noise(dataset: Dataset) -> dict[str, float]:
 
 
 def tolerance(dataset: Dataset) -> dict[str, float]:
-    """Return the error of each channel that noise makes, and a simulation off by `ACCURACY`."""
+    """Return the error of each channel by noise and by the `Settings.accuracy` of a simulation."""
     return {
         channel: math.hypot(
-            noise, ACCURACY * max(float(np.ptp(one.signals[channel])) for one in dataset.records)
+            noise,
+            SETTINGS.accuracy * max(float(np.ptp(one.signals[channel])) for one in dataset.records),
         )
         for channel, noise in mean_noise(dataset).items()
     }
@@ -100,7 +95,9 @@ def rescaled(dataset: Dataset, fit: Fit) -> Dataset:
         each = {}
         for channel in record.compared:
             off = (one.signals[channel] - record.signals[channel])[record.good[channel]]
-            each[channel] = math.hypot(record.noise[channel], LEFT * float(off.std()))
+            each[channel] = math.hypot(
+                record.noise[channel], SETTINGS.residual_share * float(off.std())
+            )
         scale.append(each)
     return dataset._replace(scale=tuple(scale))
 
@@ -159,5 +156,5 @@ def expected_taut(record: Record, model: Model) -> Expected | None:
     tension = max(0.0, float(record.signals[PROXIMAL_TENSION][:5].mean()))
     return Expected(
         float(record.drive[0]) - compliance * tension,
-        max(TAKEN_UP * compliance * sigma, TAUT_LEAST),
+        max(SETTINGS.taut_sigma * compliance * sigma, SETTINGS.taut_sigma_min),
     )

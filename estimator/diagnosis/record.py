@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     CHANNELS,
     PROXIMAL_DISPLACEMENT,
@@ -26,18 +27,8 @@ from estimator.signals import noise_sigma
 
 Mask = NDArray[np.bool_]
 
-LEAST = 100  # samples
-MOST = 20_000  # samples that are simulated; a longer record is thinned
-BLOCK = 5.0  # [s] that are fitted, and then as long that are not
-BLOCKS = 12  # at least, in a short record
-SHORT = 0.02  # of a block's length, where what is wrong fills but a block
-SPIKE = 8.0  # times what neighbours differ by
-FLOOR = 2e-4  # of a channel's range: nothing is simulated better
-TURN = 1e-3  # of the range of the drive: turns that are no jitter of an encoder
 SPEED_OVER = 0.02  # [s] over which speed is taken
 ORDERS = (2, 3, 4, 5, 6)  # of the differences that an encoder's noise is taken from
-JITTER = 4.0  # times its noise: a driver that turns by less has not turned
-ROUND = 0.4  # of the largest bend about a turn, that the least has: it is no corner
 
 
 class Simulation(Protocol):
@@ -118,7 +109,7 @@ class Record:
         return bool(np.median(T[:5]) <= 5.0 * self.noise[PROXIMAL_TENSION])
 
 
-def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
+def prepare(time: Array, signals: Signals, *, most: int = SETTINGS.samples_max) -> Record:
     """Return a record made ready.
 
     Parameters
@@ -136,21 +127,7 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
     RecordError
         If nothing can be found out from the data.
     """
-    if PROXIMAL_TENSION not in signals:
-        raise RecordError("proximal_tension is missing: nothing is known without it")
-    if len(signals) < 2:
-        raise RecordError(
-            "proximal_tension alone: a travel or the tension at the tip is needed beside it"
-        )
-    if len(time) < LEAST:
-        raise RecordError(f"{len(time)} samples, at least {LEAST} are needed: record for longer")
-    for name, signal in signals.items():
-        if name not in CHANNELS:
-            raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
-        if signal.shape != time.shape or not np.isfinite(signal).all():
-            raise RecordError(f"{name}: {time.shape} finite values are needed")
-    if not np.ptp(signals[PROXIMAL_TENSION]) > 0.0:
-        raise RecordError("proximal_tension never changes: pull and release while you record")
+    _check(time, signals)
     time = time - time[0]
     good, troubles = {}, list(_repeated(time, signals))
     for name, signal in signals.items():
@@ -159,19 +136,18 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
     time, signals, good, thinned = _thinned(time, signals, good, most)
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
     noise = {
-        name: max(noise_sigma(signal[good[name]]), FLOOR * float(np.ptp(signal)), 1e-9)
+        name: max(noise_sigma(signal[good[name]]), SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
         for name, signal in signals.items()
     }
     whole = np.interp(time, time[good[driver]], signals[driver][good[driver]])
     measured = np.ones(len(time), dtype=np.bool_)
     if driver == PROXIMAL_TENSION:
-        drive = np.maximum(monotone(whole, JITTER * noise_sigma(whole)), 0.0)
+        drive = np.maximum(monotone(whole, SETTINGS.jitter * noise_sigma(whole)), 0.0)
     else:
-        jitter = JITTER * _encoder_noise(whole)
+        jitter = SETTINGS.jitter * _encoder_noise(whole)
         drive = monotone(whole, jitter)
         turns = _between_samples(time, drive, jitter)
-        added = {name: np.interp(turns.time, time, signal) for name, signal in signals.items()}
-        signals = {name: np.insert(one, turns.rows, added[name]) for name, one in signals.items()}
+        signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
         good = {name: np.insert(mask, turns.rows, False) for name, mask in good.items()}
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
@@ -195,6 +171,26 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
     )
 
 
+def _check(time: Array, signals: Signals) -> None:
+    if PROXIMAL_TENSION not in signals:
+        raise RecordError("proximal_tension is missing: nothing is known without it")
+    if len(signals) < 2:
+        raise RecordError(
+            "proximal_tension alone: a travel or the tension at the tip is needed beside it"
+        )
+    if len(time) < SETTINGS.samples_min:
+        raise RecordError(
+            f"{len(time)} samples, at least {SETTINGS.samples_min} are needed: record for longer"
+        )
+    for name, signal in signals.items():
+        if name not in CHANNELS:
+            raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
+        if signal.shape != time.shape or not np.isfinite(signal).all():
+            raise RecordError(f"{name}: {time.shape} finite values are needed")
+    if not np.ptp(signals[PROXIMAL_TENSION]) > 0.0:
+        raise RecordError("proximal_tension never changes: pull and release while you record")
+
+
 def in_full(record: Record) -> Record:
     """Return a record of which all samples are fitted."""
     return replace(record, train=np.ones_like(record.train))
@@ -205,12 +201,12 @@ def in_short_blocks(record: Record) -> Record:
 
     What is wrong in one block only can be fitted and not judged, or judged and not fitted.
     """
-    block = _blocks(record.time, SHORT)
+    block = _blocks(record.time, SETTINGS.short_block)
     return replace(record, train=block % 2 == 0, block=block)
 
 
 def _blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
-    length = share * min(BLOCK, float(time[-1] - time[0]) / BLOCKS)
+    length = share * min(SETTINGS.block, float(time[-1] - time[0]) / SETTINGS.blocks_min)
     return np.asarray((time - time[0]) / length, dtype=np.int64)
 
 
@@ -224,7 +220,7 @@ def felt(record: Record, again: Callable[[Record], Simulation]) -> Record:
         return record
     sigma = noise_sigma(record.signals[record.driver])
     jitter = sigma * np.random.default_rng(0).standard_normal(len(record.time))
-    drive = np.maximum(monotone(record.drive + jitter, 4.0 * sigma), 0.0)
+    drive = np.maximum(monotone(record.drive + jitter, SETTINGS.jitter * sigma), 0.0)
     other, same = again(replace(record, drive=drive)), again(record)
     noise = dict(record.noise)
     for channel in record.compared:
@@ -240,7 +236,7 @@ def thin(record: Record, most: int) -> Record:
         return record
     kept = np.zeros(n, dtype=np.bool_)
     kept[:: math.ceil(n / most)] = True
-    kept[_turning_points(record.drive, 1e-3 * float(np.ptp(record.drive)))] = True
+    kept[_turning_points(record.drive, SETTINGS.reversal * float(np.ptp(record.drive)))] = True
     return replace(
         record,
         time=record.time[kept],
@@ -321,6 +317,10 @@ class _Turns(NamedTuple):
     time: list[float]  # [s]
     drive: list[float]  # [m]
 
+    def insert(self, time: Array, signal: Array) -> Array:
+        """Return a signal with rows at the turns, interpolated."""
+        return np.insert(signal, self.rows, np.interp(self.time, time, signal))
+
 
 def _between_samples(time: Array, drive: Array, least: float) -> _Turns:
     """Return where the motor turned between two samples, further than those by `least` [m].
@@ -330,11 +330,11 @@ def _between_samples(time: Array, drive: Array, least: float) -> _Turns:
     """
     bend = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
     turns = _Turns([], [], [])
-    for i in _turning_points(drive, TURN * float(np.ptp(drive)))[1:-1]:
+    for i in _turning_points(drive, SETTINGS.reversal * float(np.ptp(drive)))[1:-1]:
         about = bend[max(i - 2, 0) : i + 1]
         if len(about) < 3 or np.ptp(np.sign(about)):
             continue
-        if not np.abs(about).min() > ROUND * float(np.abs(about).max()):
+        if not np.abs(about).min() > SETTINGS.corner * float(np.abs(about).max()):
             continue
         before, here = float(time[i - 1]), float(time[i])
         slope = float(drive[i] - drive[i - 1]) / (here - before)
@@ -354,7 +354,7 @@ def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Tr
     There friction turns round within less than an encoder resolves, or between two samples: how far
     it has come at that sample, nobody can tell.
     """
-    turns = np.array(_turning_points(drive, TURN * float(np.ptp(drive))))[1:-1]
+    turns = np.array(_turning_points(drive, SETTINGS.reversal * float(np.ptp(drive))))[1:-1]
     beside = np.zeros_like(good)
     for off in (-1, 0, 1):
         beside[turns + off] = True
@@ -375,7 +375,7 @@ def _without_spikes(time: Array, name: str, signal: Array) -> tuple[Mask, list[T
     across[1:-1] = np.abs(signal[2:] - signal[:-2])
     usual = 1.4826 * median_filter(np.abs(off), 101, mode="nearest")
     least = max(noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
-    spike = (np.abs(off) > SPIKE * np.maximum(usual, least)) & (across < 0.5 * np.abs(off))
+    spike = (np.abs(off) > SETTINGS.spike * np.maximum(usual, least)) & (across < 0.5 * np.abs(off))
     # beside a spike both neighbours are off by half of it, the other way; beside a sharp turn not
     for beside in (np.roll(off, 1), np.roll(off, -1)):
         spike &= (off * beside < 0.0) & (np.abs(beside) > 0.25 * np.abs(off))

@@ -17,6 +17,7 @@ from estimator.diagnosis.engine import diagnose, quiet
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import RecordError, prepare
 from estimator.diagnosis.search import THIN, promised
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, NAMES
 from tests import hidden
 
@@ -221,7 +222,7 @@ def test_a_long_record_is_thinned_and_its_turns_stay():
     T = np.clip(8.0 * np.sin(time), 0.0, None)
     ready = prepare(time, {"proximal_tension": T, "proximal_displacement": q})
     assert ready.thinned == 3
-    assert len(ready.time) <= record.MOST
+    assert len(ready.time) <= SETTINGS.samples_max
     few = record.thin(ready, 500)
     assert few.drive.max() == ready.drive.max()
     assert few.drive.min() == ready.drive.min()
