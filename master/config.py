@@ -19,16 +19,16 @@ class MasterConfig:
     operator: OperatorConfig = field(default_factory=OperatorConfig)
     force: FeedbackConfig = field(default_factory=FeedbackConfig)
     gate: GateConfig = field(default_factory=GateConfig)
-    freshness: float = 0.030  # [s] a force measured longer ago than this is not rendered
+    state_timeout: float = 0.030  # [s] a force measured longer ago than this is not rendered
     delay_max: float = 0.100  # [s] nor is one that answers a command older than this
     # [Hz] at which the device is read and written: a whole multiple of rate_hz; null = rate_hz
     device_rate_hz: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse a state that never grows old."""
-        if not 0.0 < self.freshness <= 0.5:
+        if not 0.0 < self.state_timeout <= 0.5:
             raise ValueError("freshness: must be above 0 and at most 0.5 [s]")
-        if not self.freshness <= self.delay_max <= 1.0:
+        if not self.state_timeout <= self.delay_max <= 1.0:
             raise ValueError("delay_max: must be at least freshness and at most 1 [s]")
         room = min(self.force.limit, self.gate.axis_max)
         if any(abs(force) >= room for force in self.operator.weight):
@@ -43,7 +43,7 @@ class MasterConfig:
     def check_rate(self, rate_hz: float) -> None:
         """Refuse what does not go with the link's rate [Hz]; `UsageError`."""
         self.commands_every(rate_hz)
-        require_periods("master.freshness", self.freshness, rate_hz)
+        require_periods("master.freshness", self.state_timeout, rate_hz)
         require_periods("master.delay_max", self.delay_max, rate_hz)
 
     def commands_every(self, rate_hz: float) -> int:

@@ -62,7 +62,7 @@ def count_hand(
     place, velocity = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     at_tip = np.zeros(MAX_JOINTS)
     for k in range(MAX_JOINTS):
-        place[k] = side.asked[k]
+        place[k] = side.requested[k]
         if seen and k < hand.axes:
             before = rendered.hand[k] if rendered.hand_known else hand.position[k]
             place[k] += position_scale * (hand.position[k] - before)
@@ -99,13 +99,13 @@ def render(
         out[k] = wanted[k]
     if not coupled:
         return
-    at_tip, given = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    at_tip, granted_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     for k in range(axes):
         at_tip[k] = _at_tip(force_scale, wanted[k])
-    coupling.render(settings, side, at_tip, axes, given)
+    coupling.render(settings, side, at_tip, axes, granted_force)
     for k in range(axes):
         if force_scale != 0.0:
-            out[k] = -force_scale * given[k]
+            out[k] = -force_scale * granted_force[k]
 
 
 @compiled
@@ -117,11 +117,11 @@ def remember(rendered: RenderMemory, force_scale: float, force: Array, axes: int
 
 
 @compiled
-def _part(written: float, asked: float) -> float:
-    """Return how much of a `written` force was the coupling's: no more than it `asked` for."""
-    if not math.isfinite(asked):
+def _part(written: float, requested: float) -> float:
+    """Return how much of a `written` force was the coupling's: no more than it `requested` for."""
+    if not math.isfinite(requested):
         return 0.0
-    return min(max(written, min(asked, 0.0)), max(asked, 0.0))
+    return min(max(written, min(requested, 0.0)), max(requested, 0.0))
 
 
 @compiled

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from estimator.array_types import Array
 from estimator.compiled import compiled
-from teleop.force_attenuation import ConfidenceConfig, attenuated
+from teleop.force_attenuation import ConfidenceConfig, attenuate
 from teleop.messages import STATUS_NAMES, SlaveState
 
 INVALID = 1 << STATUS_NAMES.index("invalid input")
@@ -60,7 +60,7 @@ def tip_forces(
     for k in range(axes):
         out[k] = 0.0
         if has_state and k < state.joints and state.status[k] & INVALID == 0:
-            out[k] = attenuated(confidence, state.force[k], state.force_low[k], state.force_high[k])
+            out[k] = attenuate(confidence, state.force[k], state.force_low[k], state.force_high[k])
 
 
 @compiled

@@ -39,7 +39,7 @@ class GateConfig:
                 raise ValueError(f"{name}: must be above 0 and finite")
 
 
-class Verdict(IntFlag):
+class GateFlags(IntFlag):
     """What the gate had to do to a tick; 0 = let through as asked."""
 
     PASSED = 0
@@ -51,13 +51,13 @@ class Verdict(IntFlag):
     SLEW = 32  # growth slowed
 
 
-PASSED = int(Verdict.PASSED)
-NOT_ENGAGED = int(Verdict.NOT_ENGAGED)
-STALE = int(Verdict.STALE)
-NOT_FINITE = int(Verdict.NOT_FINITE)
-AXIS_LIMIT = int(Verdict.AXIS_LIMIT)
-TOTAL_LIMIT = int(Verdict.TOTAL_LIMIT)
-SLEW = int(Verdict.SLEW)
+PASSED = int(GateFlags.PASSED)
+NOT_ENGAGED = int(GateFlags.NOT_ENGAGED)
+STALE = int(GateFlags.STALE)
+NOT_FINITE = int(GateFlags.NOT_FINITE)
+AXIS_LIMIT = int(GateFlags.AXIS_LIMIT)
+TOTAL_LIMIT = int(GateFlags.TOTAL_LIMIT)
+SLEW = int(GateFlags.SLEW)
 
 
 @compiled
@@ -96,7 +96,7 @@ def step(
     Returns
     -------
     int
-        The bits of a `Verdict`.
+        The bits of a `GateFlags`.
     """
     refusal = PASSED
     if not may_render:

@@ -85,11 +85,11 @@ def run_command(
     memories: Records,
     ticks: Records,
     states: Records,
-    told: PhaseInput,
+    phase_input: PhaseInput,
     commands: Records,
 ) -> None:
     """Run `command` on arrays of one record each: what a loop calls."""
-    _take(ticks[0], told)
+    _take(ticks[0], phase_input)
     command(settings[0], memories[0], ticks[0], states[0], commands[0])
 
 
@@ -99,20 +99,20 @@ def run_force(
     memories: Records,
     ticks: Records,
     states: Records,
-    told: PhaseInput,
+    phase_input: PhaseInput,
     new_state: bool,
     out: Array,
 ) -> int:
     """Run `force` on arrays of one record each: what a loop calls."""
-    _take(ticks[0], told)
+    _take(ticks[0], phase_input)
     return force(settings[0], memories[0], ticks[0], states[0], new_state, out)
 
 
 @compiled
-def _take(tick: TickInput, told: PhaseInput) -> None:
-    tick.has_state, tick.state_age_ns = told.has_state, told.state_age_ns
-    tick.now_ns, tick.dt = told.now_ns, told.dt
-    tick.fault, tick.stop, tick.reset = told.fault, told.stop, told.reset
+def _take(tick: TickInput, phase_input: PhaseInput) -> None:
+    tick.has_state, tick.state_age_ns = phase_input.has_state, phase_input.state_age_ns
+    tick.now_ns, tick.dt = phase_input.now_ns, phase_input.dt
+    tick.fault, tick.stop, tick.reset = phase_input.fault, phase_input.stop, phase_input.reset
 
 
 @compiled
@@ -225,7 +225,7 @@ def force(
     Returns
     -------
     int
-        The bits of a `gate.Verdict`.
+        The bits of a `gate.GateFlags`.
     """
     hand, axes, dt = tick.hand, memory.axes, tick.dt
     wanted = np.zeros(MAX_JOINTS)
@@ -319,7 +319,7 @@ def _hear(memory: MasterState, tick: TickInput, state: SlaveState) -> None:
     if tick.has_state:
         energy: Any = state.energy
         wave: Any = state.wave
-        coupling.hear(memory.coupling, state.sender, energy, wave)
+        coupling.receive(memory.coupling, state.sender, energy, wave)
 
 
 @compiled
@@ -340,7 +340,7 @@ def _describe(
     fields.force_max = feedback.saturation(settings.force)
     for k in range(MAX_JOINTS):
         fields.energy[k] = memory.coupling.ports[k].passed_on
-        fields.wave[k] = memory.coupling.ports[k].told_wave
+        fields.wave[k] = memory.coupling.ports[k].sent_wave
 
 
 @compiled
@@ -376,7 +376,9 @@ def is_fresh(settings: MasterSettings, tick: TickInput, state: SlaveState) -> bo
     # as floats: sums of what a message may hold go beyond 64 bits
     behind_ns = float(tick.state_age_ns) + max(float(state.sample_age_ns), 0.0)
     answered_ns = float(tick.now_ns - state.echo_stamp_ns)
-    return behind_ns <= settings.freshness * 1e9 and 0.0 <= answered_ns <= settings.delay_max * 1e9
+    return (
+        behind_ns <= settings.state_timeout * 1e9 and 0.0 <= answered_ns <= settings.delay_max * 1e9
+    )
 
 
 @compiled

@@ -26,10 +26,10 @@ QUANTISED = math.sqrt(12.0)  # a step over the standard deviation that rounding 
 
 AS_BUILT = "as-built"
 
-NO_FILES: model_files.Given = {}
+NO_FILES: model_files.ModelFiles = {}
 
 DIRECT = DirectConfig()
-FELT_WITH = "they are felt with coupling: {type: direct}"
+USE_DIRECT = "they are felt with coupling: {type: direct}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +80,15 @@ class SlaveConfig:
 
 
 def tendon_configs(
-    config: SlaveConfig, count: int, joints: JointTendons = (), files: model_files.Given = NO_FILES
+    config: SlaveConfig,
+    count: int,
+    joints: JointTendons = (),
+    files: model_files.ModelFiles = NO_FILES,
 ) -> tuple[TendonConfig, ...]:
     """Return the models for `count` tendons; `UsageError` if there are none, or too few.
 
     From the config, or from the calibration it names; model files replace what those say of the
-    sheaths. Whether a calibration fits the rig is asked of `hindrance_of`.
+    sheaths. Whether a calibration fits the rig is asked of `not_ready_reason`.
     """
     known: tuple[TendonConfig | None, ...] = (None,) * count
     if not files or config.tendons or config.calibration:
@@ -128,7 +131,7 @@ UNCALIBRATED = (
 )
 
 
-def hindrance_of(config: SlaveConfig, rig: file.Named, modelled: bool = False) -> str:
+def not_ready_reason(config: SlaveConfig, rig: file.RigDescription, modelled: bool = False) -> str:
     """Return why this rig must not be used with this config's calibration; empty if it may.
 
     A rig that is `modelled` by model files needs none. Measured data that are played move nothing:
@@ -152,10 +155,10 @@ def has_model_file(config: SlaveConfig) -> bool:
     return any(tendon.model_file is not None for tendon in tendons)
 
 
-def doubts(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
+def config_warnings(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
     """Return what is to be said of calibration and coupling before anyone relies on them."""
     if not config.rig_obeys and not isinstance(coupling, DirectConfig):
-        return [f"WARNING: coupling: data that are played fade in the hand; {FELT_WITH}"]
+        return [f"WARNING: coupling: data that are played fade in the hand; {USE_DIRECT}"]
     if any(tendon.tension_noise == 0.0 for tendon in config.tendons) and config.rig_obeys:
         return ["WARNING: slave.tendons: no tension_noise: a stuck load cell may not be noticed"]
     if not isinstance(config.calibration, Path):

@@ -6,7 +6,7 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.online.tendon_estimate import INVALID_INPUT
 from slave.control.joint import JointEstimates
-from teleop.force_attenuation import ConfidenceConfig, attenuated
+from teleop.force_attenuation import ConfidenceConfig, attenuate
 
 
 @compiled
@@ -37,5 +37,5 @@ def rendered_forces(
     for k in range(joints):
         estimate, force = joint_estimates[k], 0.0
         if math.isfinite(estimate.force) and not estimate.status & INVALID_INPUT:
-            force = attenuated(attenuation, estimate.force, estimate.low, estimate.high)
+            force = attenuate(attenuation, estimate.force, estimate.low, estimate.high)
         out_forces[k] = min(max(force, -most), most)

@@ -63,7 +63,7 @@ class GateConfig:
             raise ValueError("yield_gain: must be 0 to 1 [m/s/N]")
 
 
-class Verdict(IntFlag):
+class GateFlags(IntFlag):
     """What the gate had to do to a tick; 0 = let through as asked."""
 
     PASSED = 0
@@ -79,16 +79,16 @@ class Verdict(IntFlag):
 
 
 # for compiled code, which knows no flags
-PASSED = int(Verdict.PASSED)
-HELD = int(Verdict.HELD)
-NOT_FINITE = int(Verdict.NOT_FINITE)
-TRAVEL = int(Verdict.TRAVEL)
-SPEED = int(Verdict.SPEED)
-TENSION = int(Verdict.TENSION)
-STALE = int(Verdict.STALE)
-JOINT = int(Verdict.JOINT)
-FORCE = int(Verdict.FORCE)
-YIELDED = int(Verdict.YIELDED)
+PASSED = int(GateFlags.PASSED)
+HELD = int(GateFlags.HELD)
+NOT_FINITE = int(GateFlags.NOT_FINITE)
+TRAVEL = int(GateFlags.TRAVEL)
+SPEED = int(GateFlags.SPEED)
+TENSION = int(GateFlags.TENSION)
+STALE = int(GateFlags.STALE)
+JOINT = int(GateFlags.JOINT)
+FORCE = int(GateFlags.FORCE)
+YIELDED = int(GateFlags.YIELDED)
 
 
 class Reach(Record):
@@ -151,7 +151,7 @@ def step(
     may_yield: bool,
     out_passed: Array,
 ) -> int:
-    """Let `wanted` through as far as it is safe; return the bits of `Verdict`.
+    """Let `wanted` through as far as it is safe; return the bits of `GateFlags`.
 
     Parameters
     ----------

@@ -106,7 +106,7 @@ class Scratch(Record):
     """Arrays that a tick works with; nothing in them outlasts it."""
 
     inputs: session.Inputs
-    asked: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
+    requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
     speed: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
     force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] as the hand feels it
     displacement: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of the motors in a sample
@@ -287,7 +287,7 @@ def tick(
     scratches: Records,
     rows: Records,
     samples: int,
-    given: TickInput,
+    tick_input: TickInput,
     commands: Records,
     states: Records,
 ) -> int:
@@ -302,29 +302,29 @@ def tick(
         Of a `Slave`; its memory is changed.
     rows : Records
         `EstimatedSample`, the first `samples` of which are new, oldest first, after `estimate`.
-    given : TickInput
+    tick_input : TickInput
         What else is told.
     commands : Records
-        `Command`, the newest, shape (1,); not looked at unless `given.has_command`.
+        `Command`, the newest, shape (1,); not looked at unless `tick_input.has_command`.
     states : Records
         `SlaveState`, shape (1,), filled in but for the head.
     """
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
     work, command = scratches[0], commands[0]
-    found, tendon = _take_samples(setting, layout, memory, work, rows, samples, given.dt)
-    _update_faults(setting, layout, memory, rows, samples, found, tendon, given.dt)
+    found, tendon = _take_samples(setting, layout, memory, work, rows, samples, tick_input.dt)
+    _update_faults(setting, layout, memory, rows, samples, found, tendon, tick_input.dt)
     _update_readiness(setting, memory, work)
-    asks = _take_command(layout, work, command, given)
-    _advance_session(setting, layout, memory, work, command, given)
-    engaged = session.may_move(memory.session) and asks
+    commanded = _take_command(layout, work, command, tick_input)
+    _advance_session(setting, layout, memory, work, command, tick_input)
+    engaged = session.may_move(memory.session) and commanded
     if memory.has_sample:
         control.joint_estimates(layout, memory.tendons, memory.offsets, memory.joints)
-    _couple(setting, layout, memory, work, command, given, asks, engaged)
+    _couple(setting, layout, memory, work, command, tick_input, commanded, engaged)
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
-        verdict = _drive(setting, layout, memory, work, engaged, given.dt)
+        verdict = _drive(setting, layout, memory, work, engaged, tick_input.dt)
         memory.has_motor = True
-    _fill_state(setting, layout, memory, command, given, states[0])
+    _fill_state(setting, layout, memory, command, tick_input, states[0])
     return verdict
 
 
@@ -473,8 +473,8 @@ def _update_faults(
     usable = False
     for i in range(samples):
         usable = usable or _is_usable(layout, rows[i].tendons)
-    heard = usable and not memory.motors.repeated
-    memory.silence = 0.0 if heard else memory.silence + dt
+    has_new_sample = usable and not memory.motors.repeated
+    memory.silence = 0.0 if has_new_sample else memory.silence + dt
     overloaded = session.may_move(memory.session) and _is_overloaded(setting, layout, memory)
     memory.overload = memory.overload + dt if overloaded else 0.0
 
@@ -520,16 +520,18 @@ def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch
 
 
 @compiled
-def _take_command(layout: RigLayout, work: Scratch, command: Command, given: TickInput) -> bool:
+def _take_command(
+    layout: RigLayout, work: Scratch, command: Command, tick_input: TickInput
+) -> bool:
     """Take over what is asked of the joints; return whether the tips are asked to follow."""
-    work.asked[:] = 0.0
+    work.requested[:] = 0.0
     work.speed[:] = 0.0
-    asks = given.has_command and given.fresh and command.state == State.ENGAGED
-    if asks:
+    commanded = tick_input.has_command and tick_input.fresh and command.state == State.ENGAGED
+    if commanded:
         for k in range(layout.joints):
-            work.asked[k] = command.position[k]
+            work.requested[k] = command.position[k]
             work.speed[k] = command.velocity[k]
-    return asks
+    return commanded
 
 
 @compiled
@@ -539,27 +541,27 @@ def _advance_session(
     memory: SlaveMemory,
     work: Scratch,
     command: Command,
-    given: TickInput,
+    tick_input: TickInput,
 ) -> None:
-    master = session.known_state(command.state) if given.has_command else State.OFF + 0
-    fault = given.fault
+    master = session.known_state(command.state) if tick_input.has_command else State.OFF + 0
+    fault = tick_input.fault
     if fault == Reason.NONE:
         fault = _own_fault(setting, layout, memory, work)
-    differs = given.has_command and coupling.differs(setting.bilateral, command.coupling)
+    differs = tick_input.has_command and coupling.differs(setting.bilateral, command.coupling)
     inputs = work.inputs
     inputs.usable = memory.not_ready == USABLE
-    inputs.peer_fresh = given.fresh
+    inputs.peer_fresh = tick_input.fresh
     inputs.peer_state = master
     inputs.engage = session.switch_of(master)
     inputs.fault = fault
     inputs.clutch = master == State.CLUTCHED
-    inputs.stop = given.stop
-    inputs.reset = given.reset
+    inputs.stop = tick_input.stop
+    inputs.reset = tick_input.reset
     inputs.not_ready_reason = Reason.COUPLING_DIFFERS if differs else Reason.NONE
     inputs.peer = 0
-    if given.has_command:
+    if tick_input.has_command:
         inputs.peer = command.sender
-    session.step(memory.session, inputs, given.dt)
+    session.step(memory.session, inputs, tick_input.dt)
 
 
 @compiled
@@ -576,7 +578,7 @@ def _own_fault(
     if memory.advice == Advice.DEMANDED:
         return Reason.CALIBRATION_DUE + 0
     for k in range(layout.joints):
-        if not (abs(work.asked[k]) < _ABSURD and abs(work.speed[k]) < _ABSURD):
+        if not (abs(work.requested[k]) < _ABSURD and abs(work.speed[k]) < _ABSURD):
             return Reason.NOT_FINITE + 0
     return Reason.NONE + 0
 
@@ -588,16 +590,16 @@ def _couple(
     memory: SlaveMemory,
     work: Scratch,
     command: Command,
-    given: TickInput,
-    asks: bool,
+    tick_input: TickInput,
+    commanded: bool,
     engaged: bool,
 ) -> None:
     """Put the coupling between what is asked of the tips and where they shall go."""
-    if not given.has_command:
+    if not tick_input.has_command:
         return
     energy: Any = command.energy
     wave: Any = command.wave
-    coupling.hear(memory.coupling, command.sender, energy, wave)
+    coupling.receive(memory.coupling, command.sender, energy, wave)
     if engaged:
         coupling_adapter.rendered_forces(
             setting.bilateral.confidence,
@@ -609,12 +611,12 @@ def _couple(
     coupling.at_tip(
         setting.bilateral,
         memory.coupling,
-        work.asked,
+        work.requested,
         work.speed,
         work.force,
-        layout.joints if asks else 0,
+        layout.joints if commanded else 0,
         engaged,
-        given.dt,
+        tick_input.dt,
     )
 
 
@@ -632,7 +634,7 @@ def _drive(
         setting.control,
         layout,
         memory.control,
-        work.asked,
+        work.requested,
         work.speed,
         work.motor,
         memory.tendons,
@@ -669,7 +671,7 @@ def _fill_state(
     layout: RigLayout,
     memory: SlaveMemory,
     command: Command,
-    given: TickInput,
+    tick_input: TickInput,
     out: SlaveState,
 ) -> None:
     """Say what the tick found: every field of the answer but its head."""
@@ -677,13 +679,13 @@ def _fill_state(
     state.answer_ns = 0  # of whoever sends it
     state.state, state.reason = memory.session.state, memory.session.reason
     state.stops = memory.session.stops
-    state.echo_stamp_ns = command.stamp_ns if given.has_command else 0
+    state.echo_stamp_ns = command.stamp_ns if tick_input.has_command else 0
     state.coupling = setting.bilateral.signature
     state.joints = layout.joints if memory.has_sample else 0
     state.sample_age_ns = round(memory.silence * 1e9) if memory.has_sample else 0
     for k in range(MAX_JOINTS):
         port = memory.coupling.ports[k]
-        state.energy[k], state.wave[k] = port.passed_on, port.told_wave
+        state.energy[k], state.wave[k] = port.passed_on, port.sent_wave
         used = k < state.joints
         joint = memory.joints[k]
         state.position[k] = joint.position if used else 0.0

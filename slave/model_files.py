@@ -17,7 +17,7 @@ from teleop.errors import UsageError
 
 FAR = 1.4  # times the friction that was calibrated, from where a model is hardly of that sheath
 
-Given = Mapping[str, Path]
+ModelFiles = Mapping[str, Path]
 """Model files by the name of their tendon; that of every other tendon by the empty name."""
 
 _NAMED = re.compile(r"(?P<tendon>[1-9][0-9]*[ab]?)=(?P<file>.+)")
@@ -64,7 +64,7 @@ def names_of(joints: JointTendons, count: int) -> dict[str, int]:
 
 
 def apply(
-    tendons: Sequence[TendonConfig | None], joints: JointTendons, files: Given
+    tendons: Sequence[TendonConfig | None], joints: JointTendons, files: ModelFiles
 ) -> tuple[TendonConfig | None, ...]:
     """Return what is known of each tendon, None if nothing, with model files for their sheaths.
 
@@ -75,16 +75,16 @@ def apply(
     """
     names = names_of(joints, len(tendons))
     out = [known if "" not in files else with_model(known, files[""]) for known in tendons]
-    told: dict[int, str] = {}
+    assigned: dict[int, str] = {}
     for name, file in files.items():
         if not name:
             continue
         if name not in names:
             raise UsageError(f"--model {name}={file}: must be one of {', '.join(names)}")
         k = names[name]
-        if k in told:
-            raise UsageError(f"--model {name}={file}: a second model of tendon {told[k]}")
-        told[k], out[k] = name, with_model(tendons[k], file)
+        if k in assigned:
+            raise UsageError(f"--model {name}={file}: a second model of tendon {assigned[k]}")
+        assigned[k], out[k] = name, with_model(tendons[k], file)
     return tuple(out)
 
 
@@ -112,13 +112,13 @@ def friction_warnings(
 
     Nothing in a model file says of which rig it is; measured data do not know.
     """
-    said: dict[str, None] = {}
+    warnings: dict[str, None] = {}
     for before, after in zip(calibrated, used, strict=True):
         K_before, K = before.model().sheath.K, after.model().sheath.K
         if after.model_file != before.model_file and not K_before / FAR <= K <= K_before * FAR:
             line = f"{after.model_file}: its K is {K:.3g}, the calibrated one {K_before:.3g}"
-            said[f"WARNING: {line}: is it of this sheath, and bent as now?"] = None
-    return list(said)
+            warnings[f"WARNING: {line}: is it of this sheath, and bent as now?"] = None
+    return list(warnings)
 
 
 def describe(tendon: TendonConfig) -> list[str]:
@@ -126,20 +126,22 @@ def describe(tendon: TendonConfig) -> list[str]:
     extended = tendon.extended()
     if extended is None or tendon.model_file is None:
         return []
-    said = []
+    warnings = []
     for effect, _, use in extended.uses:
         why = f": it {why_left_out(effect)}" if use is Use.NOTHING else ""
-        said.append(f"{effect.label} is {use.value}{why}")
+        warnings.append(f"{effect.label} is {use.value}{why}")
     saved = model_file.load(tendon.model_file)
     if saved.unexplained:
-        said.append("WARNING: most of what was wrong with the data it was fitted to is not in it")
+        warnings.append(
+            "WARNING: most of what was wrong with the data it was fitted to is not in it"
+        )
     if len(saved.model.shared) == 1:
-        said.append(
+        warnings.append(
             f"it says nothing of elasticity: axial_stiffness stays {tendon.axial_stiffness:g} N"
         )
     if saved.unsure:
-        said.append(
+        warnings.append(
             f"WARNING: the data it was fitted to did not tell this from {', '.join(saved.unsure)}: "
             "if that is the cause, the force is put right wrongly; find out which (teleop diagnose)"
         )
-    return said or ["the law of a sheath, no effects"]
+    return warnings or ["the law of a sheath, no effects"]

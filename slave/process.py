@@ -23,8 +23,14 @@ import numpy as np
 from estimator.records import Records, as_bytes, one
 from slave import loop, model_files
 from slave.calibration.initialise import initialise
-from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
-from slave.gate import Verdict
+from slave.config import (
+    SlaveConfig,
+    config_warnings,
+    has_model_file,
+    not_ready_reason,
+    tendon_configs,
+)
+from slave.gate import GateFlags
 from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
@@ -170,7 +176,7 @@ class SlaveProcess:
 
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
-        verdicts = {str(Verdict(bits).name): n for bits, n in self._verdicts.items()}
+        verdicts = {str(GateFlags(bits).name): n for bits, n in self._verdicts.items()}
         side = self._outline()
         numbers = self._meter.summary(side, self._link.counts(), verdicts)
         return numbers | {"force_error": self._score.summary(), "rig": self._rig.summary()}
@@ -324,7 +330,7 @@ def main(args: argparse.Namespace) -> int:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         require_carried(rig)
-        for doubt in doubts(config, shared.coupling):
+        for doubt in config_warnings(config, shared.coupling):
             print(doubt, flush=True)
         stop = Stop(args.duration)
         stop.wake = link.wake
@@ -365,7 +371,7 @@ def model_of(
     requests: RequestListener,
     stop: Stop,
     rate_hz: float,
-    files: model_files.Given,
+    files: model_files.ModelFiles,
 ) -> tuple[RigModel, Past]:
     """Return what is known of a rig when the loop begins, and what it has measured before.
 
@@ -383,7 +389,7 @@ def model_of(
             )
         for line in said:
             print(line, flush=True)
-        not_ready_text = hindrance_of(config, rig, modelled=bool(files))
+        not_ready_text = not_ready_reason(config, rig, modelled=bool(files))
         return loop.rig_model(
             rig.joints, [tendon.model() for tendon in tendons], not_ready_text
         ), past

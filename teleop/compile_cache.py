@@ -66,13 +66,13 @@ def announced(
     from numba.core import event
 
     class Announcement(event.Listener):
-        said = False
+        printed = False
         helper: BaseProcess | None = None
 
         def on_start(self, _event: object) -> None:
-            if self.said:
+            if self.printed:
                 return
-            self.said = True
+            self.printed = True
             print(f"compiling {what} (once on this machine; about {about_s:.0f} s) ...", flush=True)
             if beside is not None:
                 # not a fork of this process, which is in the middle of compiling

@@ -359,9 +359,9 @@ class _Builder:
             except ExtensionError as error:
                 raise self.source.error((*keys, "type"), str(error)) from error
         if not isinstance(tag, str) or tag not in by_tag:
-            given = "is missing" if tag is None else f"{_shown(tag)} is unknown"
+            problem = "is missing" if tag is None else f"{_shown(tag)} is unknown"
             suggestion = _suggest(tag, by_tag)
-            raise self.source.error((*keys, "type"), f"{given}{suggestion}")
+            raise self.source.error((*keys, "type"), f"{problem}{suggestion}")
         return cast(type[Any], by_tag[tag])
 
 
@@ -390,10 +390,10 @@ def _is_word(value: Any) -> bool:
     return value is None or isinstance(value, bool)
 
 
-def _suggest(given: Any, known: Iterable[Any], listed: bool = True) -> str:
+def _suggest(problem: Any, known: Iterable[Any], listed: bool = True) -> str:
     """Return what is allowed, and what was perhaps meant."""
     names = [str(k) for k in known]
-    return did_you_mean(str(given), names) + (
+    return did_you_mean(str(problem), names) + (
         f" (allowed: {', '.join(sorted(names))})" if listed else ""
     )
 

@@ -87,5 +87,5 @@ def resolve_class(name: str, base: type[Extension]) -> type[Extension]:
 
 def opening_failed(place: str, config: Extension, error: Exception) -> str:
     """Return one line on an exception that an extension's own code raised while it was opened."""
-    said = " ".join(str(error).split())
-    return f"{place}: {config.type} cannot be opened: {type(error).__name__}: {said}"
+    message_text = " ".join(str(error).split())
+    return f"{place}: {config.type} cannot be opened: {type(error).__name__}: {message_text}"

@@ -44,7 +44,7 @@ def certain(low: float, high: float) -> float:
 
 
 @compiled
-def attenuated(config: ConfidenceConfig, force: float, low: float, high: float) -> float:
+def attenuate(config: ConfidenceConfig, force: float, low: float, high: float) -> float:
     """Return how much of an estimated `force` [N], certified to be in `low ... high`, is rendered.
 
     An estimate beyond its interval counts as the end of it, but is rendered no stronger than it is,

@@ -354,7 +354,7 @@ class Ledger(Message):
     put_in: Joints = NO_JOINTS  # [J] work of hand or tip on the network
     taken_out: Joints = NO_JOINTS  # [J] of it on them
     passed_on: Joints = NO_JOINTS  # [J] to the other side
-    heard: Joints = NO_JOINTS  # [J] from the other side
+    received: Joints = NO_JOINTS  # [J] from the other side
     dissipated: Joints = NO_JOINTS  # [J] given up
     granted: Joints = NO_JOINTS  # [J] reserves given at engagements, and what hands dissipate
 
@@ -437,7 +437,7 @@ class Answer(Message):
 
     role: U32 = 0  # teleop.topics.Role of the sender
     asker: U64 = 0  # `sender` of the Setting
-    asked: U64 = 0  # its `sequence`
+    setting_sequence: U64 = 0  # its `sequence`
     accepted: U32 = 0  # 1 = yes
     text: TextBytes = NO_TEXT  # UTF-8, zero-padded: the new value, or why not
 

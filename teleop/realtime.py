@@ -177,9 +177,9 @@ def _back_to_ordinary(granted: list[str]) -> Callable[[int, FrameType | None], N
         for thread in os.listdir("/proc/self/task"):
             with suppress(ProcessLookupError):  # it has ended
                 os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
-        said = f"SCHED_FIFO given up: computed for {SOFT_LIMIT_US / 1e6:g} s without sleeping"
-        granted.append(said)
-        os.write(2, f"WARNING: {said}\n".encode())  # print may be where this interrupts
+        warning = f"SCHED_FIFO given up: computed for {SOFT_LIMIT_US / 1e6:g} s without sleeping"
+        granted.append(warning)
+        os.write(2, f"WARNING: {warning}\n".encode())  # print may be where this interrupts
 
     return handle
 

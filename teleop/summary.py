@@ -111,10 +111,10 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
         ),
     ]
     if limits:
-        told = ", ".join(
+        counts = ", ".join(
             f"{kind.lower()} {100 * n / ticks:.1f} %" for kind, n in sorted(limits.items())
         )
-        out.append(f"{'':9} the gate stepped in: {told} of the ticks")
+        out.append(f"{'':9} the gate stepped in: {counts} of the ticks")
     latency = loop["latency_ms"]
     if latency["n"]:
         out.append(
@@ -180,6 +180,6 @@ def impair_lines(counts: Mapping[str, Any]) -> list[str]:
     out = []
     for way in ("to_slave", "to_master"):
         for topic, numbers in counts[way].items():
-            told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in numbers.items() if n)
-            out.append(f"{way:9} {topic}: {told}")
+            text = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in numbers.items() if n)
+            out.append(f"{way:9} {topic}: {text}")
     return out

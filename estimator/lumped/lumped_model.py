@@ -18,7 +18,7 @@ from estimator.compiled import compiled
 from estimator.lumped.nodes import (
     NODES,
     PLACES,
-    Law,
+    FrictionLaw,
     Tendon,
     Tip,
     elongation,
@@ -116,7 +116,7 @@ SAMPLE = 7
 class _Line(NamedTuple):
     """A tendon ready for steps."""
 
-    law: Law
+    law: FrictionLaw
     holder: _Holder
     softness: float  # [m/N]: what the tension's rate is to the motor's speed
     weights: Array  # [m/N] of each node
@@ -149,7 +149,7 @@ def by_tension(physics: Physics, time: Array, tension: Array, rate: Array) -> Mo
 def constants_of(physics: Physics) -> Array:
     """Return what `advance` needs to know of a tendon, as one flat array."""
     p = physics
-    law = Law(
+    law = FrictionLaw(
         p.drag,
         p.viscosity,
         p.stribeck,
@@ -235,7 +235,7 @@ def _packed(scalars: Array, compliance: float, weights: Array, friction: float) 
 def _line(constants: Array) -> _Line:
     """Return what `constants_of` has packed."""
     c, last = constants, NODES - 1
-    law = Law(
+    law = FrictionLaw(
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
         c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19],
     )  # fmt: skip
@@ -287,7 +287,7 @@ def advance(
     """
     law, holder, softness, weights, even, spread = _line(constants)
     out = np.empty((len(samples), 5))
-    mass, damping, told = holder.mass, holder.damping, len(speeds) > 0
+    mass, damping, speeds_known = holder.mass, holder.damping, len(speeds) > 0
     late = law.stribeck != 0.0 and law.stribeck_memory > 0.0
     leans = law.give > 0.0
     state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
@@ -314,7 +314,7 @@ def advance(
             known += damping * (2.0 * from_rest / dt + v)
         tip = Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
         if law.stribeck != 0.0 and not late:
-            speed[:] = speeds if told else spread * (rate * softness if forced else rate)
+            speed[:] = speeds if speeds_known else spread * (rate * softness if forced else rate)
         fill_contacts(law, friction, state, speed, rested, half, drag)
         if leans:
             reach = settle(tendon, tip, state, lengths, target, forced, after)
@@ -354,7 +354,7 @@ def advance(
                 if done < 1.0:
                     tip = Tip(c, known, offset, tip.low, tip.high, tip.stiffness, at, load)
         if late and dt > 0.0:
-            now = speeds if told else np.abs(gone) / dt
+            now = speeds if speeds_known else np.abs(gone) / dt
             speed += -math.expm1(-dt / law.stribeck_memory) * (now - speed)
         new, _slope, load = tip_travel(tip, after[NODES - 1])
         if dt > 0.0:

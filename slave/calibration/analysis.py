@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from slave.calibration.config import InitialiseConfig, known_sheath
-from slave.calibration.direction import calibrated, described, rounded
-from slave.calibration.drags import put_right
+from slave.calibration.direction import calibrate_tendon, describe_direction, round_significant
+from slave.calibration.drags import combine_with_drags
 from slave.calibration.file import Direction
-from slave.calibration.memory import Phase
+from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon
-from slave.calibration.run import Record, Refused
+from slave.calibration.run import CalibrationRefused, ProcedureData
 from slave.tendon_config import TendonConfig
 
 LEAST_RANGE = 0.001  # [m] of a joint that moves
@@ -32,13 +32,13 @@ class JointResult(NamedTuple):
 
 
 def analyse(
-    record: Record, config: InitialiseConfig, ranges: Sequence[float | None] = ()
+    record: ProcedureData, config: InitialiseConfig, ranges: Sequence[float | None] = ()
 ) -> tuple[JointResult, ...]:
     """Return what a record says of each joint that went through the procedure.
 
     Parameters
     ----------
-    record : Record
+    record : ProcedureData
         From `slave.calibration.run.drive`.
     config : InitialiseConfig
         By which it was made.
@@ -47,7 +47,7 @@ def analyse(
 
     Raises
     ------
-    Refused
+    CalibrationRefused
         If what was measured cannot be tendons in their sheaths against end stops.
     """
     before = [*ranges, *[None] * len(record.joints)]
@@ -56,7 +56,9 @@ def analyse(
     )
 
 
-def _joint(record: Record, config: InitialiseConfig, j: int, before: float | None) -> JointResult:
+def _joint(
+    record: ProcedureData, config: InitialiseConfig, j: int, before: float | None
+) -> JointResult:
     pulled = [PulledTendon(record, j, side) for side in range(len(record.joints[j]))]
     directions, tendons = evaluate(pulled, config)
     return JointResult(j, directions, tendons, _range(pulled, directions, config, before))
@@ -69,15 +71,17 @@ def evaluate(
 
     Raises
     ------
-    Refused
+    CalibrationRefused
         If what was measured of one cannot be a tendon in its sheath against an end stop.
     """
     known = [known_sheath(config, p.tendon) for p in pulled]
-    found = [calibrated(p, k, config.low) for p, k in zip(pulled, known, strict=True)]
+    found = [calibrate_tendon(p, k, config.low) for p, k in zip(pulled, known, strict=True)]
     remark = ""
     if len(pulled) > 1:
-        found, remark = put_right(pulled, found, config.gain_error)
-    both = [described(p, k, f, remark) for p, k, f in zip(pulled, known, found, strict=True)]
+        found, remark = combine_with_drags(pulled, found, config.gain_error)
+    both = [
+        describe_direction(p, k, f, remark) for p, k, f in zip(pulled, known, found, strict=True)
+    ]
     return tuple(d for d, _ in both), tuple(t for _, t in both)
 
 
@@ -97,32 +101,32 @@ def _range(
         seen = [directions[0].stop - float(pulled[0].travel[pulled[0].rows(Phase.SEEK)][0])]
     else:
         seen = [
-            direction.stop - _drawn_out(mine, other, direction)
-            for mine, other, direction in zip(pulled, pulled[::-1], directions, strict=True)
+            direction.stop - _drawn_out(own, other, direction)
+            for own, other, direction in zip(pulled, pulled[::-1], directions, strict=True)
         ]
     found = sum(seen) / len(seen)
     if found < LEAST_RANGE:
-        raise Refused(
+        raise CalibrationRefused(
             f"{name}: it moved {max(found, 0.0) * 1e3:.1f} mm only: it is jammed, or its friction "
             "takes all the tension; free it, or raise slave.initialise.tension"
         )
     if max(seen) - min(seen) > RANGES_DIFFER + config.range_error * found:
-        raise Refused(
+        raise CalibrationRefused(
             f"{name}: tendon a saw it travel {seen[0] * 1e3:.1f} mm between its stops, tendon b "
             f"{seen[1] * 1e3:.1f} mm: a tendon has slipped, or hangs on something"
         )
     expected = before if config.range is None else config.range
     if expected is not None and abs(found - expected) > config.range_error * expected:
         why = "by the earlier calibration" if config.range is None else "slave.initialise.range"
-        raise Refused(
+        raise CalibrationRefused(
             f"{name}: it travels {found * 1e3:.1f} mm between its stops, {expected * 1e3:.1f} mm "
             f"were expected ({why}): the tip touches something early, or a stop has moved; free "
             "it, or set slave.initialise.range"
         )
-    return rounded(found)
+    return round_significant(found)
 
 
-def _drawn_out(mine: PulledTendon, other: PulledTendon, direction: Direction) -> float:
+def _drawn_out(own: PulledTendon, other: PulledTendon, direction: Direction) -> float:
     """Return the travel [m] of the unstretched tendon with the joint at the other tendon's stop."""
     rows = np.flatnonzero(other.rows(Phase.SEEK))[-5:]
-    return float(np.median(mine.travel[rows] - direction.M_rel.value * mine.tension[rows]))
+    return float(np.median(own.travel[rows] - direction.M_rel.value * own.tension[rows]))

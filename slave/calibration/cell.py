@@ -20,13 +20,13 @@ class Cell(NamedTuple):
     since: float = math.nan  # [m] motor travel when it came first
 
 
-def step(cell: Cell, reading: float, travel: float) -> Cell:
+def update(cell: Cell, reading: float, travel: float) -> Cell:
     """Take in a new reading [N], at a motor travel [m]."""
     if reading == cell.reading:
         return cell._replace(alike=cell.alike + 1)
     return Cell(reading, 0, travel)
 
 
-def stands_still(cell: Cell, travel: float) -> bool:
+def is_stuck(cell: Cell, travel: float) -> bool:
     """Return whether it reads the very same although the motor has pulled on, to `travel` [m]."""
     return cell.alike >= READINGS and travel - cell.since > TRAVEL

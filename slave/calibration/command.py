@@ -21,7 +21,7 @@ from pathlib import Path
 
 from slave.calibration import file
 from slave.calibration.file import Calibration, Direction, Value
-from slave.calibration.initialise import Initialised, initialise
+from slave.calibration.initialise import InitialiseResult, initialise
 from slave.calibration.refusals import tendon_name
 from slave.calibration.run import Progress, fast_ticks
 from slave.config import SlaveConfig
@@ -89,7 +89,7 @@ def main(args: argparse.Namespace) -> int:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         out = args.out or destination(f"{rig.name}-calibration.yaml")
-        joints = chosen(args.joint, len(rig.joints))
+        joints = selected_joints(args.joint, len(rig.joints))
         replaced = replaceable(out, args.config)
         require_other(args.figure, (out, args.config))
         earlier = replaced or earlier_file(config, needed=bool(joints))
@@ -104,7 +104,7 @@ def main(args: argparse.Namespace) -> int:
             together=args.together,
             earlier=earlier,
             stopped=lambda: f"{stop.reason}: stopped, nothing is written" if stop() else "",
-            progress=shown(rig) if sys.stderr.isatty() else noted(rig),
+            progress=show_bar(rig) if sys.stderr.isatty() else print_lines(rig),
         )
         if sys.stderr.isatty():
             print(file=sys.stderr)
@@ -115,7 +115,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def chosen(numbers: list[int], count: int) -> tuple[int, ...]:
+def selected_joints(numbers: list[int], count: int) -> tuple[int, ...]:
     """Return the joints asked for, counted from 0."""
     for number in numbers:
         if not 1 <= number <= count:
@@ -171,7 +171,7 @@ def pace(config: SlaveConfig, shared: RunConfig) -> tuple[int, Iterator[Tick]]:
     return now_ns(), iter(Grid(shared.rate_hz, lambda: False))
 
 
-def shown(rig: Rig) -> Callable[[Progress], None]:
+def show_bar(rig: Rig) -> Callable[[Progress], None]:
     """Return what keeps a line on the terminal up to date."""
     next_s = 0.0
 
@@ -191,7 +191,7 @@ def shown(rig: Rig) -> Callable[[Progress], None]:
     return show
 
 
-def noted(rig: Rig) -> Callable[[Progress], None]:
+def print_lines(rig: Rig) -> Callable[[Progress], None]:
     """Return what prints a line for each tendon, and one every few seconds: for a log."""
     next_s, at = 0.0, (0, 0)
 
@@ -216,7 +216,7 @@ def _name(rig: Rig, progress: Progress) -> str:
     return tendon_name(progress.joint, count, progress.side % count)
 
 
-def draw(path: Path, found: Initialised) -> None:
+def draw(path: Path, found: InitialiseResult) -> None:
     """Draw what was measured."""
     try:
         from slave.calibration.figure import figure
@@ -225,7 +225,9 @@ def draw(path: Path, found: Initialised) -> None:
     figure(found.record, found.calibration).savefig(path, dpi=150)
 
 
-def format_report(found: Initialised, out: Path, replaced: Calibration | None = None) -> list[str]:
+def format_report(
+    found: InitialiseResult, out: Path, replaced: Calibration | None = None
+) -> list[str]:
     """Return the result as lines to read; `replaced` is the calibration that was in `out`."""
     calibration = found.calibration
     took = float(found.record.time[-1] - found.record.time[0])

@@ -16,10 +16,10 @@ from estimator.law.sheath import Sheath
 from slave.calibration import refusals
 from slave.calibration.config import KnownSheathConfig
 from slave.calibration.file import Direction, Value
-from slave.calibration.memory import Phase
+from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon, Rows, loops, slope_of
 from slave.calibration.refusals import TENDON_NAMES
-from slave.calibration.run import Refused
+from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.tendon_config import TendonConfig
 
@@ -36,19 +36,19 @@ QUICK_RELEASES = 2  # of the quick form, with the one behind the first pull
 DIGITS = 6
 
 
-def calibrated(
+def calibrate_tendon(
     pulled: PulledTendon, known: KnownSheathConfig, low: float
 ) -> blocked_tip.Calibration:
     """Return what one tendon's pulls and releases say; `low` [N] is what it was released to.
 
     Raises
     ------
-    Refused
+    CalibrationRefused
         If they cannot be a tendon in its sheath against an end stop.
     """
     zero = pulled.zero
     if zero is not None and abs(zero) > TARE:
-        raise Refused(
+        raise CalibrationRefused(
             f"{pulled.name}: its load cell reads {zero:.2f} N while the tendon is slack; tare it"
         )
     _require_straight(pulled, known)
@@ -58,7 +58,7 @@ def calibrated(
     return found
 
 
-def described(
+def describe_direction(
     pulled: PulledTendon, known: KnownSheathConfig, found: blocked_tip.Calibration, remark: str = ""
 ) -> tuple[Direction, TendonConfig]:
     """Return what was found of a tendon for the file, and what the estimator uses.
@@ -82,9 +82,9 @@ def described(
         M_rel=_value(found.M_rel),
         stiffness_per_length=_value(found.stiffness_per_length),
         uniform=found.uniform,
-        stop=rounded(float(np.mean(unstretched))),
-        free_tension=rounded(pulled.free_tension),
-        zero=None if zero is None else rounded(zero),
+        stop=round_significant(float(np.mean(unstretched))),
+        free_tension=round_significant(pulled.free_tension),
+        zero=None if zero is None else round_significant(zero),
         remark="; ".join(filter(None, remarks)),
     )
     return direction, _tendon_config(pulled, found, known)
@@ -98,14 +98,16 @@ def _tendon_config(
     even = len(model.sections) == 1
     moving = pulled.rows(Phase.PULL, Phase.RELEASE)
     return TendonConfig(
-        effective_friction=rounded(found.K.value) if even else None,
+        effective_friction=round_significant(found.K.value) if even else None,
         length=known.length,
         friction=None if even else model.friction,
         sections=() if even else _sections(model, found.K.value),
-        axial_stiffness=rounded(model.axial_stiffness),
-        tension_noise=rounded(signals.noise_sigma(pulled.tension[moving])),
-        displacement_noise=rounded(signals.noise_sigma(pulled.travel[moving])),
-        friction_error=rounded(max(LEAST_ERROR, COVER * found.K.uncertainty / found.K.value)),
+        axial_stiffness=round_significant(model.axial_stiffness),
+        tension_noise=round_significant(signals.noise_sigma(pulled.tension[moving])),
+        displacement_noise=round_significant(signals.noise_sigma(pulled.travel[moving])),
+        friction_error=round_significant(
+            max(LEAST_ERROR, COVER * found.K.uncertainty / found.K.value)
+        ),
     )
 
 
@@ -113,7 +115,7 @@ def _sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
     """Return the sections of a model, their bends such that K is the one to use."""
     scale = model.K / K
     return tuple(
-        SectionConfig(rounded(section.length), rounded(section.radius * scale))
+        SectionConfig(round_significant(section.length), round_significant(section.radius * scale))
         for section in model.sections
     )
 
@@ -133,12 +135,12 @@ def _fitted(pulled: PulledTendon, known: KnownSheathConfig, low: float) -> block
             for loop in there
         ]
     except CalibrationError as error:
-        raise Refused(refusals.no_loop(pulled.name, str(error))) from error
+        raise CalibrationRefused(refusals.no_loop(pulled.name, str(error))) from error
     best, loop = min(zip(found, there, strict=True), key=lambda one: one[0].K.uncertainty)
     lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)
     reach = 0.5 * math.log(best.T_peak.value / lowest)
     if best.K.value > reach - UNDECIDED:
-        raise Refused(
+        raise CalibrationRefused(
             refusals.undecided(pulled.name, best.K.value, best.T_peak.value, lowest, reach, again)
         )
     return best
@@ -164,7 +166,7 @@ def _require_straight(pulled: PulledTendon, known: KnownSheathConfig) -> None:
     doubt = SURE * math.hypot(halves[0].uncertainty, halves[1].uncertainty)
     if abs(change) > CURVED * abs(halves[1].value) + doubt:
         first, second = (half.value * 1e3 for half in halves)
-        raise Refused(
+        raise CalibrationRefused(
             f"{pulled.name}: the pull against the stop is not straight ({first:.3f} mm/N, then "
             f"{second:.3f} mm/N): the tip presses on something soft, or the sheath moves; free the "
             "one, fix the other"
@@ -172,7 +174,7 @@ def _require_straight(pulled: PulledTendon, known: KnownSheathConfig) -> None:
     slope = slope_of(T, q)
     m = slope.value * (known.axial_stiffness or 0.0) / known.length
     if m >= 1.0:
-        raise Refused(
+        raise CalibrationRefused(
             f"{pulled.name}: M_pull EA/L is {m:.2f}, of a tendon it is below 1: the tip gives way, "
             "as against something soft, or length and axial_stiffness of slave.initialise.sheaths "
             "are wrong"
@@ -186,7 +188,7 @@ def _require_stiff(
     stiffness = found.stiffness_per_length
     doubt = SURE * math.hypot(stiffness.uncertainty / stiffness.value, error)
     if 1.0 / stiffness.value > known * (1.0 + SOFTER + doubt):
-        raise Refused(
+        raise CalibrationRefused(
             f"{pulled.name}: tendon and sheath stretch by {1e3 / stiffness.value:.3f} mm/N without "
             f"friction, by their L/EA it is {known * 1e3:.3f} mm/N: the tip gives way, as against "
             "something soft, or length and axial_stiffness of slave.initialise.sheaths are wrong"
@@ -214,9 +216,9 @@ def _disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> s
 
 
 def _value(measured: Measured) -> Value:
-    return Value(rounded(measured.value), rounded(measured.uncertainty))
+    return Value(round_significant(measured.value), round_significant(measured.uncertainty))
 
 
-def rounded(value: float) -> float:
+def round_significant(value: float) -> float:
     """Return a number as short as a file for people should have it."""
     return float(f"{value:.{DIGITS}g}")

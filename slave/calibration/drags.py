@@ -20,7 +20,7 @@ from estimator.calibration.drag import friction_of_both
 from slave.calibration.pulled import PulledTendon
 
 
-def put_right(
+def combine_with_drags(
     pulled: Sequence[PulledTendon], found: Sequence[Calibration], gain_error: float
 ) -> tuple[list[Calibration], str]:
     """Return the calibrations of two antagonists by loops and drags, and what is to be said.
@@ -52,9 +52,9 @@ def _sum(
 ) -> Measured:
     """Return K_a + K_b by all drags there are."""
     sums = [
-        _of_drag(mine, other, calibration.M_pull.value)
-        for mine, other, calibration in zip(pulled, reversed(pulled), found, strict=True)
-        if mine.dragging.any()
+        _of_drag(own, other, calibration.M_pull.value)
+        for own, other, calibration in zip(pulled, reversed(pulled), found, strict=True)
+        if own.dragging.any()
     ]
     if not sums:
         raise CalibrationError("there is none")
@@ -70,9 +70,9 @@ def _sum(
     return Measured(0.5 * (first.value + second.value), 0.5 * noise)
 
 
-def _of_drag(mine: PulledTendon, other: PulledTendon, M_pull: float) -> Measured:
+def _of_drag(own: PulledTendon, other: PulledTendon, M_pull: float) -> Measured:
     """Return K_a + K_b by one drag; `M_pull` [m/N] is of the tendon that is pulled."""
-    rows = mine.dragging
-    tension = mine.tension[rows]
-    travel = mine.travel[rows] - M_pull * tension
+    rows = own.dragging
+    tension = own.tension[rows]
+    travel = own.travel[rows] - M_pull * tension
     return friction_of_both(tension, other.tension[rows], travel)

@@ -70,7 +70,7 @@ class Calibration:
             raise ValueError("joints: must name each of the tendons once, counted from 0")
 
 
-class Named(Protocol):
+class RigDescription(Protocol):
     """Of a rig, what a calibration must fit."""
 
     @property
@@ -84,11 +84,11 @@ class Named(Protocol):
 
 def load(path: Path) -> Calibration:
     """Read a calibration file; `UsageError` if it is none."""
-    strange = set(strict_yaml.read(path, "calibration")) & {*config.SHARED, *config.SECTIONS}
-    if strange:
+    session_keys = set(strict_yaml.read(path, "calibration")) & {*config.SHARED, *config.SECTIONS}
+    if session_keys:
         raise UsageError(
-            f"{path}: is no calibration but a session's config (it has {min(strange)!r}); give the "
-            "file that `teleop calibrate`, or `teleop estimate --fit --save`, has written"
+            f"{path}: is a session config (it has {min(session_keys)!r}), not a calibration; give "
+            "the file written by `teleop calibrate` or `teleop estimate --fit --save`"
         )
     return config.load(path, Calibration, None)
 
@@ -99,7 +99,7 @@ def save(path: Path, calibration: Calibration) -> None:
     write_whole(path, text, "the calibration")
 
 
-def fits(calibration: Calibration, rig: Named, by_name: bool = True) -> str | None:
+def fits(calibration: Calibration, rig: RigDescription, by_name: bool = True) -> str | None:
     """Return why a calibration must not be used on a rig, None if it may.
 
     Without `by_name` only the number of tendons counts: what is not driven can do no harm.
@@ -119,7 +119,7 @@ def fits(calibration: Calibration, rig: Named, by_name: bool = True) -> str | No
     return None
 
 
-def _its(rig: Named) -> str:
+def _its(rig: RigDescription) -> str:
     return f"the rig has {_shown(rig.joints)}"
 
 

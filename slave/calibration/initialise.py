@@ -6,18 +6,18 @@ from typing import NamedTuple
 
 from slave.calibration.analysis import JointResult, analyse
 from slave.calibration.file import Calibration, fits
-from slave.calibration.run import Limits, Progress, Record, drive
+from slave.calibration.run import Limits, ProcedureData, Progress, drive
 from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
 from teleop.clock import Tick
 from teleop.errors import UsageError
 
 
-class Initialised(NamedTuple):
+class InitialiseResult(NamedTuple):
     """A calibration just made, and what it was made from."""
 
     calibration: Calibration
-    record: Record
+    record: ProcedureData
     samples: tuple[RigSample, ...]  # all, oldest first: estimators fed with them know the profile
 
 
@@ -33,7 +33,7 @@ def initialise(
     earlier: Calibration | None = None,
     stopped: Callable[[], str] = lambda: "",
     progress: Callable[[Progress], None] = lambda _: None,
-) -> Initialised:
+) -> InitialiseResult:
     """Calibrate a rig; the joints then stand in the middle, their tendons just taut.
 
     Parameters
@@ -54,7 +54,8 @@ def initialise(
     Raises
     ------
     TeleopError
-        `UsageError` if the config forbids it, `slave.calibration.run.Refused` if it was given up.
+        `UsageError` if the config forbids it, `slave.calibration.run.CalibrationRefused` if the
+        procedure was aborted.
     """
     chosen = tuple(joints) or tuple(range(len(rig.joints)))
     in_part = len(chosen) < len(rig.joints)
@@ -67,11 +68,11 @@ def initialise(
     results = analyse(driven.record, procedure, ranges)
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    calibration = assembled(results, rig, method, now, earlier if in_part else None)
-    return Initialised(calibration, driven.record, driven.samples)
+    calibration = assemble_calibration(results, rig, method, now, earlier if in_part else None)
+    return InitialiseResult(calibration, driven.record, driven.samples)
 
 
-def assembled(
+def assemble_calibration(
     results: Sequence[JointResult],
     rig: Rig,
     method: str,

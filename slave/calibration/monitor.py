@@ -40,7 +40,7 @@ from slave.tendons import EstimatedTendon, RigLayout
 MOBILISED = 0.999  # of the length: the front has reached the tip
 DEPTH = 0.7  # of K, up to which the front is surely inside even where friction has fallen
 FURTHER = 1.8  # times the tension at which the model has the tip move: there it surely does
-LEAST = 3  # transitions before anything is said
+MIN_TRANSITIONS = 3  # transitions before anything is said
 APART, APART_SHARE = 0.04, 0.2  # by which they may contradict each other; the share of the error
 SPACING = 2e-6  # [m] of elongation between points of a line
 POINTS = 5  # that a line needs
@@ -81,8 +81,8 @@ class MonitorConfig:
         """Refuse thresholds that mean nothing."""
         if not 0.0 < self.advise <= self.demand <= 10.0:
             raise ValueError("advise: must be above 0 and at most demand, which is at most 10")
-        if not LEAST <= self.transitions <= MOST:
-            raise ValueError(f"transitions: must be {LEAST} to {MOST}")
+        if not MIN_TRANSITIONS <= self.transitions <= MOST:
+            raise ValueError(f"transitions: must be {MIN_TRANSITIONS} to {MOST}")
 
 
 class Advice(IntEnum):
@@ -134,7 +134,7 @@ class TendonMonitor(Record):
     force_error: F64 = 0.0  # of T_out, relative, by all of `errors`: see `force_error`
     count: I64 = 0  # of the latest transitions that are kept, oldest first
     errors: Annotated[Array, Field("f8", MOST)]  # of T_out, relative, by each of them
-    doubts: Annotated[Array, Field("f8", MOST)]  # how far off each of them may be
+    uncertainties: Annotated[Array, Field("f8", MOST)]  # how far off each of them may be
 
 
 def prepare(models: Sequence[TendonModel]) -> Records:
@@ -272,12 +272,12 @@ def force_error(monitor: TendonMonitor) -> float:
     ways to do so, a sheath has one shape. `monitor.force_error` keeps it from one transition to
     the next.
     """
-    if monitor.count < LEAST:
+    if monitor.count < MIN_TRANSITIONS:
         return 0.0
     values = np.empty(monitor.count)
     copy(monitor.errors[: monitor.count], values)
     middle = median(values)
-    copy(monitor.doubts[: monitor.count], values)
+    copy(monitor.uncertainties[: monitor.count], values)
     if abs(middle) < SURE * median(values):
         return 0.0
     for k in range(monitor.count):
@@ -345,21 +345,21 @@ def _finish_transition(
     lasted = monitor.transition.lasted
     error = _transition_error(constants, monitor.transition)
     if not math.isnan(error):
-        doubt = RESOLVED + APART_IN_TIME * constants.lag / max(lasted, constants.lag)
-        _append(monitor, error, constants.amplified * doubt, config.transitions)
+        uncertainty = RESOLVED + APART_IN_TIME * constants.lag / max(lasted, constants.lag)
+        _append(monitor, error, constants.amplified * uncertainty, config.transitions)
         monitor.force_error = force_error(monitor)
     _await_pull(monitor)
 
 
 @compiled
-def _append(monitor: TendonMonitor, error: float, doubt: float, most: int) -> None:
+def _append(monitor: TendonMonitor, error: float, uncertainty: float, most: int) -> None:
     """Add what a transition said; the oldest go where there are more than `most`."""
     kept = min(monitor.count, most - 1)
     dropped = monitor.count - kept
     for k in range(kept):
         monitor.errors[k] = monitor.errors[k + dropped]
-        monitor.doubts[k] = monitor.doubts[k + dropped]
-    monitor.errors[kept], monitor.doubts[kept] = error, doubt
+        monitor.uncertainties[k] = monitor.uncertainties[k + dropped]
+    monitor.errors[kept], monitor.uncertainties[kept] = error, uncertainty
     monitor.count = kept + 1
 
 

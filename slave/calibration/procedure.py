@@ -18,8 +18,16 @@ import math
 from slave.calibration import cell, refusals
 from slave.calibration.cell import Cell
 from slave.calibration.config import InitialiseConfig
-from slave.calibration.memory import Joint, Memory, Phase, Seen, Tendons, begin, refuse
-from slave.calibration.phases import HANDLERS, settled
+from slave.calibration.phases import HANDLERS, is_settled
+from slave.calibration.procedure_state import (
+    Joint,
+    JointReadings,
+    Phase,
+    ProcedureState,
+    Tendons,
+    begin,
+    refuse,
+)
 from slave.calibration.refusals import tendon_name
 
 SMOOTH_S = 0.005  # [s] of averaging where a single tension decides
@@ -29,8 +37,8 @@ _ENDS = (Phase.DONE, Phase.RELAX, Phase.REFUSED)
 
 
 def step(
-    config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen, dt: float
-) -> tuple[Tendons, Memory]:
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings, dt: float
+) -> tuple[Tendons, ProcedureState]:
     """Return where the motors of the joint shall be [m], and the new memory.
 
     Parameters
@@ -39,9 +47,9 @@ def step(
         Tensions, speeds and limits.
     joint : Joint
         Its number, and how soft its sheaths can be.
-    memory : Memory
-        `Memory()` to begin with.
-    seen : Seen
+    memory : ProcedureState
+        `ProcedureState()` to begin with.
+    seen : JointReadings
         Newest readings, all finite.
     dt : float
         Time since the last tick [s].
@@ -57,7 +65,9 @@ def step(
     return targets, memory._replace(moved=moves, before=seen.motor)
 
 
-def _observe(config: InitialiseConfig, memory: Memory, seen: Seen, dt: float) -> Memory:
+def _observe(
+    config: InitialiseConfig, memory: ProcedureState, seen: JointReadings, dt: float
+) -> ProcedureState:
     """Take in the readings of a tick."""
     if not memory.origin:
         cells = tuple(Cell() for _ in seen.tension)
@@ -70,34 +80,36 @@ def _observe(config: InitialiseConfig, memory: Memory, seen: Seen, dt: float) ->
     return memory._replace(
         tension=tension,
         elapsed=memory.elapsed + dt,
-        steady=memory.steady + dt if settled(config, memory.phase, tension) else 0.0,
+        steady=memory.steady + dt if is_settled(config, memory.phase, tension) else 0.0,
         highest=max(memory.highest, tension[k]),
         lowest=min(memory.lowest, seen.travel[1 - k]) if len(tension) > 1 else math.inf,
-        cells=tuple(map(cell.step, memory.cells, seen.tension, seen.travel))
+        cells=tuple(map(cell.update, memory.cells, seen.tension, seen.travel))
         if seen.fresh
         else memory.cells,
         blocked=_blocked(memory, seen, dt),
     )
 
 
-def _blocked(memory: Memory, seen: Seen, dt: float) -> Tendons:
+def _blocked(memory: ProcedureState, seen: JointReadings, dt: float) -> Tendons:
     """Return for how long each motor has been asked to move and stayed where it was."""
     if not memory.moved:
         return memory.blocked
     return tuple(
-        time + dt if asked != 0.0 and now == was else 0.0
-        for time, asked, now, was in zip(
+        time + dt if requested != 0.0 and now == was else 0.0
+        for time, requested, now, was in zip(
             memory.blocked, memory.moved, seen.motor, memory.before, strict=True
         )
     )
 
 
-def _pulled(memory: Memory, seen: Seen) -> int:
+def _pulled(memory: ProcedureState, seen: JointReadings) -> int:
     """Return the tendon that is pulled."""
     return memory.side % len(seen.tension)
 
 
-def _common_refusal(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> str:
+def _common_refusal(
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> str:
     """Return what is wrong whatever the phase; empty if nothing is."""
     count = len(seen.tension)
     if memory.elapsed > config.phase_max:

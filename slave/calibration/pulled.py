@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.calibration.calibration import Measured
-from slave.calibration.memory import Contact, Phase
+from slave.calibration.procedure_state import Contact, Phase
 from slave.calibration.refusals import tendon_name
-from slave.calibration.run import Record
+from slave.calibration.run import ProcedureData
 
 Rows = NDArray[np.bool_]
 
@@ -33,7 +33,7 @@ class Loop(NamedTuple):
 class PulledTendon(NamedTuple):
     """One tendon of one joint in a record."""
 
-    record: Record
+    record: ProcedureData
     joint: int  # counted from 0
     side: int  # which of its tendons
 
@@ -73,8 +73,8 @@ class PulledTendon(NamedTuple):
     def rows(self, *phases: Phase) -> Rows:
         """Return where the procedure pulled this tendon and was in one of these phases."""
         codes = [int(phase) for phase in phases]
-        mine = np.equal(self.record.side[:, self.joint], self.side)
-        return np.asarray(mine & np.isin(self.record.phase[:, self.joint], codes))
+        own = np.equal(self.record.side[:, self.joint], self.side)
+        return np.asarray(own & np.isin(self.record.phase[:, self.joint], codes))
 
     @property
     def dragging(self) -> Rows:

@@ -1,7 +1,7 @@
 """Why a calibration is given up: one line each, with the tendon, what was seen and a remedy."""
 
 from slave.calibration.config import InitialiseConfig
-from slave.gate import Verdict
+from slave.gate import GateFlags
 
 TENDON_NAMES = ("a", "b")
 
@@ -19,13 +19,13 @@ def too_slow(joint: int, what: str, config: InitialiseConfig) -> str:
     )
 
 
-def withheld(name: str, verdict: Verdict, asked: float, seeking: bool) -> str:
+def withheld(name: str, verdict: GateFlags, asked: float, seeking: bool) -> str:
     """Return which limit of the gate lets a motor go no further; `asked` [m] says which way."""
-    if Verdict.TENSION in verdict:
+    if GateFlags.TENSION in verdict:
         return (
             f"{name}: slave.gate.tension_max allows no further pull; lower slave.initialise.tension"
         )
-    if Verdict.STALE in verdict:
+    if GateFlags.STALE in verdict:
         return (
             f"{name}: its tension is older than slave.gate.tension_age_max; is the load cell alive?"
         )
@@ -130,7 +130,7 @@ def lost(name: str, highest: float, tension: float) -> str:
     )
 
 
-def not_again(name: str, tension: float, config: InitialiseConfig) -> str:
+def pull_not_repeated(name: str, tension: float, config: InitialiseConfig) -> str:
     """Return what is said where a tension is not reached for a second time."""
     return (
         f"{name}: pulled again it came to {tension:.1f} N only, not {config.tension:g} N: the stop "

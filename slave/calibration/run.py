@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.records import as_record
 from slave import gate, initial_position
-from slave.calibration import memory, procedure
+from slave.calibration import procedure, procedure_state
 from slave.calibration.config import InitialiseConfig, compliance_limit
-from slave.calibration.memory import Contact, Joint, Memory, Phase, Seen
-from slave.gate import GateConfig, Verdict
+from slave.calibration.procedure_state import Contact, Joint, JointReadings, Phase, ProcedureState
+from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from teleop.clock import Tick
@@ -34,11 +34,11 @@ UNREADABLE = (
 )
 
 
-class Refused(TeleopError):
+class CalibrationRefused(TeleopError):
     """A joint that could not be calibrated: exit code 1, one line that says why and what to do."""
 
 
-class Interrupted(Refused):
+class CalibrationInterrupted(CalibrationRefused):
     """The operator ended it."""
 
     exit_code = INTERRUPTED
@@ -63,7 +63,7 @@ class Progress(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Record:
+class ProcedureData:
     """What was measured, and what the procedure was doing: n samples, t tendons, j joints.
 
     A joint that was not calibrated has no stops.
@@ -79,10 +79,10 @@ class Record:
     stops: tuple[tuple[Contact, ...], ...]  # of each joint, one a tendon
 
 
-class Driven(NamedTuple):
+class ProcedureResult(NamedTuple):
     """How a run ended."""
 
-    record: Record
+    record: ProcedureData
     samples: tuple[RigSample, ...]  # all of them, for estimators that shall know the profile
 
 
@@ -93,16 +93,18 @@ class _Log:
     samples: list[RigSample] = field(default_factory=list)
     codes: list[tuple[tuple[int, int, int], ...]] = field(default_factory=list)
 
-    def add(self, samples: Sequence[RigSample], memories: Sequence[Memory]) -> None:
+    def add(self, samples: Sequence[RigSample], memories: Sequence[ProcedureState]) -> None:
         """Keep the samples of a tick."""
         now = tuple((int(m.phase), m.side, m.releases) for m in memories)
         self.samples += samples
         self.codes += [now] * len(samples)
 
-    def record(self, joints: tuple[tuple[int, ...], ...], memories: Sequence[Memory]) -> Record:
+    def record(
+        self, joints: tuple[tuple[int, ...], ...], memories: Sequence[ProcedureState]
+    ) -> ProcedureData:
         """Return it as arrays."""
         codes = np.array(self.codes, dtype=np.int64)
-        return Record(
+        return ProcedureData(
             joints=joints,
             time=np.array([s.time_s for s in self.samples]),
             tension=np.array([s.proximal_tension for s in self.samples]),
@@ -123,7 +125,7 @@ def drive(
     together: bool = False,
     stopped: Callable[[], str] = lambda: "",
     progress: Callable[[Progress], None] = lambda _: None,
-) -> Driven:
+) -> ProcedureResult:
     """Do the procedure on some joints of a rig; return what was measured.
 
     Parameters
@@ -148,7 +150,7 @@ def drive(
 
     Raises
     ------
-    Refused
+    CalibrationRefused
         If it was given up, with the tensions let down.
     TeleopError
         If the rig failed.
@@ -173,9 +175,11 @@ class _Drive:
         self.newest: RigSample | None = None
         self.over = False
         self._rig, self._limits, self._joints = rig, limits, joints
-        self._told = [_told(limits.initialise, j, tendons) for j, tendons in enumerate(rig.joints)]
-        self._memories = [Memory() for _ in rig.joints]
-        self._verdicts = [Verdict.PASSED for _ in rig.joints]
+        self._joint_constants = [
+            _joint_constants(limits.initialise, j, tendons) for j, tendons in enumerate(rig.joints)
+        ]
+        self._memories = [ProcedureState() for _ in rig.joints]
+        self._verdicts = [GateFlags.PASSED for _ in rig.joints]
         self._groups = [tuple(joints)] if together else [(j,) for j in joints]
         self._log = _Log()
         self._position = InitialPosition.new()
@@ -194,7 +198,11 @@ class _Drive:
             order = order or UNREADABLE
         if self.newest is None or not self._motor:
             if order:
-                raise Interrupted(order) if self._interrupted else Refused(order)
+                raise (
+                    CalibrationInterrupted(order)
+                    if self._interrupted
+                    else CalibrationRefused(order)
+                )
             return
         group = self._groups[0]
         wanted = list(self._motor)
@@ -203,34 +211,42 @@ class _Drive:
             for k, target in zip(self._rig.joints[j], self._step(j, order, dt), strict=True):
                 wanted[k] = target
         self._write(wanted, dt)
-        if all(memory.ended(self._memories[j]) for j in group):
+        if all(procedure_state.is_ended(self._memories[j]) for j in group):
             del self._groups[0]
             self.over = not self._groups or any(m.refusal for m in self._memories)
 
     def progress(self, time_s: float) -> Progress:
         """Return where it is, `time_s` [s] after it began."""
-        done = [memory.progress(self._limits.initialise, m) for m in self._memories]
+        done = [procedure_state.progress(self._limits.initialise, m) for m in self._memories]
         group = self._groups[0] if self._groups else self._joints[-1:]
         j = min(group, key=lambda j: done[j])
         now = self._memories[j]
         share = sum(done[i] for i in self._joints) / len(self._joints)
         return Progress(time_s, j + 1, now.phase, now.side, share, now.tension)
 
-    def result(self) -> Driven:
+    def result(self) -> ProcedureResult:
         """Return what was measured, or raise why there is nothing to go by."""
         refusal = next((m.refusal for m in self._memories if m.refusal), "")
         if refusal:
-            raise Interrupted(refusal) if self._interrupted else Refused(refusal)
-        return Driven(self._log.record(self._rig.joints, self._memories), tuple(self._log.samples))
+            raise (
+                CalibrationInterrupted(refusal)
+                if self._interrupted
+                else CalibrationRefused(refusal)
+            )
+        return ProcedureResult(
+            self._log.record(self._rig.joints, self._memories), tuple(self._log.samples)
+        )
 
     def _read(self, time_s: float, dt: float) -> None:
         try:
             samples = self._rig.read(time_s)
         except RigFinished as error:
-            raise Refused("these are measured data: there is no rig to calibrate") from error
+            raise CalibrationRefused(
+                "these are measured data: there is no rig to calibrate"
+            ) from error
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
-        useful = [sample for sample in samples if usable(sample)]
+        useful = [sample for sample in samples if is_complete(sample)]
         self._log.add(useful, self._memories)
         self._locate(samples, dt)
         self._silence = 0.0 if useful else self._silence + dt
@@ -251,9 +267,9 @@ class _Drive:
 
     def _step(self, j: int, order: str, dt: float) -> tuple[float, ...]:
         """Step one joint; return where its motors shall be [m]."""
-        assert self.newest is not None and self.newest.proximal_displacement is not None  # noqa: S101, PT018 - `usable`
+        assert self.newest is not None and self.newest.proximal_displacement is not None  # noqa: S101, PT018 - `is_complete`
         tendons = list(self._rig.joints[j])
-        seen = Seen(
+        seen = JointReadings(
             tuple(self.newest.proximal_tension[tendons].tolist()),
             tuple(self.newest.proximal_displacement[tendons].tolist()),
             tuple(self._motor[k] for k in tendons),
@@ -262,9 +278,9 @@ class _Drive:
         )
         before = self._memories[j]
         if order and not before.refusal:
-            before = memory.refuse(before, seen, order)
+            before = procedure_state.refuse(before, seen, order)
         targets, self._memories[j] = procedure.step(
-            self._limits.initialise, self._told[j], before, seen, dt
+            self._limits.initialise, self._joint_constants[j], before, seen, dt
         )
         return targets
 
@@ -286,14 +302,14 @@ class _Drive:
 
     def _gated(
         self, last: Array, wanted: Array, tension: Array, dt: float
-    ) -> tuple[Array, Verdict]:
+    ) -> tuple[Array, GateFlags]:
         """Return what the gate lets through of the motions of a joint [m], and its verdict."""
         passed = np.empty_like(last)
         verdict = gate.step(
             self._gate, len(last), last, wanted, tension, self._silence, True, dt,
             self._no_reach, False, False, passed,
         )  # fmt: skip
-        return passed, Verdict(verdict)
+        return passed, GateFlags(verdict)
 
 
 def fast_ticks(rate_hz: float) -> Iterator[Tick]:
@@ -302,7 +318,7 @@ def fast_ticks(rate_hz: float) -> Iterator[Tick]:
     return (Tick(k, round(k * dt * 1e9), dt) for k in count())
 
 
-def usable(sample: RigSample) -> bool:
+def is_complete(sample: RigSample) -> bool:
     """Return whether every tendon's tension and travel are there."""
     travel = sample.proximal_displacement
     return travel is not None and bool(
@@ -329,5 +345,5 @@ def require_possible(rig: Rig, limits: Limits) -> None:
         )
 
 
-def _told(config: InitialiseConfig, j: int, tendons: tuple[int, ...]) -> Joint:
+def _joint_constants(config: InitialiseConfig, j: int, tendons: tuple[int, ...]) -> Joint:
     return Joint(j + 1, tuple(compliance_limit(config, k) for k in tendons))

@@ -27,7 +27,7 @@ def start(travel: float, tension: float) -> Trend:
     return Trend(travel, tension, newest=travel)
 
 
-def step(trend: Trend, travel: float, tension: float, direction: float, window: float) -> Trend:
+def update(trend: Trend, travel: float, tension: float, direction: float, window: float) -> Trend:
     """Take one sample in; `direction` is +1 while pulling and -1 while releasing.
 
     It weighs as much as the travel since the newest one, so neither speed nor rate count; one that

@@ -13,17 +13,14 @@ from slave.control.joint import (
     offset,
 )
 from slave.control.law import Control, step
-from slave.control.seen import TendonSeen, seen
 
 __all__ = [
     "Control",
     "ControlConfig",
     "JointEstimate",
-    "TendonSeen",
     "joint_estimate",
     "joint_estimates",
     "joint_offsets",
     "offset",
-    "seen",
     "step",
 ]

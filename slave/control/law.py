@@ -109,9 +109,9 @@ def step(
         return
     dt = min(dt, DT_MAX) if dt > 0.0 else 0.0
     for k in range(layout.joints):
-        asked = command[k] - memory.joint[k].command
-        asked += config.lead * min(max(velocity[k], -config.speed_max), config.speed_max)
-        _drive(config, layout.joint[k], memory.joint[k], asked, motor, tendons, dt, out_wanted)
+        requested = command[k] - memory.joint[k].command
+        requested += config.lead * min(max(velocity[k], -config.speed_max), config.speed_max)
+        _drive(config, layout.joint[k], memory.joint[k], requested, motor, tendons, dt, out_wanted)
 
 
 @compiled
@@ -151,13 +151,13 @@ def _drive(
     config: ControlConfig,
     joint: JointTendons,
     memory: EngagedJoint,
-    asked: float,
+    requested: float,
     motor: Array,
     tendons: EstimatedTendons,
     dt: float,
     out_wanted: Array,
 ) -> None:
-    """Write where the motors of a joint are wanted that is asked to travel by `asked` [m]."""
+    """Write where the motors of a joint are wanted that is asked to travel by `requested` [m]."""
     a, b = memory.tendon[0], memory.tendon[1]  # of a joint of one tendon, b stays zero
     e_a, m_a, e_b, m_b = a.elongation, a.motor, b.elongation, b.motor
     _update(joint, memory, motor, tendons)
@@ -165,10 +165,10 @@ def _drive(
     follow_b = (a.elongation - e_a) - (a.motor - m_a)
     follow_a = (b.elongation - e_b) - (b.motor - m_b)
     i = joint.tendon[0]
-    out_wanted[i] = _target(config, a, SIGNS[0] * asked, follow_a, tendons[i], dt)
+    out_wanted[i] = _target(config, a, SIGNS[0] * requested, follow_a, tendons[i], dt)
     if joint.count > 1:
         i = joint.tendon[1]
-        out_wanted[i] = _target(config, b, SIGNS[1] * asked, follow_b, tendons[i], dt)
+        out_wanted[i] = _target(config, b, SIGNS[1] * requested, follow_b, tendons[i], dt)
 
 
 @compiled
@@ -203,18 +203,18 @@ def _update(
 def _target(
     config: ControlConfig,
     driven: DrivenTendon,
-    asked: float,
+    requested: float,
     follow: float,
     tendon: EstimatedTendon,
     dt: float,
 ) -> float:
     """Return where a motor is wanted [m].
 
-    `asked` [m] is the travel asked of the tendon's tip since engagement, `follow` [m] how far the
-    tip has been moved by the other tendon's motor since the last tick.
+    `requested` [m] is the commanded travel of the tendon's tip since engagement, `follow` [m] how
+    far the other tendon's motor has moved the tip since the last tick.
     """
     motor = driven.motor
-    wanted = driven.origin + asked + config.compensation * driven.stretch
+    wanted = driven.origin + requested + config.compensation * driven.stretch
     least, most = motor + follow, motor
     if tendon.valid:
         error = config.slack_side_tension - tendon.tension

@@ -18,7 +18,7 @@ from teleop.coupling.side import (
     Side,
     at_tip,
     count_hand,
-    hear,
+    receive,
     render,
 )
 from teleop.coupling.wave import WaveConfig
@@ -37,6 +37,6 @@ __all__ = [
     "bilateral_settings",
     "count_hand",
     "differs",
-    "hear",
+    "receive",
     "render",
 ]

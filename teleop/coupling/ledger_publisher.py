@@ -8,7 +8,7 @@ from teleop.packet import Packet
 from teleop.topics import Role
 
 LEDGER_PERIOD_NS = 10_000_000  # between two messages
-_TOLD = ("credit", "put_in", "taken_out", "passed_on", "heard", "dissipated", "granted")
+_FIELDS = ("credit", "put_in", "taken_out", "passed_on", "received", "dissipated", "granted")
 
 
 class LedgerPublisher:
@@ -40,6 +40,6 @@ class LedgerPublisher:
 
     def filled(self) -> Packet[Ledger]:
         """Return the message about the ledger as it is now."""
-        for name in _TOLD:
+        for name in _FIELDS:
             self._fields[name][:, : self._joints] = self._ports[name][:, : self._joints]
         return self._packet

@@ -36,18 +36,18 @@ class Port(Record):
     put_in: F64 = 0.0  # work done on the network
     taken_out: F64 = 0.0
     passed_on: F64 = 0.0  # to the other side: this is told
-    heard: F64 = 0.0  # from it, as far as it counted
+    received: F64 = 0.0  # from it, as far as it counted
     dissipated: F64 = 0.0  # given up
     granted: F64 = 0.0  # given at engagements, and for what a hand dissipates by itself
     lent: F64 = 0.0  # [J] what is behind the port has taken out and may bring back
-    told_wave: F64 = 0.0  # [sqrt(J s)] integral of the waves sent; this is told too
-    heard_energy: F64 = math.nan  # largest that this sender told; NaN: none yet
-    heard_wave: F64 = 0.0  # [sqrt(J s)] told together with it
+    sent_wave: F64 = 0.0  # [sqrt(J s)] integral of the waves sent; this is told too
+    received_energy: F64 = math.nan  # largest that this sender told; NaN: none yet
+    received_wave: F64 = 0.0  # [sqrt(J s)] told together with it
     played_wave: F64 = 0.0  # [sqrt(J s)] of it, what has come out
 
 
 @compiled
-def hear(port: Port, energy: float, wave: float) -> None:
+def receive(port: Port, energy: float, wave: float) -> None:
     """Take in what the other side has told: sums [J] and [sqrt(J s)] since it started.
 
     Sums of energy never fall, so the larger one is the newer one, and its wave counts. The first
@@ -55,24 +55,24 @@ def hear(port: Port, energy: float, wave: float) -> None:
     """
     if not (abs(energy) < _ABSURD and abs(wave) < _ABSURD):
         return
-    if math.isnan(port.heard_energy):
-        port.heard_energy = energy
-        port.heard_wave = wave
+    if math.isnan(port.received_energy):
+        port.received_energy = energy
+        port.received_wave = wave
         port.played_wave = wave
         return
-    more = energy - port.heard_energy
+    more = energy - port.received_energy
     if more <= 0.0:
         return
     port.credit += more
-    port.heard += more
-    port.heard_energy = energy
-    port.heard_wave = wave
+    port.received += more
+    port.received_energy = energy
+    port.received_wave = wave
 
 
 @compiled
 def forget(port: Port) -> None:
     """Begin to count anew what is heard: the other side was replaced."""
-    port.heard_energy = math.nan
+    port.received_energy = math.nan
 
 
 @compiled
@@ -83,7 +83,7 @@ def rest(port: Port, reserve: float) -> None:
     port.dissipated += max(surplus, 0.0)
     port.granted += max(-surplus, 0.0)
     port.lent = 0.0
-    port.played_wave = port.heard_wave
+    port.played_wave = port.received_wave
 
 
 @compiled

@@ -23,14 +23,14 @@ class Side(Record):
     ports: Annotated[Sequence[Port], Field(Port, MAX_JOINTS)]
     sender: U64 = 0  # nonce of the other side
     coupled: Flag = False  # whether forces are rendered (master), tips follow (slave)
-    asked: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] where the hand asked the tips to be
+    requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] where the hand asked the tips to be
     tip: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] where they were sent instead, if coupled
     hand: Annotated[Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)]  # counted last (master)
     dt: F64 = 0.0  # [s] of that tick
 
 
 @compiled
-def hear(side: Side, sender: int, energy: Array, wave: Array) -> None:
+def receive(side: Side, sender: int, energy: Array, wave: Array) -> None:
     """Take in what the other side tells.
 
     Parameters
@@ -44,7 +44,7 @@ def hear(side: Side, sender: int, energy: Array, wave: Array) -> None:
         for k in range(MAX_JOINTS):
             ledger.forget(side.ports[k])
     for k in range(MAX_JOINTS):
-        ledger.hear(side.ports[k], energy[k], wave[k])
+        ledger.receive(side.ports[k], energy[k], wave[k])
     side.sender = sender
 
 
@@ -69,7 +69,7 @@ def count_hand(
 ) -> None:
     """Count what the hand did since the last tick: the master's first phase.
 
-    After it `passed_on` and `told_wave` of the ports are what the next command tells; `render` is
+    After it `passed_on` and `sent_wave` of the ports are what the next command tells; `render` is
     the second phase. Nothing here depends on the force that the tips feel now.
 
     Parameters
@@ -90,7 +90,7 @@ def count_hand(
     """
     if not coupled:
         for k in range(axes):  # by a force that fades
-            ledger.count_work(side.ports[k], written[k] * (place[k] - side.asked[k]))
+            ledger.count_work(side.ports[k], written[k] * (place[k] - side.requested[k]))
         rest(settings, side)
     elif not side.coupled:
         rest(settings, side)
@@ -98,7 +98,7 @@ def count_hand(
         hand = side.hand[k]
         hand.written = written[k]
         # how fast the hand moves when it is coupled tells what it may be given
-        before = side.asked[k] if side.coupled else place[k] - velocity[k] * dt
+        before = side.requested[k] if side.coupled else place[k] - velocity[k] * dt
         hand.travel = place[k] - before
         hand.velocity = velocity[k]
         hand.dragged = 0.0
@@ -114,7 +114,7 @@ def count_hand(
             else:
                 direct.count_hand(side.ports[k], hand)
     for k in range(MAX_JOINTS):
-        side.asked[k] = place[k]
+        side.requested[k] = place[k]
         side.tip[k] = place[k]
     side.coupled = coupled
     side.dt = dt
@@ -126,7 +126,7 @@ def render(
 ) -> None:
     """Work out the forces that the hand shall feel: the master's second phase.
 
-    It goes by what `count_hand` counted last. What the other side told in between (`hear`) counts.
+    Uses the energy ledger as `count_hand` left it, plus what `receive` added since.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def render(
 def at_tip(
     settings: BilateralSettings,
     side: Side,
-    asked: Array,
+    requested: Array,
     velocity: Array,
     force: Array,
     joints: int,
@@ -166,7 +166,7 @@ def at_tip(
 
     Parameters
     ----------
-    asked, velocity : ndarray
+    requested, velocity : ndarray
         By the hand [m], [m/s], of the first `joints`; overwritten with where the tips shall be and
         go. If they are not coupled, they stay as they are.
     force : ndarray
@@ -181,18 +181,18 @@ def at_tip(
     if not coupled or not side.coupled:
         rest(settings, side)
         for k in range(joints):
-            side.asked[k] = asked[k]
-            side.tip[k] = asked[k]
+            side.requested[k] = requested[k]
+            side.tip[k] = requested[k]
         side.coupled = coupled
         return
     for k in range(joints):
         place = side.tip[k]
-        before = side.asked[k]
-        tip = SlaveInput(force[k], asked[k] - before, before - place, velocity[k])
+        before = side.requested[k]
+        tip = SlaveInput(force[k], requested[k] - before, before - place, velocity[k])
         output = _follow(settings, side.ports[k], tip, dt)
-        side.asked[k] = asked[k]
+        side.requested[k] = requested[k]
         side.tip[k] = place + output.travel
-        asked[k] = side.tip[k]
+        requested[k] = side.tip[k]
         velocity[k] = output.velocity
 
 

@@ -64,7 +64,7 @@ def play(config: WaveConfig, port: Port, dt: float) -> float:
 
     The second is the one constant wave that has both; so waves that came in lumps go out even.
     """
-    rest = port.heard_wave - port.played_wave
+    rest = port.received_wave - port.played_wave
     if rest == 0.0:
         return 0.0
     most = 2.0 * max(port.credit, 0.0) / abs(rest)
@@ -79,7 +79,7 @@ def send(config: WaveConfig, port: Port, wave: float, dt: float) -> None:
     most = math.sqrt(2.0 * max(port.credit, 0.0) / dt)
     wave = min(max(wave, -most), most)
     ledger.pass_on(port, min(0.5 * wave * wave * dt, port.credit))
-    port.told_wave += wave * dt
+    port.sent_wave += wave * dt
     ledger.cap_credit(port, config.credit_max)
 
 
@@ -117,7 +117,7 @@ def at_tip(config: WaveConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveO
     b = config.impedance
     came = play(config, port, dt)
     wanted = (math.sqrt(2.0 * b) * came - tip.force) / b * dt
-    used = abs(came * (port.heard_wave - port.played_wave))  # by the wave that is under way
+    used = abs(came * (port.received_wave - port.played_wave))  # by the wave that is under way
     spare = min(max((port.credit - used) / config.reserve - 1.0, 0.0), 1.0)
     wanted += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
     travel = ledger.affordable_travel(port, tip.force, wanted, 1.0)

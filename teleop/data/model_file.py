@@ -37,7 +37,7 @@ DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
 SLACK = 1e-6  # of a range, by which what was fitted may be outside of it
 
 
-class Saved(NamedTuple):
+class SavedModel(NamedTuple):
     """What a file has."""
 
     model: Model  # without what single records had
@@ -46,12 +46,12 @@ class Saved(NamedTuple):
     unexplained: bool = False  # whether most of what is wrong is not in it
 
 
-def save(path: Path, saved: Saved, remark: str) -> None:
+def save(path: Path, saved: SavedModel, remark: str) -> None:
     """Write a model, whole or not at all; `remark` becomes comments."""
     write_whole(path, text(saved, remark), "the model")
 
 
-def text(saved: Saved, remark: str) -> str:
+def text(saved: SavedModel, remark: str) -> str:
     """Return a model as YAML."""
     model = saved.model
     lines = [f"# {line}" for line in remark.splitlines()]
@@ -80,7 +80,7 @@ def text(saved: Saved, remark: str) -> str:
     return "\n".join([*lines, *units]) + "\n" + yaml.safe_dump(tree, sort_keys=False)
 
 
-def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Saved:
+def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     """Read a model: its numbers and its effects, without those of single records.
 
     Raises
@@ -112,7 +112,7 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Saved:
     unexplained = tree.get("unexplained", False)
     if not isinstance(unexplained, bool):
         raise UsageError(f"{path}: unexplained: {unexplained!r}, must be true or false")
-    return Saved(Model(shared, (), found), duration, tuple(unsure), unexplained)
+    return SavedModel(Model(shared, (), found), duration, tuple(unsure), unexplained)
 
 
 def _effect(path: Path, place: str, row: Any, effects: Sequence[Effect]) -> tuple[Effect, Values]:

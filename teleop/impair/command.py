@@ -28,7 +28,7 @@ from teleop.errors import UsageError
 from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import WAIT_S, DelayQueue
 from teleop.impair.direction import Direction
-from teleop.link.bridge import Bank, ask
+from teleop.link.bridge import Bank, send_request
 from teleop.process import Stop, destination, seconds, supervised, write_summary
 from teleop.realtime import go_realtime, limit_computing
 from teleop.run_config import RunConfig
@@ -162,7 +162,7 @@ def main(args: argparse.Namespace) -> int:
     config = read([])
     if args.action:
         link = config.link(shared.link)
-        answer = ask(link, shared.session, config.endpoint, "\n".join(args.action))
+        answer = send_request(link, shared.session, config.endpoint, "\n".join(args.action))
         print(json.dumps(answer, indent=2))
         return 0
     stop = Stop(args.duration)

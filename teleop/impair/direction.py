@@ -8,7 +8,7 @@ from typing import Any
 from teleop.impair import model
 from teleop.impair.config import DirectionConfig
 from teleop.impair.delay_queue import DelayQueue
-from teleop.impair.model import Fate, Memory
+from teleop.impair.model import Fate, StreamState
 from teleop.link.bridge import Bank
 from teleop.topics import TOPICS, Topic
 
@@ -46,7 +46,7 @@ class Direction:
         self._near, self._far, self._queue = near, far, queue
         self._keys = {topic.name: model.key_of(seed, name, topic.name) for topic in TOPICS}
         self._puts = {topic.name: far.put(topic) for topic in TOPICS}
-        self._memories = dict.fromkeys(self._keys, Memory())
+        self._memories = dict.fromkeys(self._keys, StreamState())
         self._counts: dict[str, Counter[str]] = {topic: Counter() for topic in self._keys}
         self._start_ns = 0  # when the first live message came; cuts and jitter count from it
         self._cut_ns = 0  # when the cut that lasts began, 0 = there is none

@@ -32,7 +32,7 @@ class Fate(IntFlag):
     HELD_BACK = 32
 
 
-class Memory(NamedTuple):
+class StreamState(NamedTuple):
     """All that a stream remembers from one message to the next."""
 
     number: int = 0  # of messages so far
@@ -65,8 +65,13 @@ def uniform(key: int, number: int) -> float:
 
 
 def step(
-    config: DirectionConfig, key: int, memory: Memory, time_s: float, data: bytes, cut: bool = False
-) -> tuple[tuple[Delivery, ...], Fate, Memory]:
+    config: DirectionConfig,
+    key: int,
+    memory: StreamState,
+    time_s: float,
+    data: bytes,
+    cut: bool = False,
+) -> tuple[tuple[Delivery, ...], Fate, StreamState]:
     """Decide on the next message of a stream.
 
     Parameters
@@ -104,8 +109,8 @@ def step(
     elif chance(_LOSS, config.loss):
         fate = Fate.LOST
     if fate:
-        return (), fate, Memory(memory.number + 1, bad, memory.due)
-    after = Memory(memory.number + 1, bad, due)
+        return (), fate, StreamState(memory.number + 1, bad, memory.due)
+    after = StreamState(memory.number + 1, bad, due)
     if chance(_CORRUPT, config.corrupt) and data:
         fate |= Fate.CORRUPTED
         place = int(uniform(key, first + _PLACE) * len(data))

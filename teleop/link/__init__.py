@@ -5,7 +5,16 @@ Keys are `teleop/<session>/<topic>`; presence tokens are below `teleop/<session>
 
 from teleop.link.config import LinkConfig, TlsConfig
 from teleop.link.link import Link
-from teleop.link.listener import Heard, Listener
+from teleop.link.listener import Listener, ReceivedMessage
 from teleop.link.reception import NEVER_NS, Counts, Latest
 
-__all__ = ["NEVER_NS", "Counts", "Heard", "Latest", "Link", "LinkConfig", "Listener", "TlsConfig"]
+__all__ = [
+    "NEVER_NS",
+    "Counts",
+    "Latest",
+    "Link",
+    "LinkConfig",
+    "Listener",
+    "ReceivedMessage",
+    "TlsConfig",
+]

@@ -21,7 +21,7 @@ from teleop.topics import TOPICS, Topic
 ANSWER_S = 3.0  # for the bridge to answer a request
 
 Put = Callable[[bytes], None]
-Hear = Callable[[Topic[Any], bytes], None]
+Handler = Callable[[Topic[Any], bytes], None]
 
 
 class Bank:
@@ -57,7 +57,7 @@ class Bank:
             for topic in TOPICS
         }
         self._subscribers: dict[str, Any] = {}
-        self._heard: frozenset[str] = frozenset()
+        self._tokens: frozenset[str] = frozenset()
         self._mirrored: dict[str, Any] = {}
         self._tokens_changed = tokens_changed
         self._liveliness = self._zenoh.liveliness()
@@ -79,13 +79,13 @@ class Bank:
         """Return whether anyone on this side wants `topic`."""
         return bool(self._publishers[topic.name].matching_status.matching)
 
-    def follow(self, topic: Topic[Any], wanted: bool, hear: Hear) -> None:
+    def follow(self, topic: Topic[Any], wanted: bool, handler: Handler) -> None:
         """Begin to hear `topic` on this side, or cease to."""
         subscriber = self._subscribers.get(topic.name)
         if wanted and subscriber is None:
             self._subscribers[topic.name] = self._zenoh.declare_subscriber(
                 self._key(topic),
-                lambda sample: hear(topic, sample.payload.to_bytes()),
+                lambda sample: handler(topic, sample.payload.to_bytes()),
                 allowed_origin=self._remote,
             )
         elif not wanted and subscriber is not None:
@@ -94,7 +94,7 @@ class Bank:
     @property
     def tokens(self) -> frozenset[str]:
         """Keys of all who are announced on this side, those we announce left out."""
-        return self._heard - self._mirrored.keys()
+        return self._tokens - self._mirrored.keys()
 
     def announce(self, tokens: frozenset[str]) -> None:
         """Announce these, and no others, on this side."""
@@ -105,7 +105,7 @@ class Bank:
             self._mirrored[key] = self._liveliness.declare_token(key)
 
     def serve(self, answer: Callable[[str], dict[str, Any]]) -> None:
-        """Answer the requests of `ask` from now on; a `TeleopError` becomes the asker's."""
+        """Answer requests of `send_request`; a `TeleopError` is raised at the caller."""
 
         def on_query(query: Any) -> None:
             reply: dict[str, Any]
@@ -123,11 +123,11 @@ class Bank:
     def _on_token(self, sample: Any) -> None:
         key = str(sample.key_expr)
         came = sample.kind == zenoh.SampleKind.PUT
-        self._heard = self._heard | {key} if came else self._heard - {key}
+        self._tokens = self._tokens | {key} if came else self._tokens - {key}
         self._tokens_changed()
 
 
-def ask(config: LinkConfig, session: str, endpoint: str, request: str) -> dict[str, Any]:
+def send_request(config: LinkConfig, session: str, endpoint: str, request: str) -> dict[str, Any]:
     """Send a request to the bridge at `endpoint` and return its answer.
 
     Raises

@@ -17,7 +17,7 @@ SENDERS = (
 )
 
 
-class Heard(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """One message as it came: checked, not unpacked."""
 
     topic: Topic[Any]
@@ -49,19 +49,19 @@ class Listener:
         # copied at once: a payload kept as it is keeps the whole receive buffer it lies in
         return lambda sample: put(topic, sample.payload.to_bytes(), now_ns())
 
-    def drain(self) -> list[Heard]:
+    def drain(self) -> list[ReceivedMessage]:
         """Return what has arrived since the last call, oldest first, checked as `Latest` does."""
         if not self._queue.has_arrivals:
             return []
         arrivals, dropped = self._queue.take()
         for name, count in dropped.items():
             self._senders[name].overflowed_to(count)
-        heard = []
+        messages = []
         for _, topic, data, received_ns in arrivals:
             head = self._senders[topic.name].admit(data)
             if head is not None:
-                heard.append(Heard(topic, data, received_ns, *head))
-        return heard
+                messages.append(ReceivedMessage(topic, data, received_ns, *head))
+        return messages
 
     def counts(self, topic: Topic[Any]) -> Counts:
         """Return what became of the messages of `topic`, all its senders together."""

@@ -59,9 +59,9 @@ def main(args: argparse.Namespace) -> int:
                     stopping = (
                         stop()
                     )  # asked before the last look: it finds all that came until then
-                    heard = listener.drain()
+                    messages = listener.drain()
                     writer.note_dropped({topic.name: listener.dropped(topic) for topic in TOPICS})
-                    writer.write(heard, now_ns())
+                    writer.write(messages, now_ns())
         finally:
             summary = summary_of(writer)
             write_summary(args.json, summary)

@@ -5,13 +5,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.recording.reader import Recorded
+from teleop.recording.reader import RecordedMessage
 from teleop.topics import TOPICS, Role, Topic
 
 _TOPICS = {topic.name: topic for topic in TOPICS}
 
 
-class Addressed(NamedTuple):
+class AddressedMessage(NamedTuple):
     """A message ready to be sent by the link of `role`."""
 
     role: Role
@@ -38,7 +38,7 @@ class Readdress:
         self._sent: dict[tuple[Role, str], int] = {}  # newest number given to a topic
         self._seen: dict[tuple[str, int], int] = {}  # newest number recorded, by topic and sender
 
-    def __call__(self, recorded: Recorded, shift_ns: int = 0) -> Addressed:
+    def __call__(self, recorded: RecordedMessage, shift_ns: int = 0) -> AddressedMessage:
         """Return `recorded` under its new address, its stamp moved by `shift_ns`."""
         topic = _TOPICS[recorded.topic]
         schema = topic.message.schema
@@ -56,4 +56,4 @@ class Readdress:
         row["stamp_ns"] = head.stamp_ns + shift_ns
         checked_from = schema.dtype.fields["layout"][1]
         row["checksum"] = schema.checksum(memoryview(content)[checked_from:])
-        return Addressed(role, topic, bytes(content))
+        return AddressedMessage(role, topic, bytes(content))

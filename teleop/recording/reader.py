@@ -30,7 +30,7 @@ _TIMES_AT = 6  # where the two times begin in a MESSAGE_HEAD; a row of columns b
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedMessage:
     """One message of a recording."""
 
     topic: str
@@ -104,7 +104,9 @@ def open_recording(path: str | Path) -> RecordingInfo:
     )
 
 
-def read_messages(path: str | Path, topics: Collection[str] | None = None) -> Iterator[Recorded]:
+def read_messages(
+    path: str | Path, topics: Collection[str] | None = None
+) -> Iterator[RecordedMessage]:
     """Yield the messages of a recording in the order of the file (None = of all topics)."""
     scan = Scan(Path(path))
     for block in scan.blocks():
@@ -113,7 +115,7 @@ def read_messages(path: str | Path, topics: Collection[str] | None = None) -> It
             if topics is None or topic in topics:
                 _, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(block.content, start)
                 data = block.content[start + MESSAGE_HEAD.size : end]
-                yield Recorded(topic, data, log_time, publish_time)
+                yield RecordedMessage(topic, data, log_time, publish_time)
 
 
 def read_columns(

@@ -18,7 +18,7 @@ from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 from teleop.errors import TeleopError, UsageError
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.messages import LAYOUT
 from teleop.process import supervised
 from teleop.recording.chunk_indices import ChunkIndices
@@ -130,13 +130,13 @@ class RecordingWriter:
         """
         self.dropped = {topic: count for topic, count in dropped.items() if count}
 
-    def write(self, heard: Iterable[Heard], now_ns: int) -> None:
+    def write(self, messages: Iterable[ReceivedMessage], now_ns: int) -> None:
         """Take what was heard; put it into the file if `chunk_s` has passed since the last time.
 
         Call it also with nothing heard: that is what moves the last messages into the file when
         the session falls silent.
         """
-        for item in heard:
+        for item in messages:
             name = item.topic.name
             channel = self._channels.get(name) or self._register(item.topic)
             self._mcap.add_message(

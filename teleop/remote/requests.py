@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-from teleop.link import Heard, Link
+from teleop.link import Link, ReceivedMessage
 from teleop.messages import STOP_ACTIONS, EmergencyStop, Setting, text_bytes, text_of
 from teleop.remote import watches
-from teleop.remote.watches import Armed, Beat
+from teleop.remote.watches import ArmedWatch, Beat
 from teleop.session import Reason, SessionOutline, State
 from teleop.topics import SETTING, STOP, Role, role_name
 
@@ -17,7 +17,7 @@ class SettingRequest(NamedTuple):
     """A setting that another process asks to change."""
 
     asker: int  # nonce of the process
-    asked: int  # sequence number of its message
+    sequence: int  # sequence number of its message
     key: str
     value: str
 
@@ -40,7 +40,7 @@ class RequestListener:
     def __init__(self, link: Link) -> None:
         self._link = link
         self._listener = link.listen((STOP, SETTING))
-        self._armed: tuple[Armed, ...] = ()
+        self._armed: tuple[ArmedWatch, ...] = ()
         self._before = SessionOutline()
 
     def __call__(self, now_ns: int, stops: int = 0) -> Requests:
@@ -49,36 +49,38 @@ class RequestListener:
         A reset counts if it names the newest of our `stops`, so that none takes back a stop that
         was called for after it.
         """
-        heard = self._listener.drain()
-        if not heard and not self._armed:
+        messages = self._listener.drain()
+        if not messages and not self._armed:
             return _NOTHING
-        calls = [item for item in heard if item.topic is STOP and item.sender != self._link.nonce]
-        said = [(item, EmergencyStop.unpack(item.data)) for item in calls]
+        calls = [
+            item for item in messages if item.topic is STOP and item.sender != self._link.nonce
+        ]
+        calls_and_bodies = [(item, EmergencyStop.unpack(item.data)) for item in calls]
         beats = [
             Beat(item.sender, item.received_ns, call.action == LEAVE)
-            for item, call in said
+            for item, call in calls_and_bodies
             if call.action in (WATCH, LEAVE)
         ]
-        self._armed, lost = watches.step(self._armed, beats, self._is_watch, now_ns)
-        asked = Requests(
+        self._armed, lost = watches.update(self._armed, beats, self._is_watch, now_ns)
+        requests = Requests(
             stop=Reason.WATCH_LOST if lost else Reason.NONE,
             reset=any(
                 call.action == RESET
                 and (call.side, call.number) == (self._link.role, stops)
                 and self._link.announced(item.sender)
-                for item, call in said
+                for item, call in calls_and_bodies
             ),
             settings=tuple(
                 _setting_request(item)
-                for item in heard
+                for item in messages
                 if item.topic is SETTING and self._link.announced(item.sender)
             ),
         )
-        for _, call in said:
+        for _, call in calls_and_bodies:
             if call.action not in (RESET, WATCH, LEAVE):
                 words = f"{role_name(call.role)}: {text_of(call.text)}"
-                return asked._replace(stop=Reason.STOP_CALLED, words=words)
-        return asked
+                return requests._replace(stop=Reason.STOP_CALLED, words=words)
+        return requests
 
     def relay(self, role: Role, side: SessionOutline, words: str) -> None:
         """Tell everybody of a stop that has just been obeyed.
@@ -107,6 +109,6 @@ def call_reset(link: Link, role: Role, words: str, side: Role, number: int) -> N
     )
 
 
-def _setting_request(item: Heard) -> SettingRequest:
+def _setting_request(item: ReceivedMessage) -> SettingRequest:
     setting = Setting.unpack(item.data)
     return SettingRequest(item.sender, item.sequence, text_of(setting.key), text_of(setting.value))

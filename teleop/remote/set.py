@@ -48,12 +48,12 @@ def main(args: argparse.Namespace) -> int:
             for item in listener.drain():
                 answer = Answer.unpack(item.data)
                 if answer.asker == link.nonce:
-                    return _told(answer)
+                    return _print_answer(answer)
             time.sleep(0.005)
     raise TeleopError(f"the master did not answer within {PATIENCE_S:g} s")
 
 
-def _told(answer: Answer) -> int:
+def _print_answer(answer: Answer) -> int:
     text = text_of(answer.text)
     if not answer.accepted:
         raise UsageError(text)

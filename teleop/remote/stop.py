@@ -52,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
         if args.watch:
             return watch(link, stop, args.why)
         action = RESET if args.reset else CALL
-        states = ask(link, role, action, args.why or "teleop stop", stop)
+        states = request_all(link, role, action, args.why or "teleop stop", stop)
     for side, state in states.items():
         print(f"{side.name.lower():9} {state.name.lower()}")
     obeyed = [(state is State.STOPPED) != args.reset for state in states.values()]
@@ -67,7 +67,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def ask(
+def request_all(
     link: Link, role: Role, action: int, words: str, stop: Callable[[], bool]
 ) -> dict[Role, State]:
     """Call until every side that is there has done as asked; return their states."""
@@ -130,6 +130,6 @@ def watch(link: Link, stop: Stop, words: str) -> int:
             return 0
         if line:
             break
-    states = ask(link, Role.WATCH, CALL, words or Reason.WATCH_LOST.text, lambda: False)
+    states = request_all(link, Role.WATCH, CALL, words or Reason.WATCH_LOST.text, lambda: False)
     print("stopped: " + ", ".join(side.name.lower() for side in states))
     return 0

@@ -20,7 +20,7 @@ class Beat(NamedTuple):
     leaves: bool
 
 
-class Armed(NamedTuple):
+class ArmedWatch(NamedTuple):
     """A watch that has been heard."""
 
     watch: int
@@ -28,17 +28,17 @@ class Armed(NamedTuple):
     seen: bool  # its token, so that it can vanish
 
 
-def step(
-    armed: tuple[Armed, ...],
+def update(
+    armed: tuple[ArmedWatch, ...],
     beats: Iterable[Beat],
     present: Callable[[int], bool],
     now_ns: int,
-) -> tuple[tuple[Armed, ...], bool]:
+) -> tuple[tuple[ArmedWatch, ...], bool]:
     """Return the watches that are armed after a tick, and whether one was lost in it.
 
     Parameters
     ----------
-    armed : tuple of Armed
+    armed : tuple of ArmedWatch
         Those of the tick before.
     beats : iterable of Beat
         What was heard since, oldest first.
@@ -53,7 +53,7 @@ def step(
             known.pop(beat.watch, None)
         else:
             seen = beat.watch in known and known[beat.watch].seen
-            known[beat.watch] = Armed(beat.watch, beat.heard_ns, seen)
+            known[beat.watch] = ArmedWatch(beat.watch, beat.heard_ns, seen)
     kept = []
     for one in known.values():
         here = present(one.watch)

@@ -172,19 +172,19 @@ def check_words(args: argparse.Namespace) -> None:
 def named(words: Sequence[str], tendon: int = 0) -> Columns:
     """Return the columns' names of a tendon, from 0, with those given as NAME=COLUMN put in."""
     known = [f.name for f in dataclasses.fields(Columns)]
-    given = {}
+    renamed = {}
     for word in words:
         name, equals, column = word.partition("=")
         if name not in known or not equals or not column:
             raise UsageError(
                 f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(known)}"
             )
-        given[name] = column
-    return dataclasses.replace(Columns.of_tendon(tendon + 1), **given)
+        renamed[name] = column
+    return dataclasses.replace(Columns.of_tendon(tendon + 1), **renamed)
 
 
 def of_tendon(
-    k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.Given
+    k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
 ) -> TendonConfig:
     """Return tendon `k`, from 0, with the model file that is for it; one model is for all."""
     count = max(sum(map(len, joints)), len(known), k + 1)
@@ -359,10 +359,10 @@ def format_report(summary: dict[str, Any]) -> list[str]:
             "WARNING   the displacement contradicts the tension: without it the estimate is far "
             "better. Is its unit the metre, and positive while pulling?"
         )
-    told = [
+    flags = [
         f"{name.replace('_', ' ')} {share:.0%}"
         for name, share in summary["status"].items()
         if share
     ]
-    lines.append("status    " + (", ".join(told) or "no warnings"))
+    lines.append("status    " + (", ".join(flags) or "no warnings"))
     return lines

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 
-class Memory(NamedTuple):
+class MotionState(NamedTuple):
     """What a motion remembers from sample to sample."""
 
     leg: int = 0  # of the tensions to turn at, the one aimed for
     target: float = 0.0  # [m] where the motor was last sent
 
 
-class Seen(NamedTuple):
+class MotionSample(NamedTuple):
     """What a motion may go by: one sample."""
 
     time_s: float  # [s] since the start
@@ -24,7 +24,7 @@ class Seen(NamedTuple):
 class Motion(Protocol):
     """Where to send one motor next."""
 
-    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
         """Return the motor position wanted [m] at the next sample, and the new memory."""
 
 
@@ -39,13 +39,13 @@ class Turns:
     levels: tuple[float, ...]  # [N] no two neighbours alike, last and first included
     speed: float  # [m/s]
 
-    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
         leg = memory.leg
         if self._direction(leg) * (seen.tension - self._level(leg)) >= 0.0:
             leg += 1
         target = memory.target + self._direction(leg) * self.speed * seen.dt
-        return target, Memory(leg, target)
+        return target, MotionState(leg, target)
 
     def _level(self, leg: int) -> float:
         return self.levels[leg % len(self.levels)]
@@ -61,7 +61,7 @@ class Sine:
     stroke: float  # [m]
     period: float  # [s]
 
-    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
         turn = 2.0 * math.pi * (seen.time_s + seen.dt) / self.period
         target = 0.5 * self.stroke * (1.0 - math.cos(turn))
@@ -80,7 +80,7 @@ class Keep:
     admittance: float = 0.03  # [m/(s N)]
     band: float = 0.1  # [N] to either side, against hunting: a short piece of tendon is stiff
 
-    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
         error = self.tension - seen.tension
         error -= min(max(error, -self.band), self.band)

@@ -20,12 +20,12 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.config import SlaveConfig
-from slave.rigs.simulated.effect_text import described, late
+from slave.rigs.simulated.effect_text import describe_effect, late
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.config import load
 from teleop.data.table import Columns, check_destination, write_table
 from teleop.errors import UsageError
-from teleop.tools.motion import MOTIONS, Keep, Memory, Motion, Scale, Seen
+from teleop.tools.motion import MOTIONS, Keep, Motion, MotionSample, MotionState, Scale
 
 KEEP = 0.5  # [N] enough for a tendon not to go slack
 FOLLOW_SPEED = 0.04  # [m/s] most that the loose tendon's motor goes
@@ -154,7 +154,7 @@ def simulate(
     loose = Keep(keep, FOLLOW_SPEED)
     pair = (motion, loose) if side == "a" else (loose, motion)
     motions = [m for tendons in rig.joints for m in (pair if len(tendons) == 2 else (motion,))]
-    memories = [Memory()] * rig.tendons
+    memories = [MotionState()] * rig.tendons
     period, rows = config.period, []
     due = [round(k / rate / period) for k in range(int(duration * rate + 1e-9) + 1)]
     kept, last = set(due), due[-1]
@@ -162,7 +162,7 @@ def simulate(
         for sample in rig.read(step * period):
             tensions = sample.proximal_tension.tolist()
             moves = [
-                move.step(memory, Seen(sample.time_s, tension, period))
+                move.step(memory, MotionSample(sample.time_s, tension, period))
                 for move, memory, tension in zip(motions, memories, tensions, strict=True)
             ]
             memories = [memory for _, memory in moves]
@@ -235,6 +235,6 @@ def _print_summary(
                 f"(load_cell.range){beyond}"
             )
     for effect in config.effects:
-        print(f"effect {described(effect)}")
+        print(f"effect {describe_effect(effect)}")
     for line in late(config.effects, args.duration):
         print(line)

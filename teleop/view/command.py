@@ -34,7 +34,7 @@ from teleop.recording.replay import require_playable
 from teleop.run_config import RunConfig
 from teleop.topics import TOPICS, Role
 from teleop.view.config import LAYOUTS, ViewConfig
-from teleop.view.feed import Discard, Fed, Show, from_link, from_recording
+from teleop.view.feed import Discard, FeedCounts, Show, from_link, from_recording
 from teleop.view.scene import Scene
 from teleop.view.sinks import MODES, Mode, Sink
 
@@ -103,7 +103,9 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _show_recording(path: str, config: ViewConfig, show: Show, sink: Sink, stop: Stop) -> Fed:
+def _show_recording(
+    path: str, config: ViewConfig, show: Show, sink: Sink, stop: Stop
+) -> FeedCounts:
     """Show a recording, and stay until it has been looked at."""
     fed = from_recording(path, show, stop, config.file_period_s)
     if sink.watched:

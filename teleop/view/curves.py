@@ -100,7 +100,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         (
             Curve("energy/{}/put_in", "put_in", "put in", colours.HOUSING, factor=MILLI),
             Curve("energy/{}/taken_out", "taken_out", "taken out", colours.TRUTH, factor=MILLI),
-            Curve("energy/{}/heard", "heard", "heard", colours.ESTIMATE, factor=MILLI),
+            Curve("energy/{}/heard", "received", "received", colours.ESTIMATE, factor=MILLI),
             Curve("energy/{}/dissipated", "dissipated", "dissipated", LOSS, factor=MILLI),
             Curve("energy/{}/credit", "credit", "credit", colours.HAND, 2.0, factor=MILLI),
         ),

@@ -31,7 +31,7 @@ _BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
 @dataclass(slots=True)
-class Fed:
+class FeedCounts:
     """What went through, for the summary."""
 
     received: int = 0
@@ -39,7 +39,7 @@ class Fed:
     fault: str = ""  # why it ended, if something broke
 
 
-class Paced:
+class PacedMessages:
     """Messages held until their period is over: every block of them costs, however small it is.
 
     Parameters
@@ -75,7 +75,7 @@ def from_link(
     stop: Stop,
     drain_hz: float,
     periods_s: tuple[float, float],
-) -> Fed:
+) -> FeedCounts:
     """Show what is heard until told to stop.
 
     Parameters
@@ -85,8 +85,8 @@ def from_link(
     periods_s : tuple of two floats
         [s] between two blocks of what is drawn in space, and of the curves over time.
     """
-    fed = Fed()
-    pictures, curves = Paced(periods_s[0]), Paced(periods_s[1])
+    fed = FeedCounts()
+    pictures, curves = PacedMessages(periods_s[0]), PacedMessages(periods_s[1])
 
     def pass_on(now_ns: int, all_of_it: bool) -> None:
         for held, draw in ((pictures, show.pictures), (curves, show.curves)):
@@ -96,10 +96,10 @@ def from_link(
 
     probe_ns = 0
     for tick in Grid(drain_hz, stop):
-        heard = [(h.topic, h.data) for h in listener.drain()]
-        fed.received += len(heard)
-        curves.add(m for m in heard if m[0] in CURVES)
-        pictures.add(heard)
+        messages = [(h.topic, h.data) for h in listener.drain()]
+        fed.received += len(messages)
+        curves.add(m for m in messages if m[0] in CURVES)
+        pictures.add(messages)
         pass_on(tick.stamp_ns, all_of_it=False)
         if not sink.alive():
             fed.fault = (
@@ -115,9 +115,9 @@ def from_link(
     return fed
 
 
-def from_recording(path: str, show: Show, stop: Callable[[], bool], period_s: float) -> Fed:
+def from_recording(path: str, show: Show, stop: Callable[[], bool], period_s: float) -> FeedCounts:
     """Show a whole recording, a block of `period_s` [s] at a time."""
-    fed = Fed()
+    fed = FeedCounts()
     for block in _blocks(path, round(period_s * 1e9)):
         if stop():
             break

@@ -17,10 +17,10 @@ _LEVELS = {"fault": "ERROR", "stopped": "CRITICAL", "holding": "WARN"}
 
 def log_rows(sender: Sender, topic: AnyTopic, rows: Rows) -> None:
     """Send messages that are words."""
-    said = [_said(topic, row) for row in rows]
+    texts = [_message_text(topic, row) for row in rows]
     columns = rr.TextLog.columns(
-        text=[f"{clock(row)}  {text}" for row, (text, _) in zip(rows, said, strict=True)],
-        level=[level for _, level in said],
+        text=[f"{clock(row)}  {text}" for row, (text, _) in zip(rows, texts, strict=True)],
+        level=[level for _, level in texts],
     )
     sender.columns("log", rows, columns)
 
@@ -31,7 +31,7 @@ def clock(row: np.void) -> str:
     return str(moment).split("T")[1]
 
 
-def _said(topic: AnyTopic, row: np.void) -> tuple[str, str]:
+def _message_text(topic: AnyTopic, row: np.void) -> tuple[str, str]:
     """Return the line of one message, and its level."""
     if topic is STOP:
         action = int(row["action"])

@@ -31,7 +31,7 @@ class ProfileView:
         self._plane: Plane | None = None
         self._tail: Rows | None = None  # the newest TendonState rows
 
-    def hear(self, rows: Rows) -> None:
+    def add(self, rows: Rows) -> None:
         """Take in TendonState messages, for the interval at the tip."""
         tail = rows if self._tail is None else np.concatenate([self._tail, rows])
         self._tail = tail[tail["stamp_ns"] >= tail["stamp_ns"][-1] - _TAIL_NS]

@@ -75,7 +75,7 @@ class Scene:
         if SHEATH in batches:
             shown += self._learn(batches[SHEATH])
         if TENDONS in batches:
-            self._profiles.hear(batches[TENDONS])
+            self._profiles.add(batches[TENDONS])
             self._loops.draw(thinned(batches[TENDONS], self._config.rate_hz.loop))
         for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
             kept = thinned(rows, self._config.rate_hz.profile)

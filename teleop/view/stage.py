@@ -25,7 +25,7 @@ _TIP_GAP = 0.05  # from sheath to joint
 EYE = (0.0, -0.8, 0.78)  # where the scene is seen from, in spans from its centre
 RIGHT, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.78, 0.8]) / math.hypot(0.78, 0.8)
 _WIDE = 1.5  # the view's width over its height, a margin taken off
-_ROUNDS = 12  # of fitting the scene into the view
+_FIT_ITERATIONS = 12  # of fitting the scene into the view
 _SCALE_TALL, _SCALE_ASIDE = 0.5, 0.1  # the colour scale's height, and its place from the rest
 _TURN = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
 _LEVER = 0.16  # a joint's link and the hand's handle
@@ -164,7 +164,7 @@ def _framed(drawn: Array) -> tuple[Array, float, float, float]:
     far = float(np.linalg.norm(EYE))
     forward = -np.array(EYE) / far
     centre, span, right, tall = drawn.mean(axis=0), float(np.ptp(drawn)), 0.0, 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(_FIT_ITERATIONS):
         place = (drawn - centre) / span
         place *= far / np.maximum(far + place @ forward, 0.2 * far)[:, None]
         x, y = place @ RIGHT, place @ UP

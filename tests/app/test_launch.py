@@ -14,7 +14,7 @@ from teleop.app.launch import command, watch
 from teleop.app.launch.keys import Keys
 from teleop.app.launch.supervisor import Supervisor, wait_for
 from teleop.errors import PeerError, TeleopError
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.messages import Event, Latency, LoopReport, SlaveState, TendonState, padded, text_bytes
 from teleop.remote.requests import CALL, RESET
 from teleop.session import Reason, State
@@ -169,7 +169,7 @@ def test_words_are_printed_above_the_status_line():
 
 
 def heard(topic, message):
-    return Heard(topic, message.pack(1, 1, 0), 0, 1, 1, 0)
+    return ReceivedMessage(topic, message.pack(1, 1, 0), 0, 1, 1, 0)
 
 
 def event(role, state, text):

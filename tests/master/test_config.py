@@ -68,7 +68,7 @@ def test_the_new_device_in_the_docs_takes_less_than_50_lines_and_runs():
     [
         ("master.force.scale=-1", "scale"),
         ("master.gate.axis_max=0", "axis_max"),
-        ("master.freshness=0", "freshness"),
+        ("master.freshness=0", "state_timeout"),
         ("master.freshness=0.2", "delay_max"),
         ("master.device.type=falcon", "virtual"),
         ("master.device.mas=1", "mass"),

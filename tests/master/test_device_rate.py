@@ -95,7 +95,7 @@ class Wall:
             "force_low": force - 0.01,
             "force_high": force + 0.01,
             "energy": [port.passed_on for port in ports],
-            "wave": [port.told_wave for port in ports],
+            "wave": [port.sent_wave for port in ports],
             "coupling": self.settings.signature,
         }
 
@@ -110,7 +110,7 @@ def pressed(config, rate_hz, every, late=0):
         force=FeedbackConfig(scale=SCALE),
         gate=GateConfig(),
         operator=OperatorConfig(position_scale=1.0),
-        freshness=0.2,
+        state_timeout=0.2,
         delay_max=0.5,
     )
     settings = SettingsRecord(master, bilateral).records

@@ -37,7 +37,7 @@ CONFIG = MasterConfig(
         buttons=ButtonsConfig(engage=1, clutch=2, stop=3),
     ),
     force=FeedbackConfig(scale=0.2),
-    freshness=0.5,  # [s] on a busy machine a fault that is not meant would end the session
+    state_timeout=0.5,  # [s] on a busy machine a fault that is not meant would end the session
     delay_max=1.0,
 )
 

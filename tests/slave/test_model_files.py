@@ -11,7 +11,7 @@ import yaml
 from estimator.effects import CATALOGUE, NAMES
 from estimator.online.extension import extended
 from slave import model_files
-from slave.config import SlaveConfig, hindrance_of, tendon_configs
+from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.process import introduced
 from slave.tendon_config import TendonConfig
 from teleop.app import cli
@@ -167,8 +167,8 @@ def test_a_rig_with_a_model_of_each_sheath_needs_no_calibration():
     class Rig:
         name, joints = "bench", ((0,),)
 
-    assert hindrance_of(SlaveConfig(), Rig(), modelled=True) == ""
-    assert "no model" in hindrance_of(SlaveConfig(), Rig())
+    assert not_ready_reason(SlaveConfig(), Rig(), modelled=True) == ""
+    assert "no model" in not_ready_reason(SlaveConfig(), Rig())
 
 
 def test_the_slave_says_what_it_does_with_each_effect(file):

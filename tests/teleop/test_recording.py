@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
 from teleop.errors import TeleopError, UsageError
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.messages import LAYOUT, MESSAGES
 from teleop.process import SUPERVISED
 from teleop.recording.config import RecordConfig
@@ -31,7 +31,7 @@ from tests.teleop.recorded import START_NS, heard
 
 
 def chunk_by_chunk(
-    directory: Path, chunks: list[list[Heard]], compression: str = "zstd"
+    directory: Path, chunks: list[list[ReceivedMessage]], compression: str = "zstd"
 ) -> tuple[Path, list[int]]:
     """Record `chunks`; returns the file and its length after each of them."""
     config = RecordConfig(directory=str(directory), chunk_s=0.01, compression=compression)  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ import threading
 from collections import Counter
 
 from master.device import DeviceFault
-from master.devices.hid.drivers import Attached
+from master.devices.hid.drivers import AttachedNode
 
 
 class Claims:
@@ -18,7 +18,7 @@ class Claims:
         self._open: dict[str, str] = {}  # identity of the device at each path
         self._most: Counter[str] = Counter()  # of each identity that were ever open together
 
-    def claim(self, item: Attached) -> None:
+    def claim(self, item: AttachedNode) -> None:
         """Take a device; `DeviceFault` if another hand has it."""
         with self._lock:
             if item.path in self._open:
@@ -30,7 +30,7 @@ class Claims:
             alike = sum(identity == item.identity for identity in self._open.values())
             self._most[item.identity] = max(self._most[item.identity], alike)
 
-    def release(self, item: Attached) -> None:
+    def release(self, item: AttachedNode) -> None:
         """Let another hand have it."""
         with self._lock:
             self._open.pop(item.path, None)
@@ -46,7 +46,7 @@ class Claims:
         with self._lock:
             return frozenset(self._open)
 
-    def is_ambiguous(self, item: Attached) -> bool:
+    def is_ambiguous(self, item: AttachedNode) -> bool:
         """Return whether a device that came back may be any of several that went away.
 
         Two that were open at once and say the same of themselves, having no serial number or the

@@ -22,8 +22,8 @@ from master.device import DeviceFault
 from master.devices.hid import rules, search, signs, trial
 from master.devices.hid.descriptor import DescriptorError, parse
 from master.devices.hid.driver import Controls
-from master.devices.hid.drivers import DRIVERS, Attached
-from master.devices.hid.line import Line
+from master.devices.hid.drivers import DRIVERS, AttachedNode
+from master.devices.hid.line import DeviceConnection
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.report_text import describe
@@ -39,8 +39,8 @@ _ANSWERS = {"l": 1, "s": -1, "n": 0}
 class Person(NamedTuple):
     """Who stands at the device: told things and asked others."""
 
-    tell: Callable[[str], None] = print
-    ask: Callable[[str], str] = input
+    write: Callable[[str], None] = print
+    prompt: Callable[[str], str] = input
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,7 +77,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def listed(items: Sequence[Attached]) -> list[str]:
+def listed(items: Sequence[AttachedNode]) -> list[str]:
     """Return a table of what is attached."""
     if not items:
         return ["no HID device is attached"]
@@ -93,7 +93,7 @@ def listed(items: Sequence[Attached]) -> list[str]:
     ]
 
 
-def fitting(items: Sequence[Attached]) -> list[tuple[int, int, str]]:
+def fitting(items: Sequence[AttachedNode]) -> list[tuple[int, int, str]]:
     """Return vendor, product and name of what a driver fits."""
     return [
         (item.vendor, item.product, item.name or item.model)
@@ -102,7 +102,7 @@ def fitting(items: Sequence[Attached]) -> list[tuple[int, int, str]]:
     ]
 
 
-def the_one(find: str) -> Attached:
+def the_one(find: str) -> AttachedNode:
     """Return the device that is meant, whether a driver fits it or not."""
     everything = search.attached()
     if not everything:
@@ -118,7 +118,7 @@ def the_one(find: str) -> Attached:
     raise UsageError(f"{wanted}\n{table}")
 
 
-def probed(item: Attached, watched_s: float) -> list[str]:
+def probed(item: AttachedNode, watched_s: float) -> list[str]:
     """Return what a device says of itself, and how often it says anything."""
     one = search.examine(item)
     data = one.descriptor
@@ -133,7 +133,7 @@ def probed(item: Attached, watched_s: float) -> list[str]:
     return [*lines, "", one.not_ready_reason or rate(item, watched_s)]
 
 
-def rate(item: Attached, watched_s: float) -> str:
+def rate(item: AttachedNode, watched_s: float) -> str:
     """Count the reports of a device for some time; return what came."""
     node = Node(item.path, str(item))
     try:
@@ -158,24 +158,24 @@ def test(find: str, driver: str, file: Path | None, watched_s: float, person: Pe
     """Guide a person through all inputs and forces of a device, and keep the signs found."""
     found = search.choose(find, driver)
     known = signs.load(file) if file is None or file.exists() else signs.Signs()
-    line = Line(found, PidConfig())
+    line = DeviceConnection(found, PidConfig())
     try:
-        person.tell(f"{found.item}, driver {found.kind}")
-        person.tell(f"Move every axis to both ends and press every button ({watched_s:g} s).")
-        for said in watched(line, watched_s):
-            person.tell(said)
+        person.write(f"{found.item}, driver {found.kind}")
+        person.write(f"Move every axis to both ends and press every button ({watched_s:g} s).")
+        for line_text in watched(line, watched_s):
+            person.write(line_text)
         if not line.driver.forces:
-            person.tell("It has no force to be tried.")
+            person.write("It has no force to be tried.")
         for axis in line.driver.forces:
             sign = asked_sign(line, axis, person)
             if not sign:
-                person.tell(f"{axis}: sign not found, so it will render no force")
+                person.write(f"{axis}: sign not found, so it will render no force")
                 continue
             known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
             signs.save(file, known)
-            person.tell(f"{axis}: sign {sign:+d}, kept in {file or signs.default_path()}")
+            person.write(f"{axis}: sign {sign:+d}, kept in {file or signs.default_path()}")
             if not found.item.serial:
-                person.tell(
+                person.write(
                     "It has no serial number: another one of its kind, wired the other way, would "
                     "be taken for it. Test anew whatever you plug in instead."
                 )
@@ -183,7 +183,7 @@ def test(find: str, driver: str, file: Path | None, watched_s: float, person: Pe
         line.end(1.0)
 
 
-def watched(line: Line, watched_s: float) -> list[str]:
+def watched(line: DeviceConnection, watched_s: float) -> list[str]:
     """Show the inputs for some time; return how far each axis went and which buttons were seen."""
     status, start = StatusLine(), time.monotonic()
     low: dict[str, float] = {}
@@ -212,7 +212,7 @@ def watched(line: Line, watched_s: float) -> list[str]:
     ]
 
 
-def _shown(line: Line, controls: Controls) -> str:
+def _shown(line: DeviceConnection, controls: Controls) -> str:
     axes = " ".join(
         f"{name} {share:+.2f}" for name, share in zip(line.driver.axes, controls.axes, strict=True)
     )
@@ -220,7 +220,7 @@ def _shown(line: Line, controls: Controls) -> str:
     return f"{axes}  buttons {' '.join(held)}"
 
 
-def asked_sign(line: Line, axis: str, person: Person) -> int:
+def asked_sign(line: DeviceConnection, axis: str, person: Person) -> int:
     """Push one axis and see where it goes, or else ask; return its sign, 0 = not found."""
     most = f"{trial.GENTLE[-1]:.0%}"
     answer = _answer(
@@ -235,7 +235,7 @@ def asked_sign(line: Line, axis: str, person: Person) -> int:
     sign = trial.find_sign(line, place, force, count, time.monotonic, time.sleep)
     if sign:
         return sign
-    person.tell(f"{axis} did not move by itself.")
+    person.write(f"{axis} did not move by itself.")
     answer = _answer(
         person,
         "Hold it half-way, or pull it slowly through if it is a trigger; it is pushed twice for "
@@ -245,21 +245,21 @@ def asked_sign(line: Line, axis: str, person: Person) -> int:
         return 0
     for share, way in ((trial.GENTLE[-1], 1), (-trial.GENTLE[-1], -1)):
         trial.hold(line, force, count, share, time.monotonic, time.sleep)
-        felt = ""
-        while felt[:1] not in _ANSWERS:
-            felt = _answer(
+        reply = ""
+        while reply[:1] not in _ANSWERS:
+            reply = _answer(
                 person,
                 "Did it push to [l]arger values, to [s]maller ones, or did you feel [n]one? ",
             )
-        if _ANSWERS[felt[0]]:
-            return way * _ANSWERS[felt[0]]
+        if _ANSWERS[reply[0]]:
+            return way * _ANSWERS[reply[0]]
     return 0
 
 
 def _answer(person: Person, question: str) -> str:
     sys.stdout.flush()
     try:
-        return person.ask(question).strip().lower()
+        return person.prompt(question).strip().lower()
     except EOFError as error:
         raise UsageError(
             "teleop devices test: needs someone to answer; run it in a terminal"

@@ -53,15 +53,15 @@ class ButtonsConfig:
 
     def __post_init__(self) -> None:
         """Refuse a button with two meanings."""
-        given = self.given
-        for name, number in given.items():
+        assigned = self.assigned
+        for name, number in assigned.items():
             if not 1 <= number <= 128:
                 raise ValueError(f"{name}: must be within 1 ... 128")
-        if len(set(given.values())) != len(given):
-            raise ValueError(f"{', '.join(given)}: must be different buttons")
+        if len(set(assigned.values())) != len(assigned):
+            raise ValueError(f"{', '.join(assigned)}: must be different buttons")
 
     @property
-    def given(self) -> dict[str, int]:
+    def assigned(self) -> dict[str, int]:
         """The buttons that there are: `HandState`'s name of each, and its number."""
         numbers = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "find"}
         return {name: number for name, number in numbers.items() if number is not None}

@@ -7,27 +7,27 @@ from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.hid import mapping, search, signs
 from master.devices.hid.claims import CLAIMS
 from master.devices.hid.config import HidConfig
-from master.devices.hid.drivers import INPUTS_ONLY, PID, Attached
-from master.devices.hid.line import Line
+from master.devices.hid.drivers import INPUTS_ONLY, PID, AttachedNode
+from master.devices.hid.line import DeviceConnection
 from master.devices.hid.pid import PidConfig, PidDriver
-from master.devices.hid.search import Found
+from master.devices.hid.search import FoundDevice
 from master.devices.hid.seeker import Seeker
 from master.devices.hid.signs import Signs
 
 _PATIENCE_S = 2.0  # for taking the force away at the end; a write may hang for 5 s
 
 
-class Opened:
+class OpenedDevice:
     """The device, the one with its buttons (mostly the same), and the way to the hand."""
 
-    def __init__(self, config: HidConfig, known: Signs, found: tuple[Found, ...]) -> None:
-        self.lines: list[Line] = []
+    def __init__(self, config: HidConfig, known: Signs, found: tuple[FoundDevice, ...]) -> None:
+        self.lines: list[DeviceConnection] = []
         pid = config.pid if trusted(found[0], known) else PidConfig()
         CLAIMS.claim(found[0].item)
-        self._claimed: Attached | None = found[0].item
+        self._claimed: AttachedNode | None = found[0].item
         try:
             for one in found:
-                self.lines.append(Line(one, pid))
+                self.lines.append(DeviceConnection(one, pid))
             self.device, self.switches = self.lines[0], self.lines[-1]
             buttons = self.switches.driver.buttons
             found_signs = known.of(found[0].pusher)
@@ -59,14 +59,14 @@ class HidDevice:
 
     def __init__(self, config: HidConfig, say: Callable[[str], None] = print) -> None:
         self._config = config
-        self._found: tuple[Found, ...] = (search.choose(config.find, config.driver),)
+        self._found: tuple[FoundDevice, ...] = (search.choose(config.find, config.driver),)
         if config.buttons.find:
             self._found += (search.choose(config.buttons.find, INPUTS_ONLY),)
         self._signs = signs.load(config.signs)
-        opened = Opened(config, self._signs, self._found)
+        opened = OpenedDevice(config, self._signs, self._found)
         self.axes = opened.plan.joints
-        self._opened: Opened | None = opened
-        self._seeker: Seeker[Opened] | None = None
+        self._opened: OpenedDevice | None = opened
+        self._seeker: Seeker[OpenedDevice] | None = None
         self._lost = ""
         self._memory = mapping.start(self.axes)
         self._time_s = 0.0
@@ -111,7 +111,7 @@ class HidDevice:
         if self._seeker is not None:
             self._seeker.end(_PATIENCE_S)
 
-    def _lose(self, opened: Opened, fault: DeviceFault) -> DeviceLost:
+    def _lose(self, opened: OpenedDevice, fault: DeviceFault) -> DeviceLost:
         self._opened = None
         self._memory = mapping.start(self.axes)._replace(position=self._memory.position)
         self._lost = f"{fault}; waiting for it"
@@ -119,7 +119,7 @@ class HidDevice:
         self._seeker = Seeker(opened, lambda: self._open_again(before))
         return DeviceLost(self._lost)
 
-    def _open_again(self, before: frozenset[str]) -> Opened:
+    def _open_again(self, before: frozenset[str]) -> OpenedDevice:
         device, *switches = self._found
         back = [search.again(device, before, CLAIMS.paths())]
         if CLAIMS.is_ambiguous(device.item):
@@ -128,9 +128,9 @@ class HidDevice:
                 "numbers do not tell which is which; restart the master"
             )
         back += [search.again(one, before) for one in switches]
-        return Opened(self._config, self._signs, tuple(back))
+        return OpenedDevice(self._config, self._signs, tuple(back))
 
-    def _returned(self) -> Opened:
+    def _returned(self) -> OpenedDevice:
         assert self._seeker is not None  # noqa: S101 - set when the device was lost
         if self._seeker.found is None:
             raise DeviceLost(self._seeker.trouble or self._lost)
@@ -138,7 +138,7 @@ class HidDevice:
         return self._opened
 
 
-def trusted(found: Found, known: Signs) -> bool:
+def trusted(found: FoundDevice, known: Signs) -> bool:
     """Return whether a device may push by itself: it was found to push each axis as it should.
 
     One whose sign is -1 has a motor that is wired the other way round, and then its own spring
@@ -150,7 +150,7 @@ def trusted(found: Found, known: Signs) -> bool:
     )
 
 
-def described(config: HidConfig, found: tuple[Found, ...], known: Signs) -> list[str]:
+def described(config: HidConfig, found: tuple[FoundDevice, ...], known: Signs) -> list[str]:
     """Return what the operator should know of a device that was just opened."""
     lines = [f"device: {found[0].item}, driver {found[0].kind}"]
     lines += [f"buttons: {one.item}, driver {one.kind}" for one in found[1:]]

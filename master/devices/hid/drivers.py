@@ -18,7 +18,7 @@ _JOYSTICK, _GAMEPAD, _MULTI_AXIS = (0x01, 0x04), (0x01, 0x05), (0x01, 0x08)  # p
 _VENDOR_PAGES = 0xFF00  # and above
 
 
-class Attached(NamedTuple):
+class AttachedNode(NamedTuple):
     """One HID node, as the system lists it."""
 
     path: str
@@ -40,7 +40,7 @@ class Attached(NamedTuple):
         """What it says that it is: another one without a serial number says the same."""
         return f"{self.model}:{self.serial}" if self.serial else self.model
 
-    def same_as(self, other: "Attached") -> bool:
+    def same_as(self, other: "AttachedNode") -> bool:
         """Return whether this is `other`, wherever it is plugged in now."""
         return self[1:] == other[1:]
 
@@ -52,13 +52,15 @@ class Attached(NamedTuple):
 class Kind(NamedTuple):
     """A driver, and what is known of the devices it is for."""
 
-    misfit: Callable[[Attached, bytes], str]  # (device, its descriptor) -> why not; empty = fits
-    make: Callable[[Attached, bytes, PidConfig], Driver]  # raises DriverError, DescriptorError
+    misfit: Callable[
+        [AttachedNode, bytes], str
+    ]  # (device, its descriptor) -> why not; empty = fits
+    make: Callable[[AttachedNode, bytes, PidConfig], Driver]  # raises DriverError, DescriptorError
     forgets: bool = True  # whether a force ends by itself when the host falls silent
     heartbeat: float = math.inf  # [s] by which it has always sent something
 
 
-def _not_pid(_item: Attached, descriptor: bytes) -> str:
+def _not_pid(_item: AttachedNode, descriptor: bytes) -> str:
     try:
         PidDriver(descriptor)
     except ValueError as error:  # DescriptorError, DriverError
@@ -66,7 +68,7 @@ def _not_pid(_item: Attached, descriptor: bytes) -> str:
     return ""
 
 
-def _not_ffbeast(item: Attached, _descriptor: bytes) -> str:
+def _not_ffbeast(item: AttachedNode, _descriptor: bytes) -> str:
     if (item.vendor, item.product) != (ffbeast.VENDOR, ffbeast.PRODUCT):
         return "it is no FFBeast wheel"
     if any(page < _VENDOR_PAGES for page, _ in item.usages):
@@ -74,12 +76,12 @@ def _not_ffbeast(item: Attached, _descriptor: bytes) -> str:
     return ""
 
 
-def _not_dualsense(item: Attached, _descriptor: bytes) -> str:
+def _not_dualsense(item: AttachedNode, _descriptor: bytes) -> str:
     fits = item.vendor == dualsense.VENDOR and item.product in dualsense.PRODUCTS
     return "" if fits else "it is no DualSense"
 
 
-def _not_spacemouse(item: Attached, _descriptor: bytes) -> str:
+def _not_spacemouse(item: AttachedNode, _descriptor: bytes) -> str:
     fits = item.vendor == spacemouse.VENDOR or (
         item.vendor == spacemouse.LOGITECH and item.product in spacemouse.LOGITECH_PRODUCTS
     )
@@ -90,12 +92,12 @@ def _not_spacemouse(item: Attached, _descriptor: bytes) -> str:
     return ""
 
 
-def _not_logitech(item: Attached, _descriptor: bytes) -> str:
+def _not_logitech(item: AttachedNode, _descriptor: bytes) -> str:
     fits = item.vendor == logitech.VENDOR and item.product in logitech.PRODUCTS
     return "" if fits else "it is no classic Logitech wheel"
 
 
-def _not_joystick(item: Attached, descriptor: bytes) -> str:
+def _not_joystick(item: AttachedNode, descriptor: bytes) -> str:
     if not {_JOYSTICK, _GAMEPAD, _MULTI_AXIS} & set(item.usages):
         return "it is no joystick or gamepad"
     try:

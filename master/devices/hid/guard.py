@@ -40,8 +40,8 @@ class Guard:
         assert self.process.stdin is not None  # noqa: S101 - given as PIPE above
         assert self.process.stdout is not None  # noqa: S101
         self._pipe = self.process.stdin
-        with self.process.stdout as said:
-            ready = said.readline() == _READY
+        with self.process.stdout as stdout:
+            ready = stdout.readline() == _READY
         if not ready:
             self.end()
             raise OSError(f"{path}: nobody would take the force away")
@@ -66,12 +66,12 @@ def main(path: str, *reports: str) -> None:
     node = os.open(path, os.O_WRONLY)
     os.write(1, _READY)
     patience: float | None = None  # [s]; no force is held before the first beat
-    heard = True
-    while heard:
+    alive = True
+    while alive:
         due = not select.select([0], [], [], patience)[0]
-        heard = due or bool(os.read(0, 4096))
+        alive = due or bool(os.read(0, 4096))
         patience = None if due else SILENT_S
-        if due or not heard:
+        if due or not alive:
             for report in reports:
                 with suppress(OSError):  # it is gone, and its force with it
                     os.write(node, bytes.fromhex(report))

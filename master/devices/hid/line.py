@@ -11,24 +11,24 @@ from master.devices.hid.drivers import DRIVERS
 from master.devices.hid.guard import Guard
 from master.devices.hid.node import QUEUE, Node
 from master.devices.hid.pid import PidConfig
-from master.devices.hid.search import Found
+from master.devices.hid.search import FoundDevice
 from master.devices.hid.writer import Writer
 
 _FIRST_WORD_S = 1.0  # within which a device that always sends something has begun
 
 
-class Line:
+class DeviceConnection:
     """Opened and set up by its constructor; `DeviceFault` if that cannot be done.
 
     Attributes
     ----------
-    found : Found
+    found : FoundDevice
         Which device it is.
     driver : Driver
         Its driver.
     """
 
-    def __init__(self, found: Found, pid: PidConfig) -> None:
+    def __init__(self, found: FoundDevice, pid: PidConfig) -> None:
         self.found = found
         item, kind = found.item, DRIVERS[found.kind]
         self._guard: Guard | None = None

@@ -8,7 +8,7 @@ What the device has not reported yet is not known. An unknown input moves nothin
 button that means something and every axis with `travel` is known, the engage button counts as
 held: a session that begins, or is at fault, then wants to see it open before anything engages. In
 any other session this would be a switch that nobody has pressed, so it must be a fault when what
-was known becomes unknown: `Memory.knows` tells.
+was known becomes unknown: `MappingState.knows` tells.
 """
 
 import math
@@ -42,7 +42,7 @@ class Plan(NamedTuple):
     smoothing: float  # [s]
 
 
-class Memory(NamedTuple):
+class MappingState(NamedTuple):
     """What one read hands to the next, a number for each joint."""
 
     position: Axes  # [m]
@@ -66,7 +66,7 @@ def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, in
     DeviceFault
         The device does not have what the config asks for; the message names the key.
     """
-    for name, number in config.buttons.given.items():
+    for name, number in config.buttons.assigned.items():
         if number > buttons:
             raise DeviceFault(
                 f"buttons.{name}: there is no button {number}; the device has {buttons or 'none'}"
@@ -80,7 +80,7 @@ def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, in
         joints=max(config.joints) + 1,
         lanes=lanes,
         forces=len(driver.forces),
-        buttons=tuple((name, 1 << (n - 1)) for name, n in config.buttons.given.items()),
+        buttons=tuple((name, 1 << (n - 1)) for name, n in config.buttons.assigned.items()),
         smoothing=config.smoothing,
     )
 
@@ -113,14 +113,14 @@ def _knows(plan: Plan, controls: Controls, switches: Controls) -> bool:
     )
 
 
-def start(joints: int) -> Memory:
+def start(joints: int) -> MappingState:
     """Return the memory before the first read."""
-    return Memory((0.0,) * joints, (0.0,) * joints, (False,) * joints)
+    return MappingState((0.0,) * joints, (0.0,) * joints, (False,) * joints)
 
 
 def step(
-    plan: Plan, memory: Memory, controls: Controls, switches: Controls, dt: float
-) -> tuple[HandState, Memory]:
+    plan: Plan, memory: MappingState, controls: Controls, switches: Controls, dt: float
+) -> tuple[HandState, MappingState]:
     """Return the hand after `dt` [s]; `switches` are the controls that have the buttons."""
     held = {name: bool(mask & switches.buttons) for name, mask in plan.buttons}
     knows = _knows(plan, controls, switches)
@@ -146,7 +146,7 @@ def step(
         velocity=tuple(velocity),
         **{**held, "engage": held["engage"] or not knows},
     )
-    return hand, Memory(hand.position, hand.velocity, tuple(known), knows)
+    return hand, MappingState(hand.position, hand.velocity, tuple(known), knows)
 
 
 def beyond(share: Share, dead_zone: float) -> Share:

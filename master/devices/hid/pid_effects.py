@@ -47,10 +47,10 @@ def _loaded(part: Part, device: Features) -> tuple[int, bool]:
         reply = device.get_feature(part.number, part.length)
         if len(reply) < part.length or reply[0] != part.number:
             continue
-        said, block = get(reply, status), get(reply, index)
-        if said == success and block > 0:
+        load_status, block = get(reply, status), get(reply, index)
+        if load_status == success and block > 0:
             return block, False
-        if said == full:
+        if load_status == full:
             return 0, True
     return 0, False
 

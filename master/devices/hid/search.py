@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, Attached
+from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, AttachedNode
 from master.devices.hid.node import REMEDY, Node, backend
 from master.devices.hid.signs import Pusher
 
@@ -19,10 +19,10 @@ class NotThereError(DeviceFault):
     """A device is not attached."""
 
 
-class Found(NamedTuple):
+class FoundDevice(NamedTuple):
     """A device, and the driver for it."""
 
-    item: Attached
+    item: AttachedNode
     kind: str  # key of `DRIVERS`
     descriptor: bytes
 
@@ -33,10 +33,10 @@ class Found(NamedTuple):
         return Pusher(self.item.identity, self.kind, layout)
 
 
-class Examined(NamedTuple):
+class ExaminedNode(NamedTuple):
     """What is known of a node from outside."""
 
-    item: Attached
+    item: AttachedNode
     descriptor: bytes
     misfits: dict[str, str]  # for each driver why it does not fit; empty if it does
     not_ready_reason: (
@@ -49,9 +49,9 @@ class Examined(NamedTuple):
         return [name for name, why_not in self.misfits.items() if not why_not]
 
 
-def attached() -> tuple[Attached, ...]:
+def attached() -> tuple[AttachedNode, ...]:
     """Return all HID nodes of this machine, by path; `DeviceFault` without hidapi."""
-    nodes: dict[str, Attached] = {}
+    nodes: dict[str, AttachedNode] = {}
     for entry in backend().enumerate():
         path = os.fsdecode(entry["path"])
         usage = (entry.get("usage_page", 0), entry.get("usage", 0))
@@ -59,7 +59,7 @@ def attached() -> tuple[Attached, ...]:
         if known is not None:  # once for each of its outermost collections
             nodes[path] = known._replace(usages=(*known.usages, usage))
             continue
-        nodes[path] = Attached(
+        nodes[path] = AttachedNode(
             path,
             entry["vendor_id"],
             entry["product_id"],
@@ -76,7 +76,7 @@ def attached() -> tuple[Attached, ...]:
     return tuple(nodes[path] for path in sorted(nodes))
 
 
-def beside(found: Found) -> frozenset[str]:
+def beside(found: FoundDevice) -> frozenset[str]:
     """Return the paths of what is attached besides a device, and may be a device too.
 
     For the moment in which it goes away, so without asking the system for more than names: where
@@ -89,7 +89,7 @@ def beside(found: Found) -> frozenset[str]:
         return frozenset()
 
 
-def descriptor(item: Attached) -> bytes:
+def descriptor(item: AttachedNode) -> bytes:
     """Return a device's report descriptor; `DeviceFault` if nothing tells it without permission."""
     try:
         return (_SYSTEM / Path(item.path).name / "device/report_descriptor").read_bytes()
@@ -101,25 +101,25 @@ def descriptor(item: Attached) -> bytes:
         node.close()
 
 
-def examine(item: Attached) -> Examined:
+def examine(item: AttachedNode) -> ExaminedNode:
     """Return which drivers fit a device, and whether it may be opened."""
     try:
         data = descriptor(item)
     except DeviceFault as fault:
         why = str(fault).removeprefix(f"{item}: ")
-        return Examined(item, b"", dict.fromkeys(DRIVERS, why), why)
+        return ExaminedNode(item, b"", dict.fromkeys(DRIVERS, why), why)
     misfits = {name: kind.misfit(item, data) for name, kind in DRIVERS.items()}
-    return Examined(item, data, misfits, _barred(item))
+    return ExaminedNode(item, data, misfits, _barred(item))
 
 
-def _barred(item: Attached) -> str:
+def _barred(item: AttachedNode) -> str:
     path = Path(item.path)
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):
         return f"you may not open {item.path}; {REMEDY}"
     return ""
 
 
-def choose(find: str, driver: str) -> Found:
+def choose(find: str, driver: str) -> FoundDevice:
     """Return the device that a config means.
 
     Parameters
@@ -138,7 +138,7 @@ def choose(find: str, driver: str) -> Found:
     everything = attached()
     meant = [examine(item) for item in everything if matches(item, find)]
     fitting = _one_of_each(
-        Found(one.item, name, one.descriptor)
+        FoundDevice(one.item, name, one.descriptor)
         for one in meant
         for name in one.fits
         if driver in ("auto", name)
@@ -156,7 +156,9 @@ def choose(find: str, driver: str) -> Found:
     return fitting[0]
 
 
-def again(found: Found, before: frozenset[str], taken: frozenset[str] = frozenset()) -> Found:
+def again(
+    found: FoundDevice, before: frozenset[str], taken: frozenset[str] = frozenset()
+) -> FoundDevice:
     """Return the same device where it is now.
 
     Parameters
@@ -187,54 +189,54 @@ def again(found: Found, before: frozenset[str], taken: frozenset[str] = frozense
     return found._replace(item=same[0])
 
 
-def matches(item: Attached, find: str) -> bool:
+def matches(item: AttachedNode, find: str) -> bool:
     """Return whether `find` means this device."""
     if not find:
         return True
     return find.lower() in (item.model, item.serial.lower(), item.path.lower())
 
 
-def _one_of_each(all_found: Iterable[Found]) -> list[Found]:
+def _one_of_each(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
     """Keep one way to each device: what has several interfaces may fit several drivers.
 
     Nodes of one model and serial number, if any, are of one device as long as each is another
     interface. If two are the same one, these are two devices.
     """
-    best: dict[str, Found] = {}
+    best: dict[str, FoundDevice] = {}
     for found in all_found:
         best.setdefault(found.item.path, found)  # the best comes first
-    alike: dict[str, list[Found]] = {}
+    alike: dict[str, list[FoundDevice]] = {}
     for found in best.values():
         alike.setdefault(found.item.identity, []).append(found)
-    kept: list[Found] = []
+    kept: list[FoundDevice] = []
     for group in alike.values():
         one_device = len({found.item.interface for found in group}) == len(group)
         kept += [min(group, key=_rank)] if one_device else group
     return kept
 
 
-def _rank(found: Found) -> int:
+def _rank(found: FoundDevice) -> int:
     return list(DRIVERS).index(found.kind)
 
 
 def _missing(
-    find: str, driver: str, meant: Sequence[Examined], everything: Sequence[Attached]
+    find: str, driver: str, meant: Sequence[ExaminedNode], everything: Sequence[AttachedNode]
 ) -> str:
     if not everything:
         return "no haptic device is attached; plug one in (no HID device at all is there)"
     if not meant:
         listed = _listed(everything)
         return f"no device {find!r} is attached; plug it in, or correct find (attached: {listed})"
-    whys: dict[str, list[Attached]] = {}
+    whys: dict[str, list[AttachedNode]] = {}
     for one in meant:
         reasons = list(one.misfits.values()) if driver == "auto" else [one.misfits[driver]]
         if len(meant) > 1:
             del reasons[1:]  # the first stands for all, or the line would have no end
         whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(one.item)
-    told = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
+    listed = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
     wanted = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
-    return f"{wanted}: {told}" if find else f"{wanted} anything that is attached: {told}"
+    return f"{wanted}: {listed}" if find else f"{wanted} anything that is attached: {listed}"
 
 
-def _listed(items: Iterable[Attached]) -> str:
+def _listed(items: Iterable[AttachedNode]) -> str:
     return ", ".join(map(str, items))

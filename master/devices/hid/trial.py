@@ -18,8 +18,8 @@ STEP_S = 0.002  # [s] between two looks
 HOLD_S = 2.0  # [s] of a push that a person is asked about
 
 
-class Pushed(Protocol):
-    """A device that can be pushed (`master.devices.hid.line.Line`)."""
+class PushableDevice(Protocol):
+    """A device that can be pushed (`master.devices.hid.line.DeviceConnection`)."""
 
     def read(self, time_s: float) -> Controls:
         """Return what the inputs say."""
@@ -43,7 +43,7 @@ def sign_of(forth: Share, back: Share) -> int:
 
 
 def find_sign(
-    device: Pushed, axis: int, force: int, forces: int, clock: Clock, sleep: Sleep
+    device: PushableDevice, axis: int, force: int, forces: int, clock: Clock, sleep: Sleep
 ) -> int:
     """Push one force axis both ways, ever harder until it moves; return its sign, 0 = not found.
 
@@ -65,7 +65,13 @@ def find_sign(
 
 
 def push(
-    device: Pushed, axis: int, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep
+    device: PushableDevice,
+    axis: int,
+    force: int,
+    forces: int,
+    share: Share,
+    clock: Clock,
+    sleep: Sleep,
 ) -> Share:
     """Push one way until the axis has moved; return how far. The device is left without force."""
     none = (0.0,) * forces
@@ -83,7 +89,7 @@ def push(
     return 0.0 if math.isnan(moved) else moved
 
 
-def _wait(device: Pushed, none: tuple[Share, ...], clock: Clock, sleep: Sleep) -> None:
+def _wait(device: PushableDevice, none: tuple[Share, ...], clock: Clock, sleep: Sleep) -> None:
     end = clock() + REST_S
     while clock() < end:
         device.post(none)
@@ -91,7 +97,9 @@ def _wait(device: Pushed, none: tuple[Share, ...], clock: Clock, sleep: Sleep) -
         sleep(STEP_S)
 
 
-def hold(device: Pushed, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep) -> None:
+def hold(
+    device: PushableDevice, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep
+) -> None:
     """Push one way for `HOLD_S`, for a person to feel it; the device is left without force."""
     pushed = tuple(share if k == force else 0.0 for k in range(forces))
     end = clock() + HOLD_S

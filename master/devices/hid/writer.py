@@ -32,14 +32,14 @@ class Sink(Protocol):
         """Let go of it."""
 
 
-class Post(NamedTuple):
+class PostedForce(NamedTuple):
     """A force that somebody wants."""
 
     force: Force
     at_s: float
 
 
-class Memory(NamedTuple):
+class WriterState(NamedTuple):
     """What was written last."""
 
     reports: tuple[bytes, ...] = ()
@@ -47,13 +47,13 @@ class Memory(NamedTuple):
 
 
 def step(
-    driver: Driver, memory: Memory, force: Force, now_s: float
-) -> tuple[tuple[bytes, ...], Memory]:
+    driver: Driver, memory: WriterState, force: Force, now_s: float
+) -> tuple[tuple[bytes, ...], WriterState]:
     """Return the reports to be written now for `force`: those that change anything, or remind."""
     arm = now_s - memory.armed_s >= ARM_S
     reports = driver.encode(force, arm)
     due = reports if arm else tuple(r for r in reports if r not in memory.reports)
-    return due, Memory(reports, now_s if arm else memory.armed_s)
+    return due, WriterState(reports, now_s if arm else memory.armed_s)
 
 
 class Writer:
@@ -81,7 +81,7 @@ class Writer:
         self._node, self._driver, self._beat, self._clock = node, driver, beat, clock
         self._none: Force = (0.0,) * len(driver.forces)
         self._changed = threading.Condition()
-        self._posted: Post | None = None
+        self._posted: PostedForce | None = None
         self._ending = False
         self._writing_since_s = math.inf
         self._thread = threading.Thread(target=self._run, name="hid writer", daemon=True)
@@ -95,7 +95,7 @@ class Writer:
     def post(self, force: Force) -> None:
         """Have `force` rendered from now on; never waits."""
         with self._changed:
-            self._posted = Post(force, self._clock())
+            self._posted = PostedForce(force, self._clock())
             self._changed.notify()
 
     def end(self, patience_s: float = 0.0) -> bool:
@@ -125,7 +125,7 @@ class Writer:
             self._node.close()
 
     def _write_posts(self) -> None:
-        memory, force = Memory(), self._none
+        memory, force = WriterState(), self._none
         while True:
             posted = self._next(ABANDONED_S if any(force) else None)
             if self._ending:
@@ -143,7 +143,7 @@ class Writer:
                 self._node.write(report)
             self._writing_since_s = math.inf
 
-    def _next(self, patience_s: float | None) -> Post | None:
+    def _next(self, patience_s: float | None) -> PostedForce | None:
         """Return the newest post; None if none comes within `patience_s`, or at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._posted is not None or self._ending, patience_s)

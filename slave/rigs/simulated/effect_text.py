@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from slave.rigs.simulated.plant.effects import EffectConfig
 
 
-def described(effect: EffectConfig) -> str:
+def describe_effect(effect: EffectConfig) -> str:
     """Return an effect in one line: its name, its numbers, where and since when."""
     values = {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect)}
     name, joint, start = (values.pop(key) for key in ("type", "joint", "start"))

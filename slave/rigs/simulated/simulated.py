@@ -221,7 +221,7 @@ class SimulatedRig:
         time = self._step * self._period
         if not self._effects:
             return (RigSample(time, *self._sensed.reading),)
-        reading = self._samples.passed(time, self._sensed.reading)
+        reading = self._samples.transmit(time, self._sensed.reading)
         return () if reading is None else (RigSample(time, *reading),)
 
     def advance(self) -> RigSample | None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from teleop.app.launch.keys import Keys
 from teleop.app.launch.supervisor import Child, Supervisor
 from teleop.errors import PeerError, TeleopError
-from teleop.link import Heard, Link, Listener
+from teleop.link import Link, Listener, ReceivedMessage
 from teleop.messages import Event, Latency, LoopReport, text_of
 from teleop.process import Stop
 from teleop.remote.requests import call_reset, call_stop
@@ -25,17 +25,17 @@ class Hearing:
     def __init__(self) -> None:
         self.reports: dict[Role, LoopReport] = {}
         self.latency: Latency | None = None
-        self._said: dict[int, str] = {}  # last, by each role
+        self._last_text: dict[int, str] = {}  # last, by each role
 
     @property
     def running(self) -> bool:
         """Whether both loops have reported."""
         return Role.MASTER in self.reports and Role.SLAVE in self.reports
 
-    def take(self, heard: Iterable[Heard]) -> list[str]:
+    def take(self, messages: Iterable[ReceivedMessage]) -> list[str]:
         """Take in events and reports; return what is worth a line."""
         lines = []
-        for item in heard:
+        for item in messages:
             if item.topic is REPORT:
                 report = LoopReport.unpack(item.data)
                 if report.role in (Role.MASTER, Role.SLAVE):
@@ -45,9 +45,9 @@ class Hearing:
             else:
                 event = Event.unpack(item.data)
                 text = text_of(event.text)
-                if text != self._said.get(event.role):
+                if text != self._last_text.get(event.role):
                     lines.append(f"[{role_name(event.role)}] {text}")
-                self._said[event.role] = text
+                self._last_text[event.role] = text
         return lines
 
 

@@ -45,7 +45,7 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     )
 
 
-class Repeated:
+class RepeatedRuns:
     """Repeats a measurement as the options say, and tells what came of it."""
 
     def __init__(self, name: str, args: argparse.Namespace) -> None:
@@ -93,7 +93,7 @@ def repeat(
     name: str, args: argparse.Namespace, measure: Callable[[Path, float, RunConfig], Row]
 ) -> int:
     """Measure one session again and again; `measure` takes its config file, seconds and config."""
-    repeated = Repeated(name, args)
+    repeated = RepeatedRuns(name, args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
         config = args.config or rigs.write_config(
             Path(folder) / "session.yaml", joints_of(args.joints)

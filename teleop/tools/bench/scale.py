@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
     numbers = sorted({runs.joints_of(number) for number in args.joints})
-    repeated = runs.Repeated("scale", args)
+    repeated = runs.RepeatedRuns("scale", args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
         configs = {n: rigs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
         repeated.warm_up(configs[numbers[0]])

@@ -49,24 +49,24 @@ def run_session(config: Path, seconds: float) -> Measured:
             start_new_session=True,  # Ctrl-C is for us to handle
         )
         stack.callback(_end, process)
-        heard = _Heard(process)
-        heard.await_engaged()
+        output = _SessionOutput(process)
+        output.await_engaged()
         time.sleep(_SETTLE_S)
         processes = {"run": process.pid, **cpu.children(process.pid)}
         before = cpu.sample(processes)
         time.sleep(max(seconds - 2 * _SETTLE_S, _SETTLE_S))
         after = cpu.sample(processes)
-        heard.await_end(seconds)
+        output.await_end(seconds)
         summary = json.loads(out.read_text())
         for side in SIDES:
             if summary.get(side) is None:
                 raise TeleopError(
-                    f"the {side} of the session to measure was killed: {heard.last()}"
+                    f"the {side} of the session to measure was killed: {output.last()}"
                 )
         return Measured(summary, cpu.percent(processes, before, after))
 
 
-class _Heard:
+class _SessionOutput:
     """Reads what a session prints."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
@@ -100,8 +100,8 @@ class _Heard:
         self._engaged.set()
 
     def last(self) -> str:
-        said = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
-        return said[-1].removeprefix(COMPLAINT) if said else "it said nothing"
+        complaints = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
+        return complaints[-1].removeprefix(COMPLAINT) if complaints else "it said nothing"
 
 
 def _end(process: subprocess.Popen[str]) -> None:

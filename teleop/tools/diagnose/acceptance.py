@@ -13,7 +13,7 @@ from slave.calibration import file
 from teleop.errors import UsageError
 
 
-class Compared(NamedTuple):
+class ComparedParameter(NamedTuple):
     """A number of the sheath, twice."""
 
     accepted: float
@@ -33,20 +33,20 @@ def load(path: Path, tendon: int) -> Sheath:
     return tendons[tendon if len(tendons) > 1 else 0].model().sheath
 
 
-def compared(found: Diagnosis, sheath: Sheath) -> dict[str, Compared]:
+def compare_parameters(found: Diagnosis, sheath: Sheath) -> dict[str, ComparedParameter]:
     """Return the numbers that both the calibration and the data have, by name."""
     accepted = {
         FRICTION.name: sheath.K,
         COMPLIANCE.name: sheath.length / sheath.axial_stiffness,
     }
     return {
-        name: Compared(value, found.parameters[name])
+        name: ComparedParameter(value, found.parameters[name])
         for name, value in accepted.items()
         if name in found.parameters
     }
 
 
-def table(numbers: Mapping[str, Compared]) -> Table:
+def table(numbers: Mapping[str, ComparedParameter]) -> Table:
     """Return them for a person to read."""
     rows = [
         (

@@ -31,11 +31,11 @@ def _row(name: str) -> tuple[str, ...]:
 
 def _by_variant(variants: Sequence[Effect], say: Callable[[Effect], str]) -> list[str]:
     """Return what the variants say; one that says something of its own by its name."""
-    said: dict[str, list[str]] = {}
+    variants_by_text: dict[str, list[str]] = {}
     for effect in variants:
-        said.setdefault(say(effect), []).append(effect.where)
-    own = len(said) == len(variants) > 1
-    return [f"{where[0]}: {text}" if own else text for text, where in said.items()]
+        variants_by_text.setdefault(say(effect), []).append(effect.where)
+    own = len(variants_by_text) == len(variants) > 1
+    return [f"{where[0]}: {text}" if own else text for text, where in variants_by_text.items()]
 
 
 def _cell(lines: Iterable[str]) -> str:

@@ -28,7 +28,7 @@ from teleop.parallel import processors
 from teleop.process import destination, make_folder, write_summary, write_whole
 from teleop.tools import estimate
 from teleop.tools.diagnose import acceptance, effect_choice, report_json
-from teleop.tools.diagnose.acceptance import Compared
+from teleop.tools.diagnose.acceptance import ComparedParameter
 from teleop.tools.report.progress import Progress
 
 
@@ -45,7 +45,7 @@ class Report(NamedTuple):
 
     found: Diagnosis
     data: Data
-    accepted: dict[str, Compared]  # of the calibration that was given
+    accepted: dict[str, ComparedParameter]  # of the calibration that was given
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -115,7 +115,9 @@ def main(args: argparse.Namespace) -> int:
     finally:
         progress.end()
     seconds = time.monotonic() - begun
-    report = Report(found, data, {} if sheath is None else acceptance.compared(found, sheath))
+    report = Report(
+        found, data, {} if sheath is None else acceptance.compare_parameters(found, sheath)
+    )
     tree = report_json.tree(found, data.files, seconds, report.accepted)
     write_summary(args.json, tree)
     beside = acceptance.table(report.accepted) if report.accepted else None
@@ -166,7 +168,7 @@ def _write_folder(report: Report, folder: Path) -> None:
     remark = f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.sentence(found)}"
     duration = max(float(record.time[-1]) for record in found.dataset.records)
     unexplained = found.verdict is Verdict.UNEXPLAINED
-    saved = model_file.Saved(found.extended.model, duration, found.ambiguous_with, unexplained)
+    saved = model_file.SavedModel(found.extended.model, duration, found.ambiguous_with, unexplained)
     model_file.save(folder / "model.yaml", saved, remark)
     text = page.render(found, files, report.accepted)
     write_whole(folder / "report.html", text, "the page")

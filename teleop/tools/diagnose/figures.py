@@ -31,11 +31,11 @@ MOST_RECORDS = 4  # that are drawn
 MOST_BARS = 14
 POINTS = 4000  # of a line, at most
 BINS = 24  # of medians
-LEAST = 15  # samples in one
+MIN_SAMPLES = 15  # samples in one
 SCATTERED = 1500  # points
 
 
-class Drawn(NamedTuple):
+class DrawnFigure(NamedTuple):
     """A figure."""
 
     name: str
@@ -54,25 +54,25 @@ def draw(found: Diagnosis, files: Sequence[str], folder: Path) -> dict[str, str]
     return captions
 
 
-def _figures(found: Diagnosis, files: Sequence[str]) -> Iterator[Drawn]:
+def _figures(found: Diagnosis, files: Sequence[str]) -> Iterator[DrawnFigure]:
     for k, file in enumerate(files[:MOST_RECORDS]):
         number = f"-{k + 1}" if len(files) > 1 else ""
-        yield Drawn(
+        yield DrawnFigure(
             f"over-time{number}",
             over_time(found, k),
             f"{file}: measured, and simulated before and after; below each channel what is left "
             "(measured less simulated). Held-out blocks are shaded.",
         )
         if _loop_axes(found.dataset.records[k]) is not None:
-            yield Drawn(f"loop{number}", loop(found, k), f"{file}: the hysteresis loop.")
-    yield Drawn(
+            yield DrawnFigure(f"loop{number}", loop(found, k), f"{file}: the hysteresis loop.")
+    yield DrawnFigure(
         "structure",
         structure(found),
         "What is left (measured less simulated), before and after, against tension, speed and "
         "time: points, and their medians. A model that is right leaves noise around zero.",
     )
     if found.ranking:
-        yield Drawn(
+        yield DrawnFigure(
             "ranking",
             ranking(found),
             "By how much more probable held-out data are with a cause than without, as a natural "
@@ -236,7 +236,7 @@ def _medians(values: Array, off: Array) -> tuple[Array, Array]:
     edges = np.linspace(values.min(), values.max(), BINS + 1)
     places = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
     groups = [off[places == i] for i in range(BINS)]
-    medians = [np.median(group) if len(group) >= LEAST else np.nan for group in groups]
+    medians = [np.median(group) if len(group) >= MIN_SAMPLES else np.nan for group in groups]
     return 0.5 * (edges[:-1] + edges[1:]), np.array(medians)
 
 

@@ -7,11 +7,13 @@ from tempfile import TemporaryDirectory
 from estimator.diagnosis import report_text
 from estimator.diagnosis.outcome import Diagnosis
 from teleop.tools.diagnose import acceptance, figures
-from teleop.tools.diagnose.acceptance import Compared
+from teleop.tools.diagnose.acceptance import ComparedParameter
 from teleop.tools.report.page import Page
 
 
-def render(found: Diagnosis, files: Sequence[str], calibrated: Mapping[str, Compared]) -> str:
+def render(
+    found: Diagnosis, files: Sequence[str], calibrated: Mapping[str, ComparedParameter]
+) -> str:
     """Return the page; `calibrated` is what a calibration says of the sheath, by name."""
     page = Page(report_text.sentence(found))
     page.text(f"Data: {', '.join(files)}.")

@@ -7,14 +7,14 @@ from typing import Any
 
 from estimator.diagnosis import report_text
 from estimator.diagnosis.outcome import Diagnosis, Fitness, Fitnesses, Ranked
-from teleop.tools.diagnose.acceptance import Compared
+from teleop.tools.diagnose.acceptance import ComparedParameter
 
 
 def tree(
     found: Diagnosis,
     files: Sequence[str],
     seconds: float,
-    accepted: Mapping[str, Compared],
+    accepted: Mapping[str, ComparedParameter],
 ) -> dict[str, Any]:
     """Return the report; what is not finite is None.
 

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from estimator.pair.pair_fit import Law
+from estimator.pair.pair_fit import PairVariant
 from estimator.pair.pair_structure import offset_share, structure
-from estimator.pair.pair_study import SHARE, LeftOut, Number, PairStudy, Validation
+from estimator.pair.pair_study import SHARE, HeldOutError, Number, PairStudy, Validation
 from estimator.text_table import Table
 
-OURS = Law.FULL.value
+OURS = PairVariant.FULL.value
 LIMIT = 0.02  # of the span: a mean beyond depends on something
 
 
@@ -20,7 +20,7 @@ def sentence(found: PairStudy) -> str:
         f"K grows by {within(found.growth)} per radian of bend, from {found.friction.value:.2f} at "
         f"none; bends that were not fitted are predicted within {share:.1%} of the angle's span "
         f"({degrees(mean_rmse(found.left_out[OURS]))}), where one K for all leaves "
-        f"{mean_share(found.left_out[Law.ONE_K.value]):.1%} and {SHARE} "
+        f"{mean_share(found.left_out[PairVariant.ONE_K.value]):.1%} and {SHARE} "
         f"{mean_share(found.left_out[SHARE]):.1%}."
     )
 
@@ -107,7 +107,7 @@ def wrong(found: PairStudy) -> list[str]:
     records, errors = found.records, found.left_out[OURS]
     worst = max(range(len(errors)), key=lambda i: errors[i].share)
     share = offset_share(records, found.predicted)
-    said = [
+    lines = [
         f"Worst is the bend of {degrees(records[worst].bend, 0)}: {errors[worst].share:.1%} of the "
         f"span, {errors[worst].zeroed:.1%} if its zero were known.",
         f"{share:.0%} of the mean square is a constant of each record: a joint with friction rests "
@@ -115,18 +115,18 @@ def wrong(found: PairStudy) -> list[str]:
     ]
     found_parts = structure(records, found.predicted)
     along = sorted(found_parts, key=lambda part: -abs(part.mean))
-    said += [
+    lines += [
         f"Where the {part.what}, the prediction is {abs(part.mean):.1%} of the span too "
         f"{'high' if part.mean > 0.0 else 'low'} on average."
         for part in along
         if abs(part.mean) > LIMIT
     ]
     if all(abs(part.mean) <= LIMIT for part in found_parts):
-        said.append(
+        lines.append(
             "The rest of the residual depends on direction, command and time by less than "
             f"{LIMIT:.0%} of the span."
         )
-    return said
+    return lines
 
 
 def format_report(found: PairStudy, kept: tuple[Validation, ...]) -> str:
@@ -149,11 +149,11 @@ def degrees(angle: float, digits: int = 1) -> str:
     return f"{math.degrees(angle):.{digits}f}°"
 
 
-def mean_share(errors: tuple[LeftOut, ...]) -> float:
+def mean_share(errors: tuple[HeldOutError, ...]) -> float:
     """Return the mean of errors as shares of the span."""
     return float(np.mean([error.share for error in errors]))
 
 
-def mean_rmse(errors: tuple[LeftOut, ...]) -> float:
+def mean_rmse(errors: tuple[HeldOutError, ...]) -> float:
     """Return the mean RMSE [rad]."""
     return float(np.mean([error.rmse for error in errors]))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from slave.rig import Rig, RigSample
-from teleop.tools.motion import Memory, Seen, Turns
+from teleop.tools.motion import MotionSample, MotionState, Turns
 from teleop.tools.paper.bench import PERIOD
 
 PAPER_TURNS = (20.0, 5.0, 20.0)  # [N] at the housing: the paper's figure 7
@@ -27,11 +27,11 @@ SMOOTH = 0.01  # [s] over which its reading is averaged
 LONGEST = 120.0  # [s]
 
 
-class Stalled(Exception):
+class MotionStalled(Exception):
     """A tension that the bench never reached."""
 
 
-class Record(NamedTuple):
+class BenchRun(NamedTuple):
     """One motion, shape (n,) each, from slack to the last turn; the last two are the bench's."""
 
     time: Array  # [s]
@@ -43,27 +43,27 @@ class Record(NamedTuple):
     elongation: Array  # [m] true, of a tendon without tension 0
 
 
-def perform(rig: Rig, turns: tuple[float, ...], stretch: float) -> Record:
+def perform(rig: Rig, turns: tuple[float, ...], stretch: float) -> BenchRun:
     """Move a bench that rests through `turns` [N] at the housing.
 
     `stretch` [m] is the elongation of its tendons at rest, from where displacements count.
 
     Raises
     ------
-    Stalled
+    MotionStalled
         If a tension is never reached.
     """
-    bench = _Bench(rig)
+    bench = _MotorPair(rig)
     sample = bench.move(0.0)
     while sample.proximal_tension[0] > 0.0:
         sample = bench.move(bench.a - SPEED * PERIOD)
     for _ in range(round(SLACK / (SPEED * PERIOD))):
         sample = bench.move(bench.a - SPEED * PERIOD)
-    motion, memory = Turns((*turns, 0.0), SPEED), Memory(0, bench.a)
+    motion, memory = Turns((*turns, 0.0), SPEED), MotionState(0, bench.a)
     samples: list[RigSample] = []
     legs: list[int] = []
     while True:
-        seen = Seen(sample.time_s, float(sample.proximal_tension[0]), PERIOD)
+        seen = MotionSample(sample.time_s, float(sample.proximal_tension[0]), PERIOD)
         target, memory = motion.step(memory, seen)
         if memory.leg == len(turns):
             return _record(samples, legs, stretch)
@@ -73,7 +73,7 @@ def perform(rig: Rig, turns: tuple[float, ...], stretch: float) -> Record:
 
 
 @dataclass
-class _Bench:
+class _MotorPair:
     """Both motors of a rig: `a` goes where it is sent, `b` where its tendon is loose."""
 
     rig: Rig
@@ -92,18 +92,18 @@ class _Bench:
         (sample,) = self.rig.read(self.ticks * PERIOD)
         self.ticks += 1
         if self.ticks * PERIOD > LONGEST:
-            raise Stalled(f"the bench was not through its motion in {LONGEST:g} s")
+            raise MotionStalled(f"the bench was not through its motion in {LONGEST:g} s")
         self.smooth += (float(sample.proximal_tension[1]) - self.smooth) * PERIOD / SMOOTH
         return sample
 
 
-def _record(samples: list[RigSample], legs: list[int], stretch: float) -> Record:
+def _record(samples: list[RigSample], legs: list[int], stretch: float) -> BenchRun:
     def of_a(name: str) -> Array:
         return np.array([getattr(sample, name)[0] for sample in samples])
 
     time = np.array([sample.time_s for sample in samples])
     travel = of_a("proximal_displacement")
-    return Record(
+    return BenchRun(
         time - time[0],
         np.array(legs, dtype=np.int64),
         of_a("proximal_tension"),

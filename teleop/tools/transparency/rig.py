@@ -17,7 +17,7 @@ TENDON = 9000.0 / 1.5  # [N/m]
 STEPS = 10  # of the motor in a tick
 
 
-class Bench(Protocol):
+class TestRig(Protocol):
     """A rig on the bench."""
 
     tip: float  # [m] true
@@ -67,11 +67,11 @@ class Rig:
         self._time = self.tip = self._push = self._before = 0.0
 
     def load(self) -> float:
-        """See `Bench`."""
+        """See `TestRig`."""
         return self._load(self.tip)
 
     def advance(self, push: float = 0.0) -> None:
-        """See `Bench`."""
+        """See `TestRig`."""
         wanted = self._motor if self.wanted is None else self.wanted[0]
         for _ in range(STEPS):
             speed = (wanted - self._motor) / self.lag
@@ -81,7 +81,7 @@ class Rig:
         self.tip = self._balance()
 
     def read(self) -> list[RigSample]:
-        """See `Bench`."""
+        """See `TestRig`."""
         tension = self._tension(self.tip) + self._rng.normal(0.0, self._noise)
         return [RigSample(self._time, np.array([tension]), np.array([self._motor]))]
 

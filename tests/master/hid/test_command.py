@@ -137,7 +137,7 @@ def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
         file = tmp_path / f"{wired}.yaml"
         command.test("", "auto", file, 0.1, Someone("", "").person)
         kept = found_in(file)
-        line = command.Line(search.choose("", "auto"), command.PidConfig())
+        line = command.DeviceConnection(search.choose("", "auto"), command.PidConfig())
         for place, axis in enumerate("xy"):
             share = [0.0, 0.0]
             share[place] = 0.1 * kept[axis]

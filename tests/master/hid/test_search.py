@@ -6,7 +6,7 @@ import pytest
 
 from master.device import DeviceFault
 from master.devices.hid import search
-from master.devices.hid.drivers import DRIVERS, Attached
+from master.devices.hid.drivers import DRIVERS, AttachedNode
 from tests.hid import descriptors
 from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.device import BLUETOOTH
@@ -222,8 +222,8 @@ def test_no_device_that_may_keep_a_force_counts_as_one_that_forgets():
 
 
 def test_force_signs_are_of_the_very_device_if_it_has_a_serial_number():
-    assert Attached("p", 0x1209, 0xFFB0).identity == "1209:ffb0"
-    assert Attached("p", 0x1209, 0xFFB0, "S").identity == "1209:ffb0:S"
+    assert AttachedNode("p", 0x1209, 0xFFB0).identity == "1209:ffb0"
+    assert AttachedNode("p", 0x1209, 0xFFB0, "S").identity == "1209:ffb0:S"
 
 
 def test_force_signs_are_of_one_driver_and_one_descriptor(hidraw):

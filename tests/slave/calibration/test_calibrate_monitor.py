@@ -139,7 +139,7 @@ def test_a_tip_that_is_moved_by_its_environment_is_no_change_of_shape(swing):
 def known(*errors, doubt=0.01):
     """Return the monitor of a tendon after transitions with these errors."""
     after = TendonMonitor.new(count=len(errors))
-    after.errors[: len(errors)], after.doubts[: len(errors)] = errors, doubt
+    after.errors[: len(errors)], after.uncertainties[: len(errors)] = errors, doubt
     return after
 
 

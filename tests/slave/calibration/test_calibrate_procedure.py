@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from slave.calibration.memory import Phase
-from slave.calibration.run import Refused
+from slave.calibration.procedure_state import Phase
+from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.environment import TissueConfig, WallConfig
 from tests.slave.calibration.calibration_bench import (
     GATE,
@@ -211,7 +211,7 @@ def test_it_refuses(case):
     what, said = REFUSALS[case]
     what = dict(what)
     rig = HousingOnly(rig_config(what.pop("a"), effects=what.pop("effects", ())))
-    with pytest.raises(Refused) as refused:
+    with pytest.raises(CalibrationRefused) as refused:
         calibrated(rig, rate_hz=500.0, **what)
     print(refused.value)
     text = str(refused.value)

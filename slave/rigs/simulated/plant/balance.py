@@ -14,7 +14,7 @@ from estimator.compiled import compiled
 from slave.rigs.simulated.plant.environment import Environment, environment_force
 from slave.rigs.simulated.plant.response import Curve, tension_on
 
-ROUNDS = 200  # at most, of the search; about ten are needed
+MAX_ITERATIONS = 200  # at most, of the search; about ten are needed
 ENOUGH = 1e-11  # [N] of balance
 
 
@@ -105,7 +105,7 @@ def balance(
     if sense * far_excess <= 0.0:
         return far
     kept = 0  # which end stayed in the last round; the secant must not trust it for ever
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         new = near - near_excess * (far - near) / (far_excess - near_excess)
         if not min(near, far) < new < max(near, far):
             new = 0.5 * (near + far)

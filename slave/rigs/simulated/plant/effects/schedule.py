@@ -101,7 +101,7 @@ class SampleSchedule:
         self._random = np.random.default_rng([seed, 1])  # the noise stays what it is
         self._last: Array | None = None
 
-    def passed(self, time: float, reading: Array) -> Array | None:
+    def transmit(self, time: float, reading: Array) -> Array | None:
         """Return what arrives of the reading at `time` [s], None if nothing does."""
         for i, effect in enumerate(self._all):
             if effect.start <= time:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from slave.calibration.cell import Cell
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.trend import Trend
-from slave.gate import Verdict
+from slave.gate import GateFlags
 
 Tendons = tuple[float, ...]
 
@@ -38,13 +38,13 @@ class Phase(IntEnum):
     REFUSED = 11, "refused"
 
 
-class Seen(NamedTuple):
+class JointReadings(NamedTuple):
     """What is known of one joint at a tick; one entry a tendon."""
 
     tension: Tendons  # [N] newest at the housing
     travel: Tendons  # [m] newest of the encoders
     motor: Tendons  # [m] what the gate let through last
-    verdict: Verdict = Verdict.PASSED  # and what it had to do
+    verdict: GateFlags = GateFlags.PASSED  # and what it had to do
     fresh: bool = True  # whether tension and travel are new
 
 
@@ -63,7 +63,7 @@ class Joint(NamedTuple):
     compliance: Tendons  # [m/N] one a tendon: pulled against a stop, none can be softer
 
 
-class Memory(NamedTuple):
+class ProcedureState(NamedTuple):
     """All that the procedure of a joint remembers from one tick to the next."""
 
     phase: Phase = Phase.TAKE_UP
@@ -89,7 +89,7 @@ class Memory(NamedTuple):
     refusal: str = ""  # why it was refused, in words
 
 
-def begin(memory: Memory, phase: Phase, seen: Seen) -> Memory:
+def begin(memory: ProcedureState, phase: Phase, seen: JointReadings) -> ProcedureState:
     """Return the memory at the beginning of a phase."""
     return memory._replace(
         phase=phase,
@@ -105,17 +105,17 @@ def begin(memory: Memory, phase: Phase, seen: Seen) -> Memory:
     )
 
 
-def refuse(memory: Memory, seen: Seen, why: str) -> Memory:
+def refuse(memory: ProcedureState, seen: JointReadings, why: str) -> ProcedureState:
     """Return the memory of a procedure that gives up: it lets the tensions down, and then holds."""
     return begin(memory._replace(refusal=memory.refusal or why), Phase.RELAX, seen)
 
 
-def ended(memory: Memory) -> bool:
+def is_ended(memory: ProcedureState) -> bool:
     """Return whether nothing will move any more."""
     return memory.phase in (Phase.DONE, Phase.REFUSED)
 
 
-def progress(config: InitialiseConfig, memory: Memory) -> float:
+def progress(config: InitialiseConfig, memory: ProcedureState) -> float:
     """Return the share of the phases that is behind a joint, 0 to 1."""
     if memory.phase is Phase.DONE:
         return 1.0
