@@ -30,7 +30,7 @@ class ConfidenceConfig:
     none: float = 1.5  # ... from which only what is certain is rendered
 
     def __post_init__(self) -> None:
-        """Refuse a rule that is not continuous."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 <= self.full <= 1e3:
             raise ValueError("full: must be within 0 ... 1000")
         if not self.full + 1e-3 <= self.none <= 1e6:

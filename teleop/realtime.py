@@ -52,7 +52,7 @@ class RealtimeConfig:
     cores: Literal["auto"] | tuple[int, ...] = "auto"
 
     def __post_init__(self) -> None:
-        """Refuse a priority above that of the kernel's interrupt threads, and no cores."""
+        """Check the values; raises `ValueError`."""
         if not 0 <= self.priority <= 49:
             raise ValueError("priority: must be 0 to 49")
         if self.cores != "auto" and any(core < 0 for core in self.cores):

@@ -1,7 +1,7 @@
-"""From the record of an initialisation to what it says of each joint: pure functions.
+"""Evaluate the record of an initialisation, joint by joint: pure functions.
 
-Each tendon is calibrated by its own pulls and releases (`slave.calibration.direction`); both of a
-joint are then put right by the drags (`slave.calibration.drags`).
+Each tendon is calibrated by its own pulls and releases (`slave.calibration.direction`); the two of
+a joint are then corrected with the drags (`slave.calibration.drags`).
 """
 
 from collections.abc import Sequence
@@ -19,11 +19,11 @@ from slave.calibration.run import CalibrationRefused, ProcedureData
 from slave.tendon_config import TendonConfig
 
 LEAST_RANGE = 0.001  # [m] of a joint that moves
-RANGES_DIFFER = 0.001  # [m] by which the two tendons may see the joint travel unlike
+RANGES_DIFFER = 0.001  # [m] allowed difference of the joint travel measured by the two tendons
 
 
 class JointResult(NamedTuple):
-    """What was found of one joint."""
+    """Calibration result of one joint."""
 
     joint: int  # counted from 0
     directions: tuple[Direction, ...]  # one a tendon
@@ -34,21 +34,21 @@ class JointResult(NamedTuple):
 def analyse(
     record: ProcedureData, config: InitialiseConfig, ranges: Sequence[float | None] = ()
 ) -> tuple[JointResult, ...]:
-    """Return what a record says of each joint that went through the procedure.
+    """Evaluate the record of a procedure; return one result per calibrated joint.
 
     Parameters
     ----------
     record : ProcedureData
         From `slave.calibration.run.drive`.
     config : InitialiseConfig
-        By which it was made.
+        Settings of the procedure.
     ranges : sequence of float or None
-        How far each joint travelled between its stops [m] by an earlier calibration.
+        Travel of each joint between its stops [m] in an earlier calibration.
 
     Raises
     ------
     CalibrationRefused
-        If what was measured cannot be tendons in their sheaths against end stops.
+        If the measurement is not that of tendons in sheaths pulled against end stops.
     """
     before = [*ranges, *[None] * len(record.joints)]
     return tuple(
@@ -67,12 +67,12 @@ def _joint(
 def evaluate(
     pulled: Sequence[PulledTendon], config: InitialiseConfig
 ) -> tuple[tuple[Direction, ...], tuple[TendonConfig, ...]]:
-    """Return what was found of all tendons of a joint, and what the estimators use.
+    """Return the calibration and the estimator parameters of each tendon of a joint.
 
     Raises
     ------
     CalibrationRefused
-        If what was measured of one cannot be a tendon in its sheath against an end stop.
+        If a measurement is not that of a tendon in a sheath pulled against an end stop.
     """
     known = [known_sheath(config, p.tendon) for p in pulled]
     found = [calibrate_tendon(p, k, config.low) for p, k in zip(pulled, known, strict=True)]
@@ -93,8 +93,8 @@ def _range(
 ) -> float:
     """Return the travel of a joint between its stops [m], or from its rest with one tendon.
 
-    Each of two tendons has been at its own stop, pulled, and at the other's, drawn out at a small
-    tension; so each says how far the joint went.
+    Each of two tendons was pulled to its own stop and drawn out to the other's at a small tension,
+    so each measures the whole range.
     """
     name = f"joint {pulled[0].joint + 1}"
     if len(pulled) == 1:
@@ -107,21 +107,21 @@ def _range(
     found = sum(seen) / len(seen)
     if found < LEAST_RANGE:
         raise CalibrationRefused(
-            f"{name}: it moved {max(found, 0.0) * 1e3:.1f} mm only: it is jammed, or its friction "
-            "takes all the tension; free it, or raise slave.initialise.tension"
+            f"{name}: it moved only {max(found, 0.0) * 1e3:.1f} mm: it is jammed or its friction "
+            "is too high; free it, or raise slave.initialise.tension"
         )
     if max(seen) - min(seen) > RANGES_DIFFER + config.range_error * found:
         raise CalibrationRefused(
-            f"{name}: tendon a saw it travel {seen[0] * 1e3:.1f} mm between its stops, tendon b "
-            f"{seen[1] * 1e3:.1f} mm: a tendon has slipped, or hangs on something"
+            f"{name}: tendon a measured {seen[0] * 1e3:.1f} mm of travel between the stops, "
+            f"tendon b {seen[1] * 1e3:.1f} mm: a tendon slipped or is caught; check both"
         )
     expected = before if config.range is None else config.range
     if expected is not None and abs(found - expected) > config.range_error * expected:
         why = "by the earlier calibration" if config.range is None else "slave.initialise.range"
         raise CalibrationRefused(
-            f"{name}: it travels {found * 1e3:.1f} mm between its stops, {expected * 1e3:.1f} mm "
-            f"were expected ({why}): the tip touches something early, or a stop has moved; free "
-            "it, or set slave.initialise.range"
+            f"{name}: it travels {found * 1e3:.1f} mm between its stops, expected "
+            f"{expected * 1e3:.1f} mm ({why}): the tip touches something or a stop has moved; "
+            "free the tip, or set slave.initialise.range"
         )
     return round_significant(found)
 

@@ -1,16 +1,15 @@
-"""Calibrate a rig: pull each joint against its stops, and read friction and stiffness off that.
+"""Calibrate a rig: pull each joint against its stops and identify friction and stiffness.
 
   teleop calibrate --config configs/paper-joint.yaml            writes paper-joint-calibration.yaml
   teleop calibrate --config configs/paper-joint.yaml --quick --figure loops.png
   teleop calibrate --config my-arm.yaml --joint 3 --out my-arm-calibration.yaml
 
-Keep the tips free: each joint is pulled to both of its stops, up to slave.initialise.tension. Give
+Keep the tips free: each joint is pulled to both of its stops, up to slave.initialise.tension. Set
 length and stiffness of the sheaths (slave.initialise.sheaths) and the joints' range
-(slave.initialise.range) where you know them; then something in the way of a tip is found out.
+(slave.initialise.range) if they are known; then an obstacle at a tip is detected.
 
-Give the file to `teleop run --calibration`, or name it in the config (slave.calibration).
-Calibrate again when the sheaths have been moved.
-How it works, and what each refusal means: docs/calibration.md.
+Pass the file to `teleop run --calibration`, or set slave.calibration in the config. Calibrate again
+when the sheaths have been moved. Method and error messages: docs/calibration.md.
 """
 
 import argparse
@@ -39,7 +38,7 @@ from teleop.run_config import RunConfig
 
 BAR = 24  # characters
 SHOWN_EVERY_S = 0.1  # [s] of the rig's time
-NOTED_EVERY_S = 10.0  # [s] likewise, where the output is no terminal
+NOTED_EVERY_S = 10.0  # [s] likewise, if the output is not a terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="N",
-        help="only this joint, counted from 1; needs an earlier file for the others",
+        help="calibrate only this joint, counted from 1; the others are taken from an earlier file",
     )
     parser.add_argument(
         "--quick", action="store_true", help="one loop in place of three, under 20 s a joint"
@@ -59,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--together",
         action="store_true",
-        help="all joints at once; only where they cannot touch each other or anything else",
+        help="all joints at once; only if they cannot touch each other or anything else",
     )
     parser.add_argument(
         "--out",
@@ -81,8 +80,8 @@ def main(args: argparse.Namespace) -> int:
     config = load(args.config, SlaveConfig, "slave", args.overrides)
     if isinstance(config.rig, ReplayedRigConfig):
         raise UsageError(
-            "slave.rig.type: replayed data cannot be moved; fit them instead: "
-            "teleop estimate DATA --fit --save FILE"
+            "slave.rig.type: a replayed rig cannot be calibrated; fit the data instead: teleop "
+            "estimate DATA --fit --save FILE"
         )
     stop = Stop()
     with ExitStack() as stack:
@@ -103,7 +102,7 @@ def main(args: argparse.Namespace) -> int:
             joints=joints,
             together=args.together,
             earlier=earlier,
-            stopped=lambda: f"{stop.reason}: stopped, nothing is written" if stop() else "",
+            stopped=lambda: f"{stop.reason}: stopped, no file written" if stop() else "",
             progress=show_bar(rig) if sys.stderr.isatty() else print_lines(rig),
         )
         if sys.stderr.isatty():
@@ -116,7 +115,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def selected_joints(numbers: list[int], count: int) -> tuple[int, ...]:
-    """Return the joints asked for, counted from 0."""
+    """Return the joints of `--joint`, counted from 0."""
     for number in numbers:
         if not 1 <= number <= count:
             raise UsageError(f"--joint {number}: the rig has joints 1 to {count}")
@@ -124,33 +123,35 @@ def selected_joints(numbers: list[int], count: int) -> tuple[int, ...]:
 
 
 def replaceable(out: Path, config: Path | None) -> Calibration | None:
-    """Return the calibration that `out` holds, which is to be replaced; None if there is no file.
+    """Return the calibration in `out` that will be replaced; None if there is no file.
 
-    Anything else that stands there is a `UsageError`, before the work and not after it.
+    Raises `UsageError` before the procedure starts if `out` is any other file.
     """
     if config is not None and out.resolve() == config.resolve():
-        raise UsageError(f"{out}: is the config; name another file with --out")
+        raise UsageError(f"{out}: this is the config file; choose another file with --out")
     if not out.is_file():
         return None
     try:
         return file.load(out)
     except UsageError as error:
         raise UsageError(
-            f"{out}: is there already and is no calibration, which alone is replaced; name another "
-            "file with --out, or move this one away"
+            f"{out}: exists and is not a calibration; choose another file with --out, or move "
+            "this one"
         ) from error
 
 
 def require_other(figure: Path | None, used: tuple[Path | None, ...]) -> None:
-    """Refuse to draw over the config or the calibration."""
+    """Raise `UsageError` if the figure would overwrite the config or the calibration."""
     if figure is not None and figure.resolve() in [one.resolve() for one in used if one]:
-        raise UsageError(f"{figure}: is the config or the calibration; name another by --figure")
+        raise UsageError(
+            f"{figure}: this is the config or the calibration; choose another file with --figure"
+        )
 
 
 def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
-    """Return the calibration that the config names, if there is one that can be read.
+    """Return the calibration that the config names, None if it cannot be read.
 
-    Where it is `needed`, for what is not renewed, one that cannot be read is a `UsageError`.
+    Raises `UsageError` instead if it is `needed`, for the joints that are not calibrated now.
     """
     path = config.calibration
     if not isinstance(path, Path) or not (needed or path.is_file()):
@@ -164,7 +165,7 @@ def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
 
 
 def pace(config: SlaveConfig, shared: RunConfig) -> tuple[int, Iterator[Tick]]:
-    """Return where session time begins [ns] and the ticks: real time, but for simulated rigs."""
+    """Return the start of session time [ns] and the ticks: real time except for simulated rigs."""
     if isinstance(config.rig, SimulatedRigConfig):
         return 0, fast_ticks(shared.rate_hz)
     go_realtime(shared.realtime)
@@ -172,7 +173,7 @@ def pace(config: SlaveConfig, shared: RunConfig) -> tuple[int, Iterator[Tick]]:
 
 
 def show_bar(rig: Rig) -> Callable[[Progress], None]:
-    """Return what keeps a line on the terminal up to date."""
+    """Return a callback that updates a progress bar on the terminal."""
     next_s = 0.0
 
     def show(progress: Progress) -> None:
@@ -192,7 +193,7 @@ def show_bar(rig: Rig) -> Callable[[Progress], None]:
 
 
 def print_lines(rig: Rig) -> Callable[[Progress], None]:
-    """Return what prints a line for each tendon, and one every few seconds: for a log."""
+    """Return a callback that prints a line per tendon and every few seconds, for a log."""
     next_s, at = 0.0, (0, 0)
 
     def note(progress: Progress) -> None:
@@ -217,7 +218,7 @@ def _name(rig: Rig, progress: Progress) -> str:
 
 
 def draw(path: Path, found: InitialiseResult) -> None:
-    """Draw what was measured."""
+    """Draw the measured loops."""
     try:
         from slave.calibration.figure import figure
     except ImportError as error:
@@ -228,7 +229,7 @@ def draw(path: Path, found: InitialiseResult) -> None:
 def format_report(
     found: InitialiseResult, out: Path, replaced: Calibration | None = None
 ) -> list[str]:
-    """Return the result as lines to read; `replaced` is the calibration that was in `out`."""
+    """Return the report as lines; `replaced` is the calibration that was in `out`."""
     calibration = found.calibration
     took = float(found.record.time[-1] - found.record.time[0])
     lines = [

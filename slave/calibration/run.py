@@ -1,7 +1,7 @@
-"""Drive a rig through the initialisation: joint after joint, or all at once.
+"""Run the initialisation on a rig: joint after joint, or all at once.
 
-Every position written has been through `slave.gate`, with the limits of the slave's own config.
-However it ends but for a fault of the rig, the tensions have been let down and the motors hold.
+Every position written has passed `slave.gate`, with the limits of the slave's config. At the end,
+unless the rig failed, the tensions are low and the motors hold.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,44 +27,44 @@ from teleop.process import INTERRUPTED
 
 Codes = NDArray[np.int64]
 
-SILENCE_MAX_S = 0.5  # [s] without a sample that can be used
+SILENCE_MAX_S = 0.5  # [s] without a usable sample
 UNREADABLE = (
-    "no tension and travel of every tendon for half a second, and nothing can be calibrated "
-    "without: is a load cell or an encoder missing?"
+    "no tension and travel of every tendon for 0.5 s: check that every tendon has a load cell "
+    "and an encoder"
 )
 
 
 class CalibrationRefused(TeleopError):
-    """A joint that could not be calibrated: exit code 1, one line that says why and what to do."""
+    """A joint could not be calibrated; exit code 1, the message gives reason and remedy."""
 
 
 class CalibrationInterrupted(CalibrationRefused):
-    """The operator ended it."""
+    """The operator ended the procedure."""
 
     exit_code = INTERRUPTED
 
 
 class Limits(NamedTuple):
-    """What the procedure is done within."""
+    """Limits of the procedure and of the gate."""
 
     initialise: InitialiseConfig
     gate: GateConfig
 
 
 class Progress(NamedTuple):
-    """Where the procedure is."""
+    """Progress of the procedure."""
 
     time_s: float  # [s] since it began
     joint: int  # from 1
     phase: Phase
     side: int  # the tendon that is pulled
-    done: float  # of the whole, 0 to 1
+    done: float  # fraction of the whole, 0 to 1
     tension: tuple[float, ...]  # [N] of the joint's tendons
 
 
 @dataclass(frozen=True)
 class ProcedureData:
-    """What was measured, and what the procedure was doing: n samples, t tendons, j joints.
+    """Measurements and phases of a procedure: n samples, t tendons, j joints.
 
     A joint that was not calibrated has no stops.
     """
@@ -80,21 +80,21 @@ class ProcedureData:
 
 
 class ProcedureResult(NamedTuple):
-    """How a run ended."""
+    """Result of a completed procedure."""
 
     record: ProcedureData
-    samples: tuple[RigSample, ...]  # all of them, for estimators that shall know the profile
+    samples: tuple[RigSample, ...]  # all of them, to initialise the estimators' tension profiles
 
 
 @dataclass
 class _Log:
-    """Samples as they come, with the state of each joint's procedure."""
+    """Samples with the state of each joint's procedure."""
 
     samples: list[RigSample] = field(default_factory=list)
     codes: list[tuple[tuple[int, int, int], ...]] = field(default_factory=list)
 
     def add(self, samples: Sequence[RigSample], memories: Sequence[ProcedureState]) -> None:
-        """Keep the samples of a tick."""
+        """Append the samples of a tick."""
         now = tuple((int(m.phase), m.side, m.releases) for m in memories)
         self.samples += samples
         self.codes += [now] * len(samples)
@@ -102,7 +102,7 @@ class _Log:
     def record(
         self, joints: tuple[tuple[int, ...], ...], memories: Sequence[ProcedureState]
     ) -> ProcedureData:
-        """Return it as arrays."""
+        """Return the log as arrays."""
         codes = np.array(self.codes, dtype=np.int64)
         return ProcedureData(
             joints=joints,
@@ -126,17 +126,16 @@ def drive(
     stopped: Callable[[], str] = lambda: "",
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> ProcedureResult:
-    """Do the procedure on some joints of a rig; return what was measured.
+    """Run the procedure on some joints of a rig; return the measurements.
 
     Parameters
     ----------
     rig : Rig
         Open; nothing else may read or write it.
     limits : Limits
-        The procedure's own, and those of the gate before the motors.
+        Of the procedure, and of the gate before the motors.
     ticks : iterable of Tick
-        The pace, without an end: of a real rig a `teleop.clock.Grid` that never stops, else
-        `fast_ticks`.
+        Endless: a `teleop.clock.Grid` that never stops for a real rig, else `fast_ticks`.
     start_ns : int
         Stamp [ns] from which the rig's session time counts.
     joints : sequence of int
@@ -144,14 +143,14 @@ def drive(
     together : bool
         Whether to move them all at once; else the others hold while one moves.
     stopped : callable
-        Asked at every tick; a reason ends the procedure, the tensions let down.
+        Called at every tick; a non-empty reason ends the procedure and lowers the tensions.
     progress : callable
-        Told at every tick.
+        Called at every tick.
 
     Raises
     ------
     CalibrationRefused
-        If it was given up, with the tensions let down.
+        If the procedure was aborted; the tensions are low.
     TeleopError
         If the rig failed.
     """
@@ -169,7 +168,7 @@ def drive(
 
 
 class _Drive:
-    """A rig under way through the procedure."""
+    """A rig while the procedure runs."""
 
     def __init__(self, rig: Rig, limits: Limits, joints: Sequence[int], together: bool) -> None:
         self.newest: RigSample | None = None
@@ -186,12 +185,12 @@ class _Drive:
         initial_position.start(self._position, rig.tendons, rig.starts_at_zero)
         self._motor: tuple[float, ...] = ()
         self._gate = as_record(limits.gate)
-        self._no_reach = gate.Reach.array(0)  # the joints' ends are what is looked for
+        self._no_reach = gate.Reach.array(0)  # the range of the joints is not known yet
         self._silence = 0.0
         self._interrupted = False
 
     def tick(self, time_s: float, dt: float, order: str) -> None:
-        """Read, step every joint of the group under way, and write; `order` ends it."""
+        """Read, step every joint of the current group, and write; a non-empty `order` ends it."""
         self._read(time_s, dt)
         self._interrupted = self._interrupted or bool(order)
         if self._silence > SILENCE_MAX_S:
@@ -216,7 +215,7 @@ class _Drive:
             self.over = not self._groups or any(m.refusal for m in self._memories)
 
     def progress(self, time_s: float) -> Progress:
-        """Return where it is, `time_s` [s] after it began."""
+        """Return the progress `time_s` [s] after the start."""
         done = [procedure_state.progress(self._limits.initialise, m) for m in self._memories]
         group = self._groups[0] if self._groups else self._joints[-1:]
         j = min(group, key=lambda j: done[j])
@@ -225,7 +224,7 @@ class _Drive:
         return Progress(time_s, j + 1, now.phase, now.side, share, now.tension)
 
     def result(self) -> ProcedureResult:
-        """Return what was measured, or raise why there is nothing to go by."""
+        """Return the measurements, or raise the reason of the abort."""
         refusal = next((m.refusal for m in self._memories if m.refusal), "")
         if refusal:
             raise (
@@ -241,9 +240,7 @@ class _Drive:
         try:
             samples = self._rig.read(time_s)
         except RigFinished as error:
-            raise CalibrationRefused(
-                "these are measured data: there is no rig to calibrate"
-            ) from error
+            raise CalibrationRefused("replayed data: there is no rig to calibrate") from error
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
         useful = [sample for sample in samples if is_complete(sample)]
@@ -253,7 +250,7 @@ class _Drive:
         self.newest = useful[-1] if useful else self.newest
 
     def _locate(self, samples: Sequence[RigSample], dt: float) -> None:
-        """Find out where the motors stand, until that is known."""
+        """Determine the initial motor positions."""
         if self._motor:
             return
         tendons = self._rig.tendons
@@ -266,7 +263,7 @@ class _Drive:
             self._motor = tuple(self._position.position[:tendons].tolist())
 
     def _step(self, j: int, order: str, dt: float) -> tuple[float, ...]:
-        """Step one joint; return where its motors shall be [m]."""
+        """Step one joint; return its motor targets [m]."""
         assert self.newest is not None and self.newest.proximal_displacement is not None  # noqa: S101, PT018 - `is_complete`
         tendons = list(self._rig.joints[j])
         seen = JointReadings(
@@ -285,7 +282,7 @@ class _Drive:
         return targets
 
     def _write(self, wanted: Sequence[float], dt: float) -> None:
-        """Let through what each joint may do, and write it."""
+        """Pass the targets through the gate and write them."""
         assert self.newest is not None  # noqa: S101 - asked by the caller
         tension = self.newest.proximal_tension
         motor = np.array(self._motor)
@@ -303,7 +300,7 @@ class _Drive:
     def _gated(
         self, last: Array, wanted: Array, tension: Array, dt: float
     ) -> tuple[Array, GateFlags]:
-        """Return what the gate lets through of the motions of a joint [m], and its verdict."""
+        """Return the output of the gate for a joint [m], and its flags."""
         passed = np.empty_like(last)
         verdict = gate.step(
             self._gate, len(last), last, wanted, tension, self._silence, True, dt,
@@ -313,13 +310,13 @@ class _Drive:
 
 
 def fast_ticks(rate_hz: float) -> Iterator[Tick]:
-    """Yield ticks of a simulated rig's own time, as fast as they are asked for."""
+    """Yield ticks of a simulated rig's own time, as fast as they are consumed."""
     dt = 1.0 / rate_hz
     return (Tick(k, round(k * dt * 1e9), dt) for k in count())
 
 
 def is_complete(sample: RigSample) -> bool:
-    """Return whether every tendon's tension and travel are there."""
+    """Return whether the sample has finite tension and travel of every tendon."""
     travel = sample.proximal_displacement
     return travel is not None and bool(
         np.isfinite(sample.proximal_tension).all() and np.isfinite(travel).all()
@@ -327,11 +324,12 @@ def is_complete(sample: RigSample) -> bool:
 
 
 def require_possible(rig: Rig, limits: Limits) -> None:
-    """Refuse a config that the procedure cannot be done with, before anything moves."""
+    """Raise `UsageError` if the procedure cannot run with this config."""
     config, most = limits.initialise, limits.gate
     if len(config.sheaths) not in (0, 1, rig.tendons):
         raise UsageError(
-            f"slave.initialise.sheaths: {len(config.sheaths)} described, the rig has {rig.tendons}"
+            f"slave.initialise.sheaths: {len(config.sheaths)} sheaths, but the rig has "
+            f"{rig.tendons} tendons"
         )
     if config.tension > most.tension_max:
         raise UsageError(

@@ -1,6 +1,6 @@
-"""Tendon control: from the travel asked of a joint to the positions of the motors that pull it.
+"""Tendon control: from the commanded travel of a joint to motor positions.
 
-`step` is the controller, `joint_estimate` what is known of a joint from its tendons.
+`step` is the controller, `joint_estimate` estimates a joint from its tendons.
 docs/control.md explains both.
 """
 

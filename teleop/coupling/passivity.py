@@ -42,7 +42,7 @@ class PassivityConfig:
     passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
 
     def __post_init__(self) -> None:
-        """Refuse a ledger that allows nothing, or everything."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 < self.reserve <= 0.1:
             raise ValueError("reserve: must be above 0 and at most 0.1 [J]")
         if not self.reserve <= self.credit_max <= 1.0:

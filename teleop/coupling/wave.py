@@ -39,7 +39,7 @@ class WaveConfig:
     passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
 
     def __post_init__(self) -> None:
-        """Refuse a line that carries nothing."""
+        """Check the values; raises `ValueError`."""
         if not 0.1 <= self.impedance <= 1e4:
             raise ValueError("impedance: must be within 0.1 ... 10000 [N s/m]")
         if not 1e-3 <= self.play <= 0.5:

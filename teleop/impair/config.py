@@ -40,7 +40,7 @@ class DirectionConfig:
     reliable: Literal["delayed", "impaired", "clean"] = "delayed"  # what reliable topics meet
 
     def __post_init__(self) -> None:
-        """Refuse what no network does."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 <= self.delay <= 10.0:
             raise ValueError("delay: must be within 0 ... 10 [s]")
         if not 0.0 <= self.jitter <= self.delay:
@@ -106,7 +106,7 @@ class ImpairConfig:
     to_master: DirectionConfig = field(default_factory=DirectionConfig)
 
     def __post_init__(self) -> None:
-        """Refuse a presence that ends before it is cut."""
+        """Check the values; raises `ValueError`."""
         if not self.presence >= 0.0:
             raise ValueError("presence: must be at least 0 [s]")
 

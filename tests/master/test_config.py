@@ -68,8 +68,8 @@ def test_the_new_device_in_the_docs_takes_less_than_50_lines_and_runs():
     [
         ("master.force.scale=-1", "scale"),
         ("master.gate.axis_max=0", "axis_max"),
-        ("master.freshness=0", "state_timeout"),
-        ("master.freshness=0.2", "delay_max"),
+        ("master.state_timeout=0", "state_timeout"),
+        ("master.state_timeout=0.2", "delay_max"),
         ("master.device.type=falcon", "virtual"),
         ("master.device.mas=1", "mass"),
         ("master.device.reference.type=jump", "reaches"),
@@ -146,8 +146,8 @@ def test_a_command_is_sent_every_so_many_ticks_of_the_device(rate_hz, device_rat
             "100 Hz)",
         ),
         (
-            ["rate_hz=100", "slave.command_timeout=0.04", "master.freshness=0.02"],
-            "master.freshness: 0.02: must be at least 3 periods of rate_hz (0.03 s at 100 Hz)",
+            ["rate_hz=100", "slave.command_timeout=0.04", "master.state_timeout=0.02"],
+            "master.state_timeout: 0.02: must be at least 3 periods of rate_hz (0.03 s at 100 Hz)",
         ),
         (
             ["rate_hz=100", "slave.command_timeout=0.04", "slave.gate.tension_age_max=0.02"],

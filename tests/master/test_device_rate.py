@@ -74,7 +74,7 @@ class Wall:
     def answer(self, command, now_ns, dt):
         """Return the fields of the state that answers a command, as the slave's loop does."""
         self.state = State.ENGAGED if command["state"] == State.ENGAGED else State.READY
-        coupling.hear(self.side, np.uint64(8), command["energy"], command["wave"])
+        coupling.receive(self.side, np.uint64(8), command["energy"], command["wave"])
         asked, speed = command["position"].copy(), command["velocity"].copy()
         force = np.zeros(MAX_JOINTS)
         force[0] = self.force

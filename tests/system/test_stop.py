@@ -16,7 +16,7 @@ from tests.system.processes import START_S, Processes, pause
 HELD = (
     *("master.device.engage=[[0.5, 1000.0]]", "master.device.engage_period=.inf"),
     # on a busy machine a silence that is not meant would end the session
-    *("master.freshness=0.5", "master.delay_max=1.0", "slave.command_timeout=0.5"),
+    *("master.state_timeout=0.5", "master.delay_max=1.0", "slave.command_timeout=0.5"),
 )
 LIMIT_NS = 50_000_000  # from the call heard by the recorder to no force and no motion
 

@@ -1,4 +1,4 @@
-"""Axes, buttons and hats of any joystick, as its report descriptor lays them out."""
+"""Axes, buttons and hats of any joystick, from its report descriptor."""
 
 from typing import NamedTuple
 
@@ -36,7 +36,7 @@ class _Axis(NamedTuple):
 
 
 class _Buttons(NamedTuple):
-    """A row of bits that are buttons one after the other."""
+    """A row of consecutive button bits."""
 
     offset: int  # [bit]
     mask: int
@@ -58,11 +58,11 @@ class _Plan(NamedTuple):
     axes: tuple[_Axis, ...]
     buttons: tuple[_Buttons, ...]
     hats: tuple[_Hat, ...]
-    reported: int  # mask of the buttons that it tells of
+    reported: int  # mask of the buttons in this report
 
 
 class Inputs:
-    """What a device tells of its operator.
+    """Axes and buttons of a device.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Inputs:
         self._plans = plans
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return what `report` changes in `controls`; never raises."""
+        """Return `controls` updated with `report`; never raises."""
         if not report:
             return controls
         plan = self._plans.get(report[0] if self._numbered else 0)

@@ -1,4 +1,4 @@
-"""Permission to open HID devices on Linux: a udev rule for each model."""
+"""udev rules that permit opening HID devices on Linux, one per model."""
 
 from collections.abc import Iterable
 
@@ -6,7 +6,7 @@ from master.devices.hid import spacemouse
 
 PLACE = "/etc/udev/rules.d/70-tendon-teleop.rules"  # before 73-seat-late.rules, which reads the tag
 
-# vendor, product (None = every one), and what it is
+# vendor, product (None = all), name
 KNOWN: tuple[tuple[int, int | None, str], ...] = (
     (0x1209, 0xFFB0, "OpenFFBoard"),
     (0x2341, 0x8036, "Arduino Leonardo"),
@@ -52,16 +52,16 @@ KNOWN: tuple[tuple[int, int | None, str], ...] = (
 
 
 def rules(others: Iterable[tuple[int, int | None, str]] = ()) -> str:
-    """Return the rules file: for the models known here, and for `others` (vendor, product, name).
+    """Return the rules file for the known models and for `others` (vendor, product, name).
 
-    Whoever sits at the machine may open these devices, and nobody else (`uaccess`).
+    Only the user logged in at the machine may open these devices (`uaccess`).
     """
     known = {one[:2]: one for one in KNOWN}
     for one in others:
         known.setdefault(one[:2], one)
     lines = [
-        "# Haptic devices that whoever sits at this machine may open (tendon-teleop).",
-        "# sudo udevadm control --reload && plug the device in anew",
+        "# Haptic devices that the user at this machine may open (tendon-teleop).",
+        "# sudo udevadm control --reload , then plug the device in again",
     ]
     for vendor, product, name in known.values():
         lines += ["", f"# {' '.join(name.split())}", _usb(vendor, product)]

@@ -41,7 +41,7 @@ class Device:
     smoothing: float = 0.0  # [s] time constant of its velocity's filter, as in the HID drivers
 
     def __post_init__(self) -> None:
-        """Refuse what no device is."""
+        """Check the values; raises `ValueError`."""
         for name, most, unit in (
             ("mass", 10.0, "kg"),
             ("damping", 1e3, "N s/m"),
