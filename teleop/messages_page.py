@@ -1,4 +1,4 @@
-"""The page of topics and messages in the docs, made from the declarations.
+"""Generate the docs page of topics and messages from the declarations.
 
 python -m teleop.messages_page > docs/messages.md
 """
@@ -21,12 +21,11 @@ hand.
 
 A topic's key on the network is `teleop/<session>/<topic>`, its channel in a recording `/<topic>`.
 The bytes are CDR, little-endian: `00 01 00 00`, then each field at its natural alignment. All
-arrays have a fixed length; where a message says how many entries are in use, the others mean
-nothing. Units are SI.
+arrays have a fixed length; entries beyond the number in use are undefined. Units are SI.
 
-A *live* topic is best effort: what cannot be sent at once is dropped, and readers look at the
-newest value and its age. A *reliable* one keeps its order and is repeated by the transport, but
-even there a sender never waits; what a stalled listener misses shows as a gap in the sequence.
+A *live* topic is best effort: what cannot be sent at once is dropped, and readers use the newest
+value and its age. A *reliable* one is ordered and retransmitted by the transport, but the sender
+never waits; messages missed by a stalled listener show as a gap in the sequence.
 """
 
 _HEAD_TEXT = """\
@@ -57,7 +56,7 @@ def page() -> str:
 
 def _topic_row(topic: Topic[Any]) -> str:
     sender = "any" if topic.publisher is None else topic.publisher.name.lower()
-    rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "now and then"
+    rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "on events"
     kind = "live" if topic.live else "reliable"
     name = topic.message.__name__
     return f"| `{topic.name}` | [{name}](#{name.lower()}) | {sender} | {rate} | {kind} |"

@@ -1,4 +1,4 @@
-"""What both sides must agree on about the force that crosses the network."""
+"""Settings of the bilateral coupling that both sides must share."""
 
 import zlib
 from functools import lru_cache
@@ -39,7 +39,7 @@ class Bilateral(NamedTuple):
 
 
 class BilateralSettings(Record):
-    """A `Bilateral` for compiled functions; of the couplings only that of its `kind` is used."""
+    """A `Bilateral` for compiled functions; only the coupling of its `kind` is used."""
 
     signature: U32 = NO_SIGNATURE  # `Bilateral.signature`
     kind: I64 = DIRECT  # DIRECT, PASSIVITY or WAVE

@@ -1,4 +1,4 @@
-"""The network: the only place that knows Zenoh.
+"""The network link: the only package that uses Zenoh.
 
 Keys are `teleop/<session>/<topic>`; presence tokens are below `teleop/<session>/@`.
 """

@@ -3,9 +3,8 @@
   teleop record                                      the session of the defaults, until Ctrl-C
   teleop record --config configs/demo.yaml --out /data/bench --duration 60
 
-The recorder only listens: it may start before the session or in the middle of it, be slow, or be
-killed, and the loops do not notice. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and
-Python: see docs/recordings.md.
+The recorder only listens: it may start at any time, be slow, or be killed, without effect on the
+loops. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and Python: see docs/recordings.md.
 """
 
 import argparse
@@ -25,7 +24,7 @@ from teleop.recording.writer import RecordingWriter
 from teleop.run_config import RunConfig
 from teleop.topics import TOPICS, Role
 
-_NICENESS = 5  # where loops and recorder share a processor, the loops go first
+_NICENESS = 5  # on a shared processor the loops have priority
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Record until told to stop; returns the exit code."""
+    """Record until stopped; returns the exit code."""
     run = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, RecordConfig, "record", args.overrides)
     if args.out:
@@ -58,7 +57,7 @@ def main(args: argparse.Namespace) -> int:
                     time.sleep(config.drain_s)
                     stopping = (
                         stop()
-                    )  # asked before the last look: it finds all that came until then
+                    )  # checked before the last read, which gets all earlier messages
                     messages = listener.drain()
                     writer.note_dropped({topic.name: listener.dropped(topic) for topic in TOPICS})
                     writer.write(messages, now_ns())
@@ -71,7 +70,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def summary_of(writer: RecordingWriter) -> dict[str, Any]:
-    """Return what was recorded, for a program."""
+    """Return the summary as a tree."""
     return {
         "file": str(writer.path),
         "seconds": (writer.last_ns - writer.first_ns) * 1e-9,
@@ -83,7 +82,7 @@ def summary_of(writer: RecordingWriter) -> dict[str, Any]:
 
 
 def lines(summary: dict[str, Any]) -> list[str]:
-    """Return what was recorded, for a reader."""
+    """Return the summary as text."""
     size_MB, seconds = summary["bytes"] / 1e6, summary["seconds"]
     out = [f"recorded {Path(summary['file'])}: {seconds:.1f} s, {size_MB:.1f} MB"]
     for topic, count in summary["messages"].items():
@@ -92,7 +91,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
         out.append(f"  {topic:10} {count:9} messages {rate}" + (f", {lost} lost" if lost else ""))
     if summary["dropped"]:
         dropped = ", ".join(f"{count} {topic}" for topic, count in summary["dropped"].items())
-        out.append(f"  dropped, as the recorder was too slow: {dropped}; use a faster disk")
+        out.append(f"  dropped because the recorder was too slow: {dropped}; use a faster disk")
     if not summary["messages"]:
-        out.append("  nobody published anything in this session")
+        out.append("  no messages in this session")
     return out

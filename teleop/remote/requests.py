@@ -14,7 +14,7 @@ RELAYED = (Reason.EMERGENCY_STOP, Reason.STOP_CALLED, Reason.WATCH_LOST)
 
 
 class SettingRequest(NamedTuple):
-    """A setting that another process asks to change."""
+    """Request of another process to change a setting."""
 
     asker: int  # nonce of the process
     sequence: int  # sequence number of its message
@@ -23,10 +23,10 @@ class SettingRequest(NamedTuple):
 
 
 class Requests(NamedTuple):
-    """What was asked since the last tick."""
+    """Requests since the last tick."""
 
     stop: Reason = Reason.NONE
-    words: str = ""  # by whom, and why
+    words: str = ""  # sender and reason of a stop
     reset: bool = False
     settings: tuple[SettingRequest, ...] = ()
 
@@ -44,10 +44,10 @@ class RequestListener:
         self._before = SessionOutline()
 
     def __call__(self, now_ns: int, stops: int = 0) -> Requests:
-        """Return what was asked since the last call, at `now_ns` [ns].
+        """Return the requests since the last call, at `now_ns` [ns].
 
-        A reset counts if it names the newest of our `stops`, so that none takes back a stop that
-        was called for after it.
+        A reset is valid if it gives the newest of our `stops`, so that it cannot reset a later
+        stop.
         """
         messages = self._listener.drain()
         if not messages and not self._armed:
@@ -83,9 +83,9 @@ class RequestListener:
         return requests
 
     def relay(self, role: Role, side: SessionOutline, words: str) -> None:
-        """Tell everybody of a stop that has just been obeyed.
+        """Relay a stop that has just been executed to all processes.
 
-        Whoever called for it may have reached this side only, and is not linked to the recorder.
+        Its sender may be connected to this side only, and is not connected to the recorder.
         """
         began = side.state is State.STOPPED and self._before.state is not State.STOPPED
         self._before = side
@@ -97,12 +97,12 @@ class RequestListener:
 
 
 def call_stop(link: Link, role: Role, words: str, action: int = CALL) -> None:
-    """Send one message of the stop topic; anybody's call is obeyed."""
+    """Send one emergency stop message; a stop of any sender is executed."""
     link.publish(STOP, EmergencyStop(role=role, action=action, text=text_bytes(words)))
 
 
 def call_reset(link: Link, role: Role, words: str, side: Role, number: int) -> None:
-    """Ask a side to take back the stop that is its newest if its `stops` is `number`."""
+    """Request that a side resets its newest stop if its `stops` is `number`."""
     link.publish(
         STOP,
         EmergencyStop(role=role, action=RESET, side=side, number=number, text=text_bytes(words)),

@@ -1,4 +1,4 @@
-"""See the tension along the sheath, live or from a recording.
+"""Show the tension along the sheath, live or from a recording.
 
 Without FILE it listens to a running session, in a window, or in a browser where there is no screen:
 
@@ -38,7 +38,7 @@ from teleop.view.feed import Discard, FeedCounts, Show, from_link, from_recordin
 from teleop.view.scene import Scene
 from teleop.view.sinks import MODES, Mode, Sink
 
-_NICENESS = 5  # where loops and view share a processor, the loops go first
+_NICENESS = 5  # on a shared processor the loops have priority
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,13 +48,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--view",
         choices=MODES,
-        help="a window, a page for a browser on this machine, a Rerun file, or nothing at all "
-        "(default: native with a screen, web without)",
+        help=(
+            "window, web page on this machine, Rerun file, or nothing (default: native with a "
+            "screen, web without)"
+        ),
     )
     parser.add_argument(
         "--layout",
         choices=LAYOUTS,
-        help="few and large, everything, or the scene alone (default: view.layout of the config)",
+        help="surgeon, experiment or presentation layout (default: view.layout of the config)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"
@@ -106,10 +108,10 @@ def main(args: argparse.Namespace) -> int:
 def _show_recording(
     path: str, config: ViewConfig, show: Show, sink: Sink, stop: Stop
 ) -> FeedCounts:
-    """Show a recording, and stay until it has been looked at."""
+    """Show a recording, and wait until the viewer is closed."""
     fed = from_recording(path, show, stop, config.file_period_s)
     if sink.watched:
-        print("The whole recording is there; Ctrl-C ends the view", flush=True)
+        print("recording loaded; Ctrl-C ends the view", flush=True)
         while not stop() and sink.alive():
             time.sleep(0.1)
     stop.request("the recording is shown")
@@ -117,7 +119,7 @@ def _show_recording(
 
 
 def periods(sink: Sink, config: ViewConfig) -> tuple[float, float]:
-    """Return the times [s] between two blocks of pictures and of curves."""
+    """Return the periods [s] of scene updates and of curves."""
     if sink.watched:
         return 0.0, 1.0 / config.curves_hz
     return config.file_period_s, config.file_period_s

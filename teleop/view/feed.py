@@ -1,4 +1,4 @@
-"""Feeding the scene: from the link as it happens, from a recording as fast as it reads."""
+"""Feed the scene: live from the link, or from a recording at full speed."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from teleop.view.sinks import Sink
 
 
 class Show(Protocol):
-    """What takes the batches: pictures often, curves less often, since every growth costs."""
+    """Receiver of batches: pictures often, curves less often, as each update is costly."""
 
     def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw what stands in space."""
+        """Update the scene."""
 
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw what grows over time."""
+        """Extend the curves."""
 
 
 _PROBE_EVERY_NS = 5_000_000_000
@@ -32,15 +32,15 @@ _BY_NAME = {topic.name: topic for topic in TOPICS}
 
 @dataclass(slots=True)
 class FeedCounts:
-    """What went through, for the summary."""
+    """Counts for the summary."""
 
     received: int = 0
     shown: int = 0
-    fault: str = ""  # why it ended, if something broke
+    fault: str = ""  # reason of a failure
 
 
 class PacedMessages:
-    """Messages held until their period is over: every block of them costs, however small it is.
+    """Messages buffered for a period, as every block has a fixed cost.
 
     Parameters
     ----------
@@ -54,11 +54,11 @@ class PacedMessages:
         self._due_ns: int | None = None
 
     def add(self, messages: Iterable[tuple[AnyTopic, bytes]]) -> None:
-        """Hold these too."""
+        """Add messages."""
         self._held.extend(messages)
 
     def take(self, now_ns: int, all_of_it: bool = False) -> list[tuple[AnyTopic, bytes]]:
-        """Return what is held if its period is over (or `all_of_it` is wanted), else nothing."""
+        """Return the buffer if its period is over or with `all_of_it`, else nothing."""
         if self._due_ns is None:
             self._due_ns = now_ns + self._period_ns
         if now_ns < self._due_ns and not all_of_it:
@@ -76,14 +76,14 @@ def from_link(
     drain_hz: float,
     periods_s: tuple[float, float],
 ) -> FeedCounts:
-    """Show what is heard until told to stop.
+    """Show received messages until stopped.
 
     Parameters
     ----------
     drain_hz : float
-        [Hz] how often the listener is emptied.
+        [Hz] rate of reading the listener.
     periods_s : tuple of two floats
-        [s] between two blocks of what is drawn in space, and of the curves over time.
+        [s] between updates of the scene, and of the curves.
     """
     fed = FeedCounts()
     pictures, curves = PacedMessages(periods_s[0]), PacedMessages(periods_s[1])
@@ -109,7 +109,7 @@ def from_link(
         elif tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
             if sink.stuck():
-                fed.fault = "the viewer takes no more data; start the view again"
+                fed.fault = "the viewer accepts no more data; start the view again"
                 stop.request("the viewer is stuck")
     pass_on(0, all_of_it=True)
     return fed

@@ -189,7 +189,7 @@ def test_a_diagnosis_reads_a_zero_that_is_off_and_spikes_but_no_wrong_sign(path)
     path.write_text(rows(spiked))
     assert read_table(path, diagnosed=True).proximal_tension.min() == -8.0
     assert "cannot push" in refusal(path)
-    assert "a zero that is off" in refusal(path, rows(-pull), diagnosed=True)
+    assert "a zero offset" in refusal(path, rows(-pull), diagnosed=True)
 
 
 def test_the_bench_is_checked_too(path):

@@ -74,7 +74,7 @@ def test_the_new_device_in_the_docs_takes_less_than_50_lines_and_runs():
         ("master.device.mas=1", "mass"),
         ("master.device.reference.type=jump", "reaches"),
         ("master.device.engage=[[2, 1]]", "engage"),
-        ("master.device={type: hid, axes: [{name: x}]}", "travel and speed"),
+        ("master.device={type: hid, axes: [{name: x}]}", "travel, speed"),
         ("master.device={type: hid, driver: usb}", "spacemouse"),
         ("master.device={type: hid, buttons: {engage: 0}}", "buttons.engage"),
         ("master.device={type: hid, find: 4711}", "quotes"),
@@ -129,11 +129,11 @@ def test_a_command_is_sent_every_so_many_ticks_of_the_device(rate_hz, device_rat
     [
         (
             ["master.device_rate_hz=2500"],
-            "master.device_rate_hz: 2500: must be a whole multiple of rate_hz (1000 Hz)",
+            "master.device_rate_hz: 2500: must be an integer multiple of rate_hz (1000 Hz)",
         ),
         (
             ["master.device_rate_hz=500"],
-            "master.device_rate_hz: 500: must be a whole multiple of rate_hz (1000 Hz)",
+            "master.device_rate_hz: 500: must be an integer multiple of rate_hz (1000 Hz)",
         ),
         (
             ["master.device_rate_hz=8000"],

@@ -241,7 +241,9 @@ def test_a_session_has_a_proxy_only_where_its_config_says_so():
 
 
 def test_the_proxy_leaves_the_machine_no_easier_than_a_side():
-    with pytest.raises(UsageError, match=r"^impair\.endpoint: .*plain tcp leaves this machine"):
+    with pytest.raises(
+        UsageError, match=r"^impair\.endpoint: .*plain tcp is only allowed on loopback"
+    ):
         ImpairConfig(endpoint="tcp/10.0.0.1:7449").link(LinkConfig())
 
 

@@ -363,7 +363,7 @@ def test_an_earlier_recording_is_never_overwritten(tmp_path):
 def test_a_directory_that_cannot_be_written_is_a_usage_error(tmp_path):
     (tmp_path / "file").touch()
     for directory in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(UsageError, match="cannot record here") as caught:
+        with pytest.raises(UsageError, match="cannot create a recording") as caught:
             RecordingWriter(RecordConfig(directory=str(directory)), "demo", START_NS)
         assert "\n" not in str(caught.value)
 
@@ -398,7 +398,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_is_there(tmp_path):
 
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
     try:
-        with pytest.raises(TeleopError, match="cannot write on") as caught:
+        with pytest.raises(TeleopError, match="write failed") as caught:
             record()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

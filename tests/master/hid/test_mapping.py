@@ -200,8 +200,8 @@ def test_what_the_device_does_not_have_is_named(axis, buttons, complaint):
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        ({"travel": 0.1, "speed": 0.1}, "travel and speed"),
-        ({}, "travel and speed"),
+        ({"travel": 0.1, "speed": 0.1}, "travel, speed"),
+        ({}, "travel, speed"),
         ({"travel": 2.0}, "travel"),
         ({"travel": 0.1, "dead_zone": 1.0}, "dead_zone"),
         ({"travel": 0.1, "force": -1.0}, "force"),

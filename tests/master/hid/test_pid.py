@@ -208,7 +208,7 @@ def test_a_device_that_never_answers_is_refused():
             return bytes([number])
 
     memory = Mute()
-    with pytest.raises(DriverError, match="did not make the effect"):
+    with pytest.raises(DriverError, match="did not create the effect"):
         begun(openffboard(), memory=memory)
     assert 2 <= memory.reads <= 100
 
@@ -310,7 +310,7 @@ def test_time_is_counted_as_the_device_says():
         _, reported = begun(with_clock(exponent))
         assert bytes.fromhex(reported[5])[3:5] == struct.pack("<H", ticks)
     for exponent in (0x00, 0x03, 0x09, 0xF0):
-        with pytest.raises(DriverError, match="cannot end after"):
+        with pytest.raises(DriverError, match="cannot have a duration of"):
             PidDriver(with_clock(exponent))
 
 

@@ -97,7 +97,7 @@ def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monke
     new = tmp_path / "new.yaml"
     for words, said in [
         (["--out", config], "is the config"),
-        (["--out", other], "is no calibration"),
+        (["--out", other], "is not a calibration"),
         (["--out", new, "--figure", config], "is the config or"),
         (["--out", new, "--figure", new], "is the config or"),
     ]:
@@ -159,7 +159,7 @@ def test_ctrl_c_ends_it_without_a_file(tmp_path, capsys, monkeypatch):
         for number, handler in zip((signal.SIGINT, signal.SIGTERM), handlers, strict=True):
             signal.signal(number, handler)
     assert code == 130
-    assert "SIGINT: stopped, nothing is written" in capsys.readouterr().err
+    assert "SIGINT: stopped, no file written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -187,5 +187,5 @@ def test_a_range_that_was_found_once_is_expected_again(done, capsys):
     before = out.read_text()
     assert teleop("--config", done / "rig.yaml", *words, "--quick", "--together", "--out", out) == 1
     said = capsys.readouterr().err
-    assert "joint 1: it travels 4.0 mm between its stops, 6.0 mm were expected" in said
+    assert "joint 1: it travels 4.0 mm between its stops, expected 6.0 mm" in said
     assert out.read_text() == before

@@ -127,8 +127,8 @@ def test_a_motor_too_weak_for_the_tension_is_named_and_not_asked_for_more():
     with pytest.raises(CalibrationRefused) as error:
         calibrated(rig, rate_hz=RATE)
     said = re.fullmatch(
-        r"joint 1, tendon a: the motor is 3\.\d mm behind its command at (\d\.\d) N; is it strong "
-        r"enough for 20 N\? Lower slave\.initialise\.tension",
+        r"joint 1, tendon a: the motor is 3\.\d mm behind its command at (\d\.\d) N; check that it "
+        r"can pull 20 N, or lower slave\.initialise\.tension",
         str(error.value),
     )
     assert said

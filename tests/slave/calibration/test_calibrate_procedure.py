@@ -181,11 +181,11 @@ REFUSALS = {
     ),
     "a tendon that breaks": (
         {"a": joint(), "effects": (effect("broken_tendon", tendon="a", start=3.0),)},
-        r"joint 1, tendon a: .*slipped or broken",
+        r"joint 1, tendon a: .*slipped or broke",
     ),
     "too little range": (
         {"a": joint(body={"friction": 6.0})},
-        r"joint 1, tendon a: 2\d\.\d N were reached while the joint still moved, or hardly after",
+        r"joint 1, tendon a: 2\d\.\d N were reached before or just after the stop",
     ),
     "a saturated cell": (
         {"a": joint(range=12.0)},
