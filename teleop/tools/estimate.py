@@ -1,14 +1,14 @@
-"""Estimate the distal tension in measured data, offline, with the numbers a live slave would give.
+"""Estimate the distal tension in measured data, offline, exactly as a live slave does.
 
   teleop estimate bench.csv --fit                      fit K to the measured distal tension
-  teleop estimate bench.csv --fit --save sheath.yaml   ... and keep it as a calibration
+  teleop estimate bench.csv --fit --save sheath.yaml   ... and save it as a calibration
   teleop estimate run.csv --calibration sheath.yaml --out estimates.csv
-  teleop estimate run.csv --config configs/demo.yaml   with the model of a config (slave.tendons)
-  teleop estimate run.csv --model diagnosis/model.yaml     with what `teleop diagnose` found
+  teleop estimate run.csv --config configs/demo.yaml   with the models of a config (slave.tendons)
+  teleop estimate run.csv --model diagnosis/model.yaml     with a model of `teleop diagnose`
 
 The data: a CSV, CSV.gz or Parquet table with time_s and proximal_tension_N, optionally
 proximal_displacement_m, distal_tension_N and distal_displacement_m; or a recording (.mcap).
-With a distal tension the estimate is judged against it.
+A measured distal tension is compared with the estimate.
 """
 
 import argparse
@@ -56,8 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig",
         default="",
         metavar="NAME",
-        help="of --save: the rig (slave.rig.name) that the fit is to be used on; without it the "
-        "calibration is good for playing measured data only",
+        help=(
+            "with --save: the rig (slave.rig.name) of the calibration; without it, it is only "
+            "valid for replayed data"
+        ),
     )
     fit.add_argument(
         "--blocked-tip",
@@ -69,8 +71,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.0,
         metavar="M",
-        help="[m] of the sheath (default 1); data tell only EA/L, so that EA scales with it; with "
-        "--model too",
+        help=(
+            "[m] of the sheath (default 1), also with --model; data determine only EA/L, so EA "
+            "scales with it"
+        ),
     )
     parser.add_argument(
         "--column",
@@ -93,12 +97,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drop-nonfinite",
         action="store_true",
-        help="leave out rows with values that are not finite",
+        help="omit rows with non-finite values",
     )
 
 
 def main(args: argparse.Namespace) -> int:
-    """Estimate, and say how good it is; returns the exit code."""
+    """Estimate and report the error; returns the exit code."""
     check_words(args)
     if args.out is not None:
         check_destination(args.out)
@@ -151,26 +155,26 @@ def main(args: argparse.Namespace) -> int:
 
 
 def check_words(args: argparse.Namespace) -> None:
-    """Refuse options that contradict each other, before anything is read."""
+    """Raise `UsageError` for conflicting options, before anything is read."""
     configured = args.config is not None or bool(args.overrides)
     ways = [args.fit, args.calibration is not None, configured]
     if args.fit and args.model:
-        raise UsageError("--model: not with --fit, which finds the sheath in the data")
+        raise UsageError("--model: conflicts with --fit; use one of them")
     if sum(ways) > 1 or not (any(ways) or args.model):
         raise UsageError(
-            "which sheath is it? Give one of --fit (needs a distal tension in the data), "
+            "no model of the sheath; give one of --fit (needs a distal tension in the data), "
             "--calibration FILE, and --config FILE, or --model FILE"
         )
     if not args.fit and (args.save is not None or args.blocked_tip):
-        raise UsageError("--save and --blocked-tip go with --fit")
+        raise UsageError("--save, --blocked-tip: require --fit")
     if not 0.0 < args.length <= LONGEST:
         raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LONGEST:g} m")
     if args.rig and args.save is None:
-        raise UsageError("--rig goes with --save")
+        raise UsageError("--rig: requires --save")
 
 
 def named(words: Sequence[str], tendon: int = 0) -> Columns:
-    """Return the columns' names of a tendon, from 0, with those given as NAME=COLUMN put in."""
+    """Return the column names of a tendon, from 0, with the overrides NAME=COLUMN."""
     known = [f.name for f in dataclasses.fields(Columns)]
     renamed = {}
     for word in words:
@@ -186,7 +190,7 @@ def named(words: Sequence[str], tendon: int = 0) -> Columns:
 def of_tendon(
     k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
 ) -> TendonConfig:
-    """Return tendon `k`, from 0, with the model file that is for it; one model is for all."""
+    """Return tendon `k`, from 0, with its model file; a single model is for all."""
     count = max(sum(map(len, joints)), len(known), k + 1)
     every = list(known) * count if len(known) == 1 else list(known)
     tendon = model_files.apply(every or [None] * count, joints, files)[k]
@@ -196,7 +200,7 @@ def of_tendon(
 
 
 def with_noise(tendon: TendonConfig, table: MeasuredTable, length: float) -> TendonConfig:
-    """Return a tendon of which only a model file is known, with the noise of a record."""
+    """Return a tendon from a model file alone, with the noise of a record."""
     travel = table.proximal_displacement
     try:
         return dataclasses.replace(
@@ -210,7 +214,7 @@ def with_noise(tendon: TendonConfig, table: MeasuredTable, length: float) -> Ten
 
 
 def with_true_tip(table: MeasuredTable, tendon: TendonConfig) -> MeasuredTable:
-    """Return data whose tension at the tip is put right, as far as a model file tells how."""
+    """Return data with the tip tension corrected by a model file."""
     extended = tendon.extended()
     if extended is None or table.distal_tension is None:
         return table
@@ -221,7 +225,7 @@ def with_true_tip(table: MeasuredTable, tendon: TendonConfig) -> MeasuredTable:
 def travel_contradicts(
     tendon: TendonConfig, table: MeasuredTable, error: dict[str, Any] | None
 ) -> bool:
-    """Return whether leaving the travel out would make the estimate a different one altogether."""
+    """Return whether the estimate without travel would be far better."""
     if error is None or table.proximal_displacement is None:
         return False
     alone = Estimator(tendon.model()).run(dataclasses.replace(table, proximal_displacement=None))
@@ -233,10 +237,9 @@ def travel_contradicts(
 
 
 def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
-    """Return the models that the calibration file or the config has, and the rig's joints.
+    """Return the models of the calibration file or the config, and the rig's joints.
 
-    One model is for all tendons, none is known where only model files are given; joints are empty
-    where nothing tells which they are.
+    A single model is for all tendons; none with model files only; joints are empty if unknown.
     """
     if args.calibration is not None:
         calibration = file.load(args.calibration)
@@ -255,9 +258,9 @@ def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], Join
 
 
 def chosen(word: str | None, joints: JointTendons, count: int) -> int:
-    """Return the tendon, from 0, that `--tendon` means: 1a, 1b, 2a, ... or 1, 2, 3, ...
+    """Return the tendon of `--tendon`, from 0: 1a, 1b, 2a, ... or 1, 2, 3, ...
 
-    `count` models are known; one is for all tendons.
+    `count` is the number of models; a single one is for all tendons.
     """
     known = sum(map(len, joints)) or (count if count > 1 else MAX_TENDONS)
     names = model_files.names_of(joints, known)
@@ -269,7 +272,7 @@ def chosen(word: str | None, joints: JointTendons, count: int) -> int:
 
 
 def tendon_name(k: int, joints: JointTendons) -> str:
-    """Return what tendon `k`, from 0, is called: by joint and side where that is known."""
+    """Return the name of tendon `k`, from 0: joint and side if known."""
     for number, tendons in enumerate(joints, start=1):
         if k in tendons:
             return f"{number}{'ab'[tendons.index(k)]}"
@@ -305,7 +308,7 @@ def columns(estimates: online.Estimates) -> dict[str, Any]:
 
 
 def tendon_config(fit: SheathFit) -> TendonConfig:
-    """Return a fitted tendon as calibration files have it."""
+    """Return a fitted tendon for a calibration file."""
     model = fit.model
     return TendonConfig(
         effective_friction=fit.K.value,
@@ -318,7 +321,7 @@ def tendon_config(fit: SheathFit) -> TendonConfig:
 
 
 def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable, rig: str) -> None:
-    """Write a calibration that `--calibration` and `slave.calibration` take."""
+    """Write a calibration for `--calibration` and `slave.calibration`."""
     ends = ", ".join(f"{n} {p.low:.4g} to {p.high:.4g}" for n, p in fit.parameters.items())
     calibration = Calibration(
         tendons=(tendon,),
@@ -332,10 +335,10 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
 
 
 def format_report(summary: dict[str, Any]) -> list[str]:
-    """Return the summary as lines to read."""
+    """Return the summary as lines of text."""
     lines = [f"{summary['data']}: {summary['samples']} samples"]
     if "tendon" in summary:
-        lines.append(f"tendon    {summary['tendon']} (--tendon says which)")
+        lines.append(f"tendon    {summary['tendon']} (select with --tendon)")
     if "fit" in summary:
         fit = summary["fit"]
         lines.append(f"fit       {fit['method']}")
@@ -357,7 +360,7 @@ def format_report(summary: dict[str, Any]) -> list[str]:
     if summary["travel_contradicts"]:
         lines.append(
             "WARNING   the displacement contradicts the tension: without it the estimate is far "
-            "better. Is its unit the metre, and positive while pulling?"
+            "better. Check that its unit is metres, positive while pulling."
         )
     flags = [
         f"{name.replace('_', ' ')} {share:.0%}"

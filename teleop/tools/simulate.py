@@ -1,12 +1,12 @@
-"""Write measured data as a simulated rig would give it, faster than real time.
+"""Simulate measured data of a rig, faster than real time.
 
   teleop simulate configs/demo.yaml --out bench.csv
   teleop simulate configs/demo.yaml --out nested.parquet --profile nested --duration 60 --seed 7
 
 The rig is slave.rig of the config file, defaults without one. In every joint one motor makes the
-motion; that of the other tendon, where there is one, follows and keeps it from going slack. The
-table has the housing's sensors and, as on a calibration bench, those at the tip
-(docs/data-format.md). The same command writes the same file.
+motion; that of the other tendon, if any, keeps it taut. The table has the housing's sensors and, as
+on a calibration bench, those at the tip (docs/data-format.md). The same command writes the same
+file.
 """
 
 import argparse
@@ -32,7 +32,7 @@ FOLLOW_SPEED = 0.04  # [m/s] most that the loose tendon's motor goes
 
 
 class Run(NamedTuple):
-    """What was measured: times [s], shape (samples,), and the rest, shape (samples, tendons)."""
+    """Measurements: times [s], shape (samples,), others of shape (samples, tendons)."""
 
     time: Array
     proximal_tension: Array  # [N]
@@ -116,7 +116,7 @@ def main(args: argparse.Namespace) -> int:
     scale = Scale(args.peak, args.speed, args.stroke, args.period)
     motion = MOTIONS[args.profile](scale)
     replaced = args.out.exists()
-    SimulatedRig(config)  # compiles what is not compiled yet, which is not the plant's time
+    SimulatedRig(config)  # compiles, outside the timed part
     began = time.perf_counter()
     run = simulate(
         config,
@@ -130,7 +130,7 @@ def main(args: argparse.Namespace) -> int:
     took = time.perf_counter() - began
     write_table(args.out, table_of(run))
     if replaced:
-        print(f"{args.out}: the file that was there has been replaced")
+        print(f"{args.out}: replaced the existing file")
     _print_summary(args, config, run, took)
     return 0
 
@@ -148,7 +148,7 @@ def simulate(
     """Move all joints of a simulated rig by `motion` for `duration` [s], sampled at `rate` [Hz].
 
     In a pair tendon `side` makes the motion, and the other one is kept at `keep` [N]. Motors are
-    sent on at every step of the plant, however few of its samples become rows.
+    commanded at every step of the plant, for any output rate.
     """
     rig = SimulatedRig(config)
     loose = Keep(keep, FOLLOW_SPEED)
@@ -197,7 +197,7 @@ def _rig_config(args: argparse.Namespace) -> SimulatedRigConfig:
     config = load(args.config, SlaveConfig, "slave", args.overrides).rig
     place = args.config or "defaults"
     if not isinstance(config, SimulatedRigConfig):
-        raise UsageError(f"{place}: slave.rig.type: must be simulated, {config.type} moves nothing")
+        raise UsageError(f"{place}: slave.rig.type: must be simulated, not {config.type}")
     if args.seed is None:
         return config
     try:

@@ -1,4 +1,4 @@
-"""One session of `teleop run`, to its end: its summary, and what its processes took."""
+"""Run one session of `teleop run`: its summary and the CPU load of its processes."""
 
 import json
 import os
@@ -17,20 +17,20 @@ from teleop.errors import TeleopError
 from teleop.tools.bench import cpu
 
 SIDES = ("slave", "master")
-START_S = 300.0  # with all to be compiled, on a busy machine
+START_S = 300.0  # timeout with an empty compile cache, on a busy machine
 _SETTLE_S = 0.5  # after engaging, and before the end
 _ENGAGED = "[master] engaged"
 
 
 class Measured(NamedTuple):
-    """What a session was like."""
+    """Result of a session."""
 
     summary: dict[str, Any]  # of `teleop run --json`
     cpu: dict[str, float]  # share of a core [%] by process: run, slave, master
 
 
 def run_session(config: Path, seconds: float) -> Measured:
-    """Run a session of `seconds` [s] in which forces are felt; `TeleopError` if none are."""
+    """Run an engaged session of `seconds` [s]; `TeleopError` if it does not engage."""
     with ExitStack() as stack:
         out = config.with_suffix(".summary.json")
         master, slave = _free_ports(2)
@@ -46,7 +46,7 @@ def run_session(config: Path, seconds: float) -> Measured:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            start_new_session=True,  # Ctrl-C is for us to handle
+            start_new_session=True,  # Ctrl-C is handled by this process
         )
         stack.callback(_end, process)
         output = _SessionOutput(process)
@@ -67,7 +67,7 @@ def run_session(config: Path, seconds: float) -> Measured:
 
 
 class _SessionOutput:
-    """Reads what a session prints."""
+    """Reads the output of a session."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -77,13 +77,13 @@ class _SessionOutput:
         self._reader.start()
 
     def await_engaged(self) -> None:
-        """Wait until the hand feels forces."""
+        """Wait until the session is engaged."""
         in_time = self._engaged.wait(START_S)
         if not in_time or not any(line.startswith(_ENGAGED) for line in self._lines):
             raise TeleopError(f"the session to measure did not engage: {self.last()}")
 
     def await_end(self, seconds: float) -> None:
-        """Wait until the session has ended by itself."""
+        """Wait for the end of the session."""
         try:
             code = self._process.wait(seconds + START_S)
         except subprocess.TimeoutExpired as error:
@@ -101,7 +101,7 @@ class _SessionOutput:
 
     def last(self) -> str:
         complaints = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
-        return complaints[-1].removeprefix(COMPLAINT) if complaints else "it said nothing"
+        return complaints[-1].removeprefix(COMPLAINT) if complaints else "no output"
 
 
 def _end(process: subprocess.Popen[str]) -> None:
@@ -110,7 +110,7 @@ def _end(process: subprocess.Popen[str]) -> None:
         try:
             process.wait(30.0)
         except subprocess.TimeoutExpired:
-            process.kill()  # its children end with it
+            process.kill()  # its children end too
             process.wait()
 
 

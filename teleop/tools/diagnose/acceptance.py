@@ -1,4 +1,4 @@
-"""Parameters of a calibration beside those that the data give."""
+"""Compare the parameters of a calibration with those from the data."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +14,7 @@ from teleop.errors import UsageError
 
 
 class ComparedParameter(NamedTuple):
-    """A number of the sheath, twice."""
+    """A parameter of the sheath from calibration and data."""
 
     accepted: float
     found: Number
@@ -26,7 +26,7 @@ class ComparedParameter(NamedTuple):
 
 
 def load(path: Path, tendon: int) -> Sheath:
-    """Return the sheath of a tendon, from 0, of a calibration file; one model is for all."""
+    """Return the sheath of a tendon, from 0, of a calibration file; a single one is for all."""
     tendons = file.load(path).tendons
     if len(tendons) > 1 and tendon >= len(tendons):
         raise UsageError(f"{path}: has {len(tendons)} tendons, not tendon {tendon + 1}")
@@ -34,7 +34,7 @@ def load(path: Path, tendon: int) -> Sheath:
 
 
 def compare_parameters(found: Diagnosis, sheath: Sheath) -> dict[str, ComparedParameter]:
-    """Return the numbers that both the calibration and the data have, by name."""
+    """Return the parameters in both calibration and data, by name."""
     accepted = {
         FRICTION.name: sheath.K,
         COMPLIANCE.name: sheath.length / sheath.axial_stiffness,
@@ -47,7 +47,7 @@ def compare_parameters(found: Diagnosis, sheath: Sheath) -> dict[str, ComparedPa
 
 
 def table(numbers: Mapping[str, ComparedParameter]) -> Table:
-    """Return them for a person to read."""
+    """Return the comparison as text."""
     rows = [
         (
             name,

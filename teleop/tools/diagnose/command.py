@@ -1,14 +1,14 @@
-"""Find out what a model of measured data gets wrong, why, and what mending it is worth.
+"""Diagnose model errors in measured data: causes, their size, and the gain of correcting them.
 
-  teleop diagnose bench.csv                                say what is wrong, and what to do
-  teleop diagnose monday.csv tuesday.csv --out diagnosis   ... of one bench, with a report to read
-  teleop diagnose monday.csv --validate tuesday.csv        ... and test it on a day of its own
-  teleop diagnose bench.csv --effects creep,slack          ... among these causes only
+  teleop diagnose bench.csv                                print causes and remedies teleop diagnose
+  monday.csv tuesday.csv --out diagnosis   ... several files of one bench, with a report teleop
+  diagnose monday.csv --validate tuesday.csv        ... and validate on other data teleop
+  diagnose bench.csv --effects creep,slack          ... consider only these causes
 
 The data: tables with time_s and proximal_tension_N, and a travel or the tension at the tip beside
-them, or recordings (docs/data-format.md). Several files are taken to be of one bench and fitted
+them, or recordings (docs/data-format.md). Several files must be of one bench and are fitted
 together. With --out a folder gets report.html, report.json, model.yaml and residuals.rrd
-(docs/diagnosis.md). The exit code is 0 whatever is found.
+(docs/diagnosis.md). The exit code is 0 for any diagnosis.
 """
 
 import argparse
@@ -33,7 +33,7 @@ from teleop.tools.report.progress import Progress
 
 
 class Data(NamedTuple):
-    """The records of a diagnosis, and what they were called."""
+    """The records of a diagnosis, and their files."""
 
     files: tuple[str, ...]
     records: tuple[Record, ...]
@@ -41,11 +41,11 @@ class Data(NamedTuple):
 
 
 class Report(NamedTuple):
-    """All that is to be said."""
+    """Content of the report."""
 
     found: Diagnosis
     data: Data
-    accepted: dict[str, ComparedParameter]  # of the calibration that was given
+    accepted: dict[str, ComparedParameter]  # comparison with the given calibration
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,19 +60,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=Path,
         metavar="DATA",
-        help="further data of the bench, to be predicted and not fitted",
+        help="further data of the bench, for validation only",
     )
     parser.add_argument(
         "--effects",
         default="all",
         metavar="NAME,NAME",
-        help="causes to look among (default all; their names are in docs/diagnosis.md)",
+        help="causes to consider (default all; names in docs/diagnosis.md)",
     )
     parser.add_argument(
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="a calibration, to be compared with what the data say",
+        help="a calibration, to be compared with the data",
     )
     parser.add_argument(
         "--column",
@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drop-nonfinite",
         action="store_true",
-        help="leave out rows with values that are not finite",
+        help="omit rows with non-finite values",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the report")
     parser.add_argument(
@@ -97,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Diagnose, and say what was found; returns the exit code."""
+    """Diagnose and report; returns the exit code."""
     effects = effect_choice.chosen(args.effects)
     if args.out is not None:
         make_folder(args.out, "report.html")
@@ -137,7 +137,7 @@ def read(
     Raises
     ------
     UsageError
-        If a file cannot be right, cannot be diagnosed, or lacks a channel that another has.
+        If a file is invalid, cannot be diagnosed, or lacks a channel of another.
     """
     tables = [
         read_table(path, columns, drop_nonfinite, diagnosed=True) for path in (*paths, *validate)

@@ -1,4 +1,4 @@
-"""A study of a pair in words: sentences, and tables of text."""
+"""Text report of a study of a pair."""
 
 import math
 
@@ -10,11 +10,11 @@ from estimator.pair.pair_study import SHARE, HeldOutError, Number, PairStudy, Va
 from estimator.text_table import Table
 
 OURS = PairVariant.FULL.value
-LIMIT = 0.02  # of the span: a mean beyond depends on something
+LIMIT = 0.02  # of the span: larger means count as a dependence
 
 
 def sentence(found: PairStudy) -> str:
-    """Return what was found in one sentence."""
+    """Return the result in one sentence."""
     share = mean_share(found.left_out[OURS])
     return (
         f"K grows by {within(found.growth)} per radian of bend, from {found.friction.value:.2f} at "
@@ -26,7 +26,7 @@ def sentence(found: PairStudy) -> str:
 
 
 def frictions(found: PairStudy) -> Table:
-    """Return K of each record, and what the straight line makes of it."""
+    """Return K of each record and of the linear model."""
     model = found.fit.model
     rows = tuple(
         (
@@ -61,7 +61,7 @@ def parameters(found: PairStudy) -> Table:
 
 
 def left_out(found: PairStudy) -> Table:
-    """Return the errors of records that were not fitted."""
+    """Return the errors of held-out records."""
     head = ("angle predicted by", *(degrees(r.bend, 0) for r in found.records), "mean")
     rows = []
     for method, errors in found.left_out.items():
@@ -80,7 +80,7 @@ def left_out(found: PairStudy) -> Table:
 
 
 def validation(kept: tuple[Validation, ...]) -> Table:
-    """Return the errors of records kept apart."""
+    """Return the errors of validation records."""
     rows = tuple(
         (
             degrees(one.bend, 0),
@@ -94,7 +94,7 @@ def validation(kept: tuple[Validation, ...]) -> Table:
 
 
 def parts(found: PairStudy) -> Table:
-    """Return what is left of records that were not fitted, by what it depends on."""
+    """Return the residuals of held-out records, by dependence."""
     rows = tuple(
         (part.what, f"{part.mean:+.1%}", f"{part.rms:.1%}")
         for part in structure(found.records, found.predicted)
@@ -103,7 +103,7 @@ def parts(found: PairStudy) -> Table:
 
 
 def wrong(found: PairStudy) -> list[str]:
-    """Return what the model gets wrong."""
+    """Return the errors of the model as text."""
     records, errors = found.records, found.left_out[OURS]
     worst = max(range(len(errors)), key=lambda i: errors[i].share)
     share = offset_share(records, found.predicted)
@@ -130,7 +130,7 @@ def wrong(found: PairStudy) -> list[str]:
 
 
 def format_report(found: PairStudy, kept: tuple[Validation, ...]) -> str:
-    """Return what was found, for a terminal."""
+    """Return the report for a terminal."""
     tables = [frictions(found), parameters(found), left_out(found), parts(found)]
     if kept:
         tables.insert(3, validation(kept))

@@ -8,8 +8,8 @@ equations would jump.
 
 ``ours``: the calibration of `teleop calibrate` and the estimator of `teleop slave`.
 
-The first two are told the true length and stiffness of the sheath, as the paper takes both for
-known; ours is told the length, on which neither of its outputs depends.
+The first two get the true length and stiffness of the sheath, as the paper assumes both known; ours
+gets the length, on which neither of its outputs depends.
 """
 
 from collections.abc import Callable
@@ -44,7 +44,7 @@ STRAIGHT = 0.4  # of the largest tension, above which the pull against the stop 
 
 
 class Figure(NamedTuple):
-    """What the paper reads off its figure 6, the first pull against the stop."""
+    """Quantities of the paper's figure 6, the first pull against the stop."""
 
     begins: float  # [m] travel where the line of the pull meets the tension of the free joint
     elongation: float  # e_out [m] from there to the end
@@ -54,14 +54,14 @@ class Figure(NamedTuple):
 
 
 class CalibratedMethod(NamedTuple):
-    """What `teleop calibrate` makes of tendon a, by the initialisation of both."""
+    """The calibration of tendon a by `teleop calibrate`, from the initialisation of both."""
 
     direction: Direction
     tendon: TendonConfig
 
 
 class Initialisation(NamedTuple):
-    """What the procedure has measured of tendon a, and what is made of it."""
+    """Measurements of tendon a, and its calibration."""
 
     pulled: PulledTendon
     ours: CalibratedMethod | CalibrationRefused
@@ -76,19 +76,19 @@ class Estimates(NamedTuple):
 
 
 class FittedMethod(NamedTuple):
-    """A method that has been through initialisation."""
+    """A method after initialisation."""
 
     K: float
     estimate: Callable[[BenchRun], Estimates]
 
 
 def initialise(specimen: Specimen, seed: int) -> Initialisation:
-    """Do the paper's initialisation on the bench, its joint free.
+    """Run the paper's initialisation on the bench, its joint free.
 
     Raises
     ------
     CalibrationRefused
-        If the procedure was given up.
+        If the procedure was aborted.
     """
     known = KnownSheathConfig(specimen.length)
     config = InitialiseConfig(sheaths=(known,), keep=LOOSE)
@@ -106,12 +106,12 @@ def initialise(specimen: Specimen, seed: int) -> Initialisation:
 
 
 def fitted(method: str, specimen: Specimen, initialised: Initialisation) -> FittedMethod:
-    """Return what a method makes of tendon a's initialisation.
+    """Return a method fitted to tendon a's initialisation.
 
     Raises
     ------
     CalibrationRefused
-        If ours can make nothing of it.
+        If the calibration fails.
     ValueError
         If the paper's (13) has no solution.
     """
@@ -129,7 +129,7 @@ def fitted(method: str, specimen: Specimen, initialised: Initialisation) -> Fitt
 
 
 def read_figure(pulled: PulledTendon) -> Figure:
-    """Read off the first pull what the paper reads off its figure 6."""
+    """Evaluate the first pull as in the paper's figure 6."""
     seeking = pulled.rows(Phase.SEEK)
     T, q = pulled.tension[seeking], pulled.travel[seeking]
     before = pulled.contact.travel - q

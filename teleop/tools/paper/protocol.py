@@ -1,8 +1,7 @@
-"""The motions of the experiment: what the two motors do, and what was seen of it.
+"""The motions of the experiment: commands of the two motors, and measurements.
 
-Tendon `a` is let go slack, then moved at constant speed, turning whenever the housing's load cell
-reads the next tension. Tendon `b` is kept loose: wound in and paid out by its own load cell so that
-it carries next to nothing, whatever the joint does.
+Tendon `a` is slackened, then moved at constant speed, reversing whenever the housing's load cell
+reads the next tension. Tendon `b` is kept slack by tension control with its own load cell.
 """
 
 from dataclasses import dataclass
@@ -20,15 +19,15 @@ PAPER_TURNS = (20.0, 5.0, 20.0)  # [N] at the housing: the paper's figure 7
 NESTED_TURNS = (20.0, 4.0, 16.0, 6.0, 13.0, 8.0, 20.0, 3.0, 12.0, 5.0, 18.0)  # [N]
 SPEED = 0.002  # [m/s] of the pulling motor
 SLACK = 0.0005  # [m] paid out beyond the first reading of no tension
-LOOSE = 0.1  # [N] that tendon b is kept at
-LOOSE_BAND = 0.05  # [N] from it within which its motor rests
+LOOSE = 0.1  # [N] setpoint of tendon b
+LOOSE_BAND = 0.05  # [N] dead band of its control
 LOOSE_GAIN = 0.01  # [m/s] of winding per [N] beyond
 SMOOTH = 0.01  # [s] over which its reading is averaged
 LONGEST = 120.0  # [s]
 
 
 class MotionStalled(Exception):
-    """A tension that the bench never reached."""
+    """A tension was not reached."""
 
 
 class BenchRun(NamedTuple):
@@ -74,7 +73,7 @@ def perform(rig: Rig, turns: tuple[float, ...], stretch: float) -> BenchRun:
 
 @dataclass
 class _MotorPair:
-    """Both motors of a rig: `a` goes where it is sent, `b` where its tendon is loose."""
+    """Both motors of a rig: `a` under position control, `b` under slack-side tension control."""
 
     rig: Rig
     a: float = 0.0  # [m]
@@ -83,7 +82,7 @@ class _MotorPair:
     ticks: int = 0
 
     def move(self, a: float) -> RigSample:
-        """Send `a` to a place [m]; return the sample of the next tick."""
+        """Move `a` to a position [m]; return the sample of the next tick."""
         self.b -= max(a - self.a, 0.0)
         self.a = a
         short = LOOSE - self.smooth
@@ -92,7 +91,7 @@ class _MotorPair:
         (sample,) = self.rig.read(self.ticks * PERIOD)
         self.ticks += 1
         if self.ticks * PERIOD > LONGEST:
-            raise MotionStalled(f"the bench was not through its motion in {LONGEST:g} s")
+            raise MotionStalled(f"the motion was not completed within {LONGEST:g} s")
         self.smooth += (float(sample.proximal_tension[1]) - self.smooth) * PERIOD / SMOOTH
         return sample
 

@@ -1,4 +1,4 @@
-"""The operator's end: a device, what it tells of its motion, and the hand that holds it.
+"""The operator's end: a device with its encoder, and the hand that holds it.
 
 A device is a mass with a damper to ground; its encoder has a resolution, and the force that it is
 given is held for a tick. The hand is an arm's spring and damper that pull its mass, and the
@@ -57,14 +57,14 @@ USUAL, IDEAL = HandModel(), Device()
 
 
 class Encoder:
-    """What a device tells of its motion, a tick at a time."""
+    """Encoder and velocity filter of a device."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._last_position, self._velocity = math.nan, 0.0
 
     def read(self, position: float, velocity: float) -> tuple[float, float]:
-        """Return position [m] and velocity [m/s] as told; `velocity` is the true one."""
+        """Return the measured position [m] and velocity [m/s]; `velocity` is the true one."""
         step, smoothing = self._device.resolution, self._device.smoothing
         measured = round(position / step) * step if step > 0.0 else position
         if step == 0.0 and smoothing == 0.0:
@@ -76,14 +76,14 @@ class Encoder:
 
 
 class Hand(Protocol):
-    """What holds a device."""
+    """Interface of a hand."""
 
     device: Device
     position: float  # [m]
     velocity: float  # [m/s]
 
     def advance(self, force: float) -> None:
-        """Go on by a tick, in which the device is given `force` [N]."""
+        """Advance by a tick with the device's force `force` [N]."""
 
 
 class Arm:

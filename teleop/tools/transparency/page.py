@@ -1,4 +1,4 @@
-"""transparency.html: the study on one page, which needs no network and no scripts."""
+"""transparency.html: the study on one self-contained page."""
 
 from dataclasses import asdict
 from pathlib import Path

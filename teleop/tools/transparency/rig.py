@@ -1,4 +1,4 @@
-"""The tendon's end, as simple as it can be: a motor that lags, a spring, a tip, what it meets.
+"""A minimal rig: a motor with lag, a spring, a tip, an environment.
 
 There is no friction, and the tip has no mass. It is the ground truth of the tests of the coupling.
 """
@@ -18,7 +18,7 @@ STEPS = 10  # of the motor in a tick
 
 
 class TestRig(Protocol):
-    """A rig on the bench."""
+    """Interface of a rig for the study."""
 
     tip: float  # [m] true
     wanted: tuple[float, ...] | None  # [m] where the motors shall go; None: nothing was asked yet
@@ -27,7 +27,7 @@ class TestRig(Protocol):
         """Go on by a tick, at whose end the tip is pushed by `push` [N] besides all else."""
 
     def read(self) -> Sequence[RigSample]:
-        """Return what was measured in it."""
+        """Return the samples of the tick."""
 
     def load(self) -> float:
         """Return the true force on the tip [N]."""
@@ -39,7 +39,7 @@ class Rig:
     Parameters
     ----------
     environment : callable
-        What the tip meets.
+        Force of the environment.
     spring, pretension : float
         The load besides: `pretension` [N] at rest, more by `spring` [N/m].
     damping : float
@@ -113,7 +113,7 @@ class Rig:
 
 
 def free(_q: float) -> float:
-    """Nothing is met."""
+    """No contact."""
     return 0.0
 
 

@@ -1,4 +1,4 @@
-"""A hand on a system, tick by tick, and all that happened."""
+"""Simulate a hand on a system."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,7 +15,7 @@ SETTLED = 0.4  # [s] after which a session over a network without delay may enga
 
 
 class RunData(NamedTuple):
-    """What happened, a number a tick."""
+    """Signals of a run, one value per tick."""
 
     time: Array  # [s]
     hand: Array  # [m] true
@@ -49,7 +49,7 @@ def run(
     engage: float = SETTLED,
     push: Callable[[float], float] = nobody,
 ) -> RunData:
-    """Return what happens in so many `seconds`.
+    """Simulate for `seconds` [s].
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is between hand and tip: both live loops, and the messages' bytes on a network."""
+"""The system between hand and tip: both live loops and a simulated network."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -36,7 +36,7 @@ SLACK = 0.05  # [s] of the watchdogs besides delay and jitter
 
 
 class Answer(NamedTuple):
-    """What a system did in a tick; tip and load are those of half a tick later."""
+    """Output of a system at a tick; tip and load are half a tick later."""
 
     force: float  # [N] on the hand, held until the next tick
     tip: float  # [m] true
@@ -56,7 +56,7 @@ class System(Protocol):
 
 
 class Network(NamedTuple):
-    """What is between the loops."""
+    """The network between the loops."""
 
     round_trip: float = 0.0  # [s] half of it each way
     jitter: float = 0.0  # [s] of the round trip, evenly spread to both sides
@@ -132,9 +132,9 @@ class Teleoperator:
     Attributes
     ----------
     master : MasterState
-        What the master remembers, as it is now.
+        State of the master.
     slave : SlaveMemory
-        What the slave remembers, as it is now.
+        State of the slave.
     """
 
     def __init__(

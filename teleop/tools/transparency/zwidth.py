@@ -1,4 +1,4 @@
-"""Z-width: up to which stiffness a wall is rendered stably (Colgate & Brown 1994).
+"""Z-width: the stiffest wall that is rendered stably (Colgate & Brown 1994).
 
 A wall is stable with a hand if the hand that reached into it comes to rest there, or is about to,
 and was not fed with energy on its way: `settles`. That is asked for a rising stiffness until it
@@ -28,7 +28,7 @@ REST = 2.5  # [s] for which it pushes
 
 
 class Width(NamedTuple):
-    """What a search found [N/m]."""
+    """Result of a search [N/m]."""
 
     stable: float  # the largest that was stable; 0 = not even the lowest
     unstable: float  # the smallest that was not; inf = none up to the cap
