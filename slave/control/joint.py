@@ -49,7 +49,7 @@ def weight(tendon: EstimatedTendon) -> float:
 
 
 @compiled
-def fused(
+def fuse_travel(
     joint: JointTendons, tendons: EstimatedTendons, travel_a: float, travel_b: float
 ) -> float:
     """Return a joint's travel [m], the weighted mean of its tendons' measurements.
@@ -117,7 +117,7 @@ def joint_estimate(
         travel_b = SIGNS[1] * (b.distal_displacement - offset)
         force, low, high = force - b.distal_tension, low - b.high, high - b.low
         status |= b.status
-    out.position = fused(joint, tendons, travel_a, travel_b)
+    out.position = fuse_travel(joint, tendons, travel_a, travel_b)
     out.force, out.low, out.high, out.status = force, low, high, status
 
 

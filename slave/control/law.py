@@ -25,7 +25,7 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, Field, Flag, Record
 from slave.control.config import ControlConfig
-from slave.control.joint import fused
+from slave.control.joint import fuse_travel
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
 from teleop.messages import MAX_JOINTS
 
@@ -191,7 +191,7 @@ def _update(
         b.elongation = tendons[i].estimate.elongation
         wound_b = _position(motor[i], tendons[i]) - b.tip
         travel_b = SIGNS[1] * (wound_b - b.elongation)
-    travel = fused(joint, tendons, travel_a, travel_b)
+    travel = fuse_travel(joint, tendons, travel_a, travel_b)
     a.stretch = wound_a - SIGNS[0] * travel
     if joint.count > 1:
         b.stretch = wound_b - SIGNS[1] * travel

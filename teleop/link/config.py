@@ -32,7 +32,7 @@ class Endpoint(NamedTuple):
         if address is None and (found["v6"] or not _HOST_NAME.fullmatch(host)):
             raise ValueError(f"{host!r} is not a host name or IP address")
         if address is not None and (address.is_unspecified or address.is_multicast):
-            raise ValueError(f"{host} is not an address to connect to; use that of the machine")
+            raise ValueError(f"{host} cannot be connected to; use the address of the machine")
         return cls(found["protocol"], host, port)
 
     @property

@@ -107,9 +107,9 @@ def main(args: argparse.Namespace) -> int:
     if args.out is not None:
         check_destination(args.out)
     files = model_files.parse(args.model)
-    known, joints = ((), ()) if args.fit else configured(args)
-    k = chosen(args.tendon, joints, len(known))
-    table = read_table(args.data, named(args.column, k), args.drop_nonfinite)
+    known, joints = ((), ()) if args.fit else load_models(args)
+    k = select_tendon(args.tendon, joints, len(known))
+    table = read_table(args.data, column_names(args.column, k), args.drop_nonfinite)
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
     if args.tendon is not None or len(known) > 1:
         summary["tendon"] = tendon_name(k, joints)
@@ -137,7 +137,7 @@ def main(args: argparse.Namespace) -> int:
     if tendon.model_file is not None:
         summary["effects"] = model_files.describe(tendon)
     true = with_true_tip(table, tendon)
-    summary["force_error"] = judged(estimates, true, tendon.tension_noise)
+    summary["force_error"] = compare_with_bench(estimates, true, tendon.tension_noise)
     summary["travel_contradicts"] = travel_contradicts(tendon, true, summary["force_error"])
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
@@ -156,8 +156,8 @@ def main(args: argparse.Namespace) -> int:
 
 def check_words(args: argparse.Namespace) -> None:
     """Raise `UsageError` for conflicting options, before anything is read."""
-    configured = args.config is not None or bool(args.overrides)
-    ways = [args.fit, args.calibration is not None, configured]
+    load_models = args.config is not None or bool(args.overrides)
+    ways = [args.fit, args.calibration is not None, load_models]
     if args.fit and args.model:
         raise UsageError("--model: conflicts with --fit; use one of them")
     if sum(ways) > 1 or not (any(ways) or args.model):
@@ -173,7 +173,7 @@ def check_words(args: argparse.Namespace) -> None:
         raise UsageError("--rig: requires --save")
 
 
-def named(words: Sequence[str], tendon: int = 0) -> Columns:
+def column_names(words: Sequence[str], tendon: int = 0) -> Columns:
     """Return the column names of a tendon, from 0, with the overrides NAME=COLUMN."""
     known = [f.name for f in dataclasses.fields(Columns)]
     renamed = {}
@@ -229,14 +229,14 @@ def travel_contradicts(
     if error is None or table.proximal_displacement is None:
         return False
     alone = Estimator(tendon.model()).run(dataclasses.replace(table, proximal_displacement=None))
-    without = judged(alone, table, tendon.tension_noise)
+    without = compare_with_bench(alone, table, tendon.tension_noise)
     return (
         without is not None
         and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
     )
 
 
-def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
+def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
     """Return the models of the calibration file or the config, and the rig's joints.
 
     A single model is for all tendons; none with model files only; joints are empty if unknown.
@@ -257,7 +257,7 @@ def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], Join
     return tendon_configs(config, count), joints
 
 
-def chosen(word: str | None, joints: JointTendons, count: int) -> int:
+def select_tendon(word: str | None, joints: JointTendons, count: int) -> int:
     """Return the tendon of `--tendon`, from 0: 1a, 1b, 2a, ... or 1, 2, 3, ...
 
     `count` is the number of models; a single one is for all tendons.
@@ -279,7 +279,7 @@ def tendon_name(k: int, joints: JointTendons) -> str:
     return str(k + 1)
 
 
-def judged(
+def compare_with_bench(
     estimates: online.Estimates, table: MeasuredTable, noise: float
 ) -> dict[str, Any] | None:
     """Return the error against the measured distal tension, None without one.

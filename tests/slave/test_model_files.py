@@ -204,7 +204,10 @@ def test_a_cause_that_is_one_of_several_is_a_warning(file):
     ("words", "said"),
     [
         (["--fit", "--model", "x.yaml"], "conflicts with --fit"),
-        (["--model", "x.yaml", "--calibration", "y.yaml", "--config", "z.yaml"], "no model of the sheath"),
+        (
+            ["--model", "x.yaml", "--calibration", "y.yaml", "--config", "z.yaml"],
+            "no model of the sheath",
+        ),
         (["--model", "x.yaml"], "x.yaml: cannot read"),
         (["--model", "x.yaml", "--model", "y.yaml"], "there is already a model for every tendon"),
         (["--model", "2a=x.yaml"], "must be one of"),

@@ -50,10 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     probe = actions.add_parser("probe", help="print the report descriptor and the report rate")
     test = actions.add_parser("test", help="test axes and buttons, find the sign of the force")
     actions.add_parser("rules", help="print udev rules that let you open haptic devices (Linux)")
-    for action, watched in ((probe, "count reports"), (test, "watch the inputs")):
+    for action, purpose in ((probe, "count reports"), (test, "watch the inputs")):
         action.add_argument("find", nargs="?", default="", help="which device")
         action.add_argument(
-            "--seconds", type=seconds, metavar="S", default=None, help=f"duration: {watched}"
+            "--seconds", type=seconds, metavar="S", default=None, help=f"duration: {purpose}"
         )
     test.add_argument("--driver", choices=("auto", *DRIVERS), default="auto", help="driver to use")
     test.add_argument(
@@ -65,11 +65,11 @@ def main(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
     try:
         if args.action == "list":
-            print("\n".join(listed(search.attached())))
+            print("\n".join(format_nodes(search.attached())))
         elif args.action == "rules":
             print(rules.rules(fitting(search.attached())), end="")
         elif args.action == "probe":
-            print("\n".join(probed(the_one(args.find), args.seconds or 2.0)))
+            print("\n".join(probe_device(select_device(args.find), args.seconds or 2.0)))
         else:
             test(args.find, args.driver, args.signs, args.seconds or 10.0, Person())
     except DeviceFault as fault:
@@ -77,7 +77,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def listed(items: Sequence[AttachedNode]) -> list[str]:
+def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
     """Return a table of the attached devices."""
     if not items:
         return ["no HID device attached"]
@@ -102,7 +102,7 @@ def fitting(items: Sequence[AttachedNode]) -> list[tuple[int, int, str]]:
     ]
 
 
-def the_one(find: str) -> AttachedNode:
+def select_device(find: str) -> AttachedNode:
     """Return the selected device, with or without a driver."""
     everything = search.attached()
     if not everything:
@@ -113,14 +113,14 @@ def the_one(find: str) -> AttachedNode:
         meant = driven if len(driven) == 1 else meant
     if len(meant) == 1:
         return meant[0]
-    table = "\n".join(listed(meant or everything))
+    table = "\n".join(format_nodes(meant or everything))
     wanted = (
         f"{find!r} is not attached" if not meant else "several devices match; give the path of one"
     )
     raise UsageError(f"{wanted}\n{table}")
 
 
-def probed(item: AttachedNode, watched_s: float) -> list[str]:
+def probe_device(item: AttachedNode, watched_s: float) -> list[str]:
     """Return a device's descriptor as text, and its report rate."""
     one = search.examine(item)
     data = one.descriptor
@@ -164,7 +164,7 @@ def test(find: str, driver: str, file: Path | None, watched_s: float, person: Pe
     try:
         person.write(f"{found.item}, driver {found.kind}")
         person.write(f"Move every axis to both ends and press every button ({watched_s:g} s).")
-        for line_text in watched(line, watched_s):
+        for line_text in show_inputs(line, watched_s):
             person.write(line_text)
         if not line.driver.forces:
             person.write("It has no force output.")
@@ -185,7 +185,7 @@ def test(find: str, driver: str, file: Path | None, watched_s: float, person: Pe
         line.end(1.0)
 
 
-def watched(line: DeviceConnection, watched_s: float) -> list[str]:
+def show_inputs(line: DeviceConnection, watched_s: float) -> list[str]:
     """Show the inputs for some time; return the range of each axis and the buttons pressed."""
     status, start = StatusLine(), time.monotonic()
     low: dict[str, float] = {}

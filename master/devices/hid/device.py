@@ -70,7 +70,7 @@ class HidDevice:
         self._lost = ""
         self._memory = mapping.start(self.axes)
         self._time_s = 0.0
-        for line in described(config, self._found, self._signs):
+        for line in describe_device(config, self._found, self._signs):
             say(line)
 
     def read(self, time_s: float) -> HandState:
@@ -150,7 +150,7 @@ def trusted(found: FoundDevice, known: Signs) -> bool:
     )
 
 
-def described(config: HidConfig, found: tuple[FoundDevice, ...], known: Signs) -> list[str]:
+def describe_device(config: HidConfig, found: tuple[FoundDevice, ...], known: Signs) -> list[str]:
     """Return the messages to the operator about a newly opened device."""
     lines = [f"device: {found[0].item}, driver {found[0].kind}"]
     lines += [f"buttons: {one.item}, driver {one.kind}" for one in found[1:]]

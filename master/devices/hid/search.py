@@ -234,7 +234,7 @@ def _missing(
         whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(one.item)
     listed = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
     wanted = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
-    return f"{wanted}: {listed}" if find else f"{wanted}  any attached device: {listed}"
+    return f"{wanted}: {listed}" if find else f"{wanted} any attached device: {listed}"
 
 
 def _listed(items: Iterable[AttachedNode]) -> str:

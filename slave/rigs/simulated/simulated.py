@@ -23,7 +23,7 @@ from slave.rigs.simulated.plant.environment import (
     build_environment,
 )
 from slave.rigs.simulated.plant.joint import Joint, Tendon, Winding, joint_at_rest
-from slave.rigs.simulated.plant.joints import advance_all, joined, replace
+from slave.rigs.simulated.plant.joints import advance_all, join_joints, replace
 from slave.rigs.simulated.plant.motor import MotorConfig, build_motor
 from slave.rigs.simulated.plant.sensors import (
     EncoderConfig,
@@ -189,9 +189,9 @@ class SimulatedRig:
             schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
-        self._joints = joined(joints)
+        self._joints = join_joints(joints)
         replace(self._joints, 0, joints[0])  # compiles the functions for effects
-        self._states = joined([joint_at_rest(joint, -config.period) for joint in joints])
+        self._states = join_joints([joint_at_rest(joint, -config.period) for joint in joints])
         self._truth = self._advance(0, config.period)  # compiles the functions for the loop
 
         sensors = build_sensors(

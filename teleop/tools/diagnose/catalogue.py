@@ -47,11 +47,11 @@ def _parameter(parameter: Parameter) -> str:
     return f"{parameter.name} {parameter.low:g} to {parameter.high:g}{unit}"
 
 
-def renewed(page: str) -> str:
+def replace_table(page: str) -> str:
     """Return a page with the table at its end replaced."""
     return page[: page.index("| " + " | ".join(HEAD))] + markdown() + "\n"
 
 
 if __name__ == "__main__":
     path = Path(sys.argv[1])
-    path.write_text(renewed(path.read_text()))
+    path.write_text(replace_table(path.read_text()))

@@ -98,12 +98,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Diagnose and report; returns the exit code."""
-    effects = effect_choice.chosen(args.effects)
+    effects = effect_choice.parse_effects(args.effects)
     if args.out is not None:
         make_folder(args.out, "report.html")
-    tendon = estimate.chosen(args.tendon, (), 1)
+    tendon = estimate.select_tendon(args.tendon, (), 1)
     sheath = None if args.calibration is None else acceptance.load(args.calibration, tendon)
-    columns = estimate.named(args.column, tendon)
+    columns = estimate.column_names(args.column, tendon)
     data = read(args.data, args.validate, columns, args.drop_nonfinite)
     progress, begun = Progress(), time.monotonic()
     try:

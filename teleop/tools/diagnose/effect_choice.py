@@ -8,7 +8,7 @@ from teleop.errors import UsageError
 from teleop.suggestions import did_you_mean
 
 
-def chosen(text: str) -> Sequence[Effect]:
+def parse_effects(text: str) -> Sequence[Effect]:
     """Return the effects of `--effects`: comma-separated names, or all."""
     if text.strip() == "all":
         return CATALOGUE

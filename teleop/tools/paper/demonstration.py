@@ -68,7 +68,8 @@ def demonstrate(seed: int) -> Demonstration:
         raise calibrated
     record = session.records[PROFILE]
     estimates = {
-        method: methods.fitted(method, SPECIMEN, initialised).estimate(record) for method in METHODS
+        method: methods.fit_method(method, SPECIMEN, initialised).estimate(record)
+        for method in METHODS
     }
     distributions = release(SPECIMEN.sheath, calibrated.tendon.model().sheath, LEVELS)
     return Demonstration(session, initialised, calibrated, judge(session), estimates, distributions)

@@ -105,7 +105,7 @@ def initialise(specimen: Specimen, seed: int) -> Initialisation:
     return Initialisation(both[0], ours, read_figure(both[0]))
 
 
-def fitted(method: str, specimen: Specimen, initialised: Initialisation) -> FittedMethod:
+def fit_method(method: str, specimen: Specimen, initialised: Initialisation) -> FittedMethod:
     """Return a method fitted to tendon a's initialisation.
 
     Raises

@@ -76,14 +76,14 @@ def unevenness(specimen: Specimen) -> float:
 
 def _result(session: Session, method: str) -> Result:
     try:
-        fitted = methods.fitted(method, session.specimen, _initialised(session))
+        fit_method = methods.fit_method(method, session.specimen, _initialised(session))
     except (CalibrationRefused, ValueError) as error:
         return Result(math.nan, str(error), {})
     scores = {
-        motion: scoring.score(truth_of(motion, record), *fitted.estimate(record))
+        motion: scoring.score(truth_of(motion, record), *fit_method.estimate(record))
         for motion, record in session.records.items()
     }
-    return Result(fitted.K, "", scores)
+    return Result(fit_method.K, "", scores)
 
 
 def _initialised(session: Session) -> Initialisation:

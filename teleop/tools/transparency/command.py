@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    study_config = chosen(args)
+    study_config = parse_study(args)
     if not 1 <= args.jobs <= 256:
         raise UsageError(f"--jobs {args.jobs}: must be 1 to 256")
     make_folder(args.out, "transparency.html")
@@ -96,7 +96,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def chosen(args: argparse.Namespace) -> Study:
+def parse_study(args: argparse.Namespace) -> Study:
     """Return the study that is asked for."""
     delays = args.round_trips or (QUICK if args.quick else None)
     for name, values, least, most in (

@@ -87,7 +87,7 @@ def test_what_cannot_even_be_described_is_listed_and_probed_with_the_remedy(hidr
     assert "no: teleop devices rules" in teleop(capsys, "list")[1]
     code, out, _ = teleop(capsys, "probe")
     assert code == 0
-    assert "cannot be opened; let it be opened by a udev rule" in out
+    assert "cannot be opened; add a udev rule" in out
 
 
 def test_a_probe_of_nothing_is_a_line(hidraw, capsys):

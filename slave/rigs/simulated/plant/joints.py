@@ -1,6 +1,6 @@
 """All joints of a rig in numba lists; passing them one by one would cost more than a step.
 
-Make the lists with `joined`; do not read items from Python.
+Make the lists with `join_joints`; do not read items from Python.
 """
 
 from typing import TypeVar
@@ -16,7 +16,7 @@ from slave.rigs.simulated.plant.sensors import CHANNELS
 T = TypeVar("T")
 
 
-def joined(items: list[T]) -> list[T]:
+def join_joints(items: list[T]) -> list[T]:
     """Return joints, or states of joints, as a compiled list."""
     first, *others = items
     many = only(first)

@@ -77,7 +77,7 @@ class SensorSchedule:
     ) -> None:
         self._healthy = sensors
         self._all = [effect for effect in effects if isinstance(effect, SensorEffect)]
-        self._tendons = [sensed(effect, joints) for effect in self._all]
+        self._tendons = [affected_tendons(effect, joints) for effect in self._all]
         self._began = 0
 
     def at(self, time: float) -> Sensors | None:
@@ -115,7 +115,7 @@ class SampleSchedule:
         return reading
 
 
-def sensed(effect: SensorEffect, joints: Sequence[Sequence[int]]) -> list[int]:
+def affected_tendons(effect: SensorEffect, joints: Sequence[Sequence[int]]) -> list[int]:
     """Return the tendons whose sensors have `effect`, counted over the rig."""
     sides = {"a": (0,), "b": (1,), "both": (0, 1)}[effect.tendon]
     return [
