@@ -415,7 +415,7 @@ KILLED = textwrap.dedent(
     import sys, time
     import numpy as np
     from teleop.clock import now_ns
-    from teleop.link import Heard
+    from teleop.link import ReceivedMessage
     from teleop.recording.config import RecordConfig
     from teleop.recording.writer import RecordingWriter
     from teleop.topics import STATE
@@ -427,7 +427,7 @@ KILLED = textwrap.dedent(
         time.sleep(0.02)
         stamp = now_ns()
         data = STATE.message().pack(SENDER, sequence, stamp)
-        writer.write([Heard(STATE, data, stamp, SENDER, sequence, stamp)], stamp)
+        writer.write([ReceivedMessage(STATE, data, stamp, SENDER, sequence, stamp)], stamp)
         sequence += 1
         print(stamp, flush=True)
     """

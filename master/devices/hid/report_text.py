@@ -108,5 +108,5 @@ def _unit(field: Field) -> str:
     ranged = (low, high) not in ((0, 0), (field.minimum, field.maximum))
     power = f"e{field.exponent}" if field.exponent else ""
     if ranged:
-        return f"  (physical {low}{power} ... {high}{power}{symbol})"
+        return f" (physical {low}{power} ... {high}{power}{symbol})"
     return f" (times 1{power}{symbol})" if symbol else ""
