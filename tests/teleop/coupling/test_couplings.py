@@ -50,7 +50,7 @@ def told(side):
     """What the next message tells of energy and of waves."""
     return tuple(
         np.array([getattr(port, name) for port in side.ports])
-        for name in ("passed_on", "told_wave")
+        for name in ("passed_on", "sent_wave")
     )
 
 
