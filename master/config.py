@@ -27,9 +27,9 @@ class MasterConfig:
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
         if not 0.0 < self.state_timeout <= 0.5:
-            raise ValueError("freshness: must be above 0 and at most 0.5 [s]")
+            raise ValueError("state_timeout: must be above 0 and at most 0.5 [s]")
         if not self.state_timeout <= self.delay_max <= 1.0:
-            raise ValueError("delay_max: must be at least freshness and at most 1 [s]")
+            raise ValueError("delay_max: must be at least state_timeout and at most 1 [s]")
         room = min(self.force.limit, self.gate.axis_max)
         if any(abs(force) >= room for force in self.operator.weight):
             raise ValueError(
