@@ -49,8 +49,8 @@ def latencies(config: LinkConfig, shared: LinkConfig, delay: float, proxied: boo
             time.sleep(max(0.0, begin + k * 1e-3 - time.monotonic()))
             master.publish(COMMAND, Command())
         time.sleep(delay + 0.3)
-        heard = listener.drain()
-    return np.array([item.received_ns - item.stamp_ns for item in heard]) * 1e-9
+        messages = listener.drain()
+    return np.array([item.received_ns - item.stamp_ns for item in messages]) * 1e-9
 
 
 def main() -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.messages import Command, Hand, SlaveState, TendonState, padded
 from teleop.recording.config import RecordConfig
 from teleop.recording.readdress import Readdress
-from teleop.recording.reader import Recorded, open_recording, read_columns, read_messages
+from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
 from teleop.recording.writer import RecordingWriter
 from teleop.topics import COMMAND, HAND, STATE, TENDONS, Role
 
@@ -22,10 +22,10 @@ DRAIN = 20  # ticks between two looks at the link
 START_NS = 1_700_000_000_000_000_000
 
 
-def session(joints: int) -> list[Heard]:
+def session(joints: int) -> list[ReceivedMessage]:
     """Return what a recorder hears of a session at 1 kHz: slow motions with sensor noise."""
     rng = np.random.default_rng(1)
-    heard = []
+    messages = []
     for k in range(1000 * SECONDS):
         time_s, stamp = k * 1e-3, START_NS + k * 1_000_000
         travel = 0.01 * np.sin(3 * time_s + np.arange(2 * joints)) + 1e-6 * rng.normal(
@@ -58,8 +58,8 @@ def session(joints: int) -> list[Heard]:
             (HAND, Hand(position=x, velocity=x, force=force)),
         ):
             data = message.pack(1, k, stamp)
-            heard.append(Heard(topic, data, stamp + 300_000, 1, k, stamp))  # type: ignore[arg-type]
-    return heard
+            messages.append(ReceivedMessage(topic, data, stamp + 300_000, 1, k, stamp))  # type: ignore[arg-type]
+    return messages
 
 
 def main() -> None:
@@ -68,25 +68,25 @@ def main() -> None:
         "joints  compression  MB/min  us/message  % of a core  open, columns [s per recorded min]"
     )
     for joints in (1, 8):
-        heard = session(joints)
+        messages = session(joints)
         for compression in ("zstd", "lz4", "none"):
             with tempfile.TemporaryDirectory() as directory:
                 config = RecordConfig(directory=directory, compression=compression)
                 begin = time.process_time()
                 with RecordingWriter(config, "bench", START_NS) as writer:
-                    for k in range(0, len(heard), 4 * DRAIN):
-                        writer.write(heard[k : k + 4 * DRAIN], heard[k].received_ns)
+                    for k in range(0, len(messages), 4 * DRAIN):
+                        writer.write(messages[k : k + 4 * DRAIN], messages[k].received_ns)
                 written = time.process_time()
                 open_recording(writer.path)
                 opened = time.process_time()
                 read_columns(writer.path, "tendons")
                 read = time.process_time()
                 if compression == "zstd":
-                    first: list[Recorded] = list(read_messages(Path(writer.path)))
+                    first: list[RecordedMessage] = list(read_messages(Path(writer.path)))
             cost, per_min = written - begin, 60 / SECONDS
             print(
                 f"{joints:6}  {compression:11}  {writer.bytes_written * per_min / 1e6:6.1f}  "
-                f"{cost / len(heard) * 1e6:10.1f}  {cost / SECONDS * 100:11.1f}  "
+                f"{cost / len(messages) * 1e6:10.1f}  {cost / SECONDS * 100:11.1f}  "
                 f"{(opened - written) * per_min:6.2f} {(read - opened) * per_min:6.2f}"
             )
     readdress = Readdress({Role.MASTER: 1, Role.SLAVE: 2})

@@ -13,26 +13,28 @@ from teleop.run_config import RATE_MAX_HZ, RATE_MIN_HZ, require_periods
 
 @dataclass(frozen=True, slots=True)
 class MasterConfig:
-    """Everything the master process needs."""
+    """Settings of the master process."""
 
     device: DeviceConfig = field(default_factory=VirtualConfig)
     operator: OperatorConfig = field(default_factory=OperatorConfig)
     force: FeedbackConfig = field(default_factory=FeedbackConfig)
     gate: GateConfig = field(default_factory=GateConfig)
-    freshness: float = 0.030  # [s] a force measured longer ago than this is not rendered
-    delay_max: float = 0.100  # [s] nor is one that answers a command older than this
+    state_timeout: float = 0.030  # [s] an older slave state is not rendered
+    delay_max: float = 0.100  # [s] largest round trip: age of the command that the state answers
     # [Hz] at which the device is read and written: a whole multiple of rate_hz; null = rate_hz
     device_rate_hz: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a state that never grows old."""
-        if not 0.0 < self.freshness <= 0.5:
-            raise ValueError("freshness: must be above 0 and at most 0.5 [s]")
-        if not self.freshness <= self.delay_max <= 1.0:
-            raise ValueError("delay_max: must be at least freshness and at most 1 [s]")
+        """Check the values; raises `ValueError`."""
+        if not 0.0 < self.state_timeout <= 0.5:
+            raise ValueError("state_timeout: must be above 0 and at most 0.5 [s]")
+        if not self.state_timeout <= self.delay_max <= 1.0:
+            raise ValueError("delay_max: must be at least state_timeout and at most 1 [s]")
         room = min(self.force.limit, self.gate.axis_max)
         if any(abs(force) >= room for force in self.operator.weight):
-            raise ValueError(f"operator.weight: must leave room below force.limit ({room:g} N)")
+            raise ValueError(
+                f"operator.weight: must be small enough to stay below force.limit ({room:g} N)"
+            )
         if self.device_rate_hz is not None and not (
             RATE_MIN_HZ <= self.device_rate_hz <= RATE_MAX_HZ
         ):
@@ -41,13 +43,13 @@ class MasterConfig:
             )
 
     def check_rate(self, rate_hz: float) -> None:
-        """Refuse what does not go with the link's rate [Hz]; `UsageError`."""
+        """Check the settings against the link's rate [Hz]; raises `UsageError`."""
         self.commands_every(rate_hz)
-        require_periods("master.freshness", self.freshness, rate_hz)
+        require_periods("master.state_timeout", self.state_timeout, rate_hz)
         require_periods("master.delay_max", self.delay_max, rate_hz)
 
     def commands_every(self, rate_hz: float) -> int:
-        """Return how many ticks of the device there are for one command on the link.
+        """Return the number of device ticks per command on the link.
 
         Parameters
         ----------
@@ -57,14 +59,14 @@ class MasterConfig:
         Raises
         ------
         UsageError
-            `device_rate_hz` is no whole multiple of it.
+            `device_rate_hz` is not a multiple of it.
         """
         if self.device_rate_hz is None:
             return 1
         ticks = round(self.device_rate_hz / rate_hz)
         if ticks < 1 or abs(self.device_rate_hz / rate_hz - ticks) > 1e-6 * ticks:
             raise UsageError(
-                f"master.device_rate_hz: {self.device_rate_hz:g}: must be a whole multiple of "
+                f"master.device_rate_hz: {self.device_rate_hz:g}: must be an integer multiple of "
                 f"rate_hz ({rate_hz:g} Hz)"
             )
         return ticks

@@ -1,12 +1,12 @@
-"""The coupling at the master: from forces wanted on the hand to forces it can be given.
+"""The master's port of the coupling: from wanted to admissible forces on the hand.
 
 Scales of motion and force are a transformer between the hand and the coupling, whose units are
-those of the tip. What the hand does is counted by the hand's own motion, whether or not the tip is
-asked to follow it (a locked axis, a limit of the workspace), and by the force that was really
-rendered, in the scale that it was rendered with.
+those of the tip. The energy ledger uses the hand's own motion, whether or not the tip follows it (a
+locked axis, a limit of the workspace), and the force that was actually rendered, in the scale used
+then.
 
-A tick has two phases. `count_hand` does all that the next command must tell of the energy ledger;
-`render` finds the force, when the slave may have answered that command.
+A tick has two phases. `count_hand` updates the energy ledger for the next command; `render`
+computes the force, when the slave may have answered that command.
 """
 
 import math
@@ -23,12 +23,12 @@ from teleop.messages import MAX_JOINTS
 
 
 class RenderMemory(Record):
-    """What was rendered in the tick before."""
+    """What was rendered in the last tick."""
 
     hand_known: Flag = False  # a hand was seen
-    hand: Axes  # [m] where it was
-    force: Axes  # [N] on the hand that the coupling had asked for
-    scale: F64 = 0.0  # force on the hand per force at the tip, with it
+    hand: Axes  # [m] its position
+    force: Axes  # [N] on the hand, from the coupling
+    scale: F64 = 0.0  # force on the hand per force at the tip, at that time
 
 
 @compiled
@@ -44,7 +44,7 @@ def count_hand(
     coupled: bool,
     dt: float,
 ) -> None:
-    """Count what the hand did since the last tick, and what it was given.
+    """Add the work of the hand and of the rendered force since the last tick to the ledger.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ def count_hand(
     written : array of shape (8,)
         Forces on the hand [N] rendered since the last tick; the first `axes` are in use.
     coupled : bool
-        Whether forces are rendered, and will be numbers as far as is known.
+        Whether forces are rendered and finite.
     """
-    # a position that is not finite would stay in the ledger's sums for ever
+    # a non-finite position would corrupt the ledger's sums
     seen = hand.present and all_finite(hand.position, hand.axes)
     place, velocity = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     at_tip = np.zeros(MAX_JOINTS)
     for k in range(MAX_JOINTS):
-        place[k] = side.asked[k]
+        place[k] = side.requested[k]
         if seen and k < hand.axes:
             before = rendered.hand[k] if rendered.hand_known else hand.position[k]
             place[k] += position_scale * (hand.position[k] - before)
@@ -85,43 +85,43 @@ def render(
     coupled: bool,
     out: Array,
 ) -> None:
-    """Write the forces [N] that the coupling gives the hand to the first `axes` of `out`.
+    """Write the forces [N] of the coupling on the hand to the first `axes` of `out`.
 
     Parameters
     ----------
     wanted : array of shape (8,)
         Forces on the hand [N] wanted now.
     coupled : bool
-        Whether forces may reach the hand, and the hand was counted as coupled in this tick; if not,
-        `out` is what is wanted.
+        Whether forces are rendered and `count_hand` was called as coupled in this tick; if not,
+        `out` is `wanted`.
     """
     for k in range(axes):
         out[k] = wanted[k]
     if not coupled:
         return
-    at_tip, given = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
+    at_tip, granted_force = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     for k in range(axes):
         at_tip[k] = _at_tip(force_scale, wanted[k])
-    coupling.render(settings, side, at_tip, axes, given)
+    coupling.render(settings, side, at_tip, axes, granted_force)
     for k in range(axes):
         if force_scale != 0.0:
-            out[k] = -force_scale * given[k]
+            out[k] = -force_scale * granted_force[k]
 
 
 @compiled
 def remember(rendered: RenderMemory, force_scale: float, force: Array, axes: int) -> None:
-    """Remember the forces that the coupling asked for, and their scale."""
+    """Store the forces of the coupling and their scale."""
     for k in range(axes):
         rendered.force[k] = force[k]
     rendered.scale = force_scale
 
 
 @compiled
-def _part(written: float, asked: float) -> float:
-    """Return how much of a `written` force was the coupling's: no more than it `asked` for."""
-    if not math.isfinite(asked):
+def _part(written: float, requested: float) -> float:
+    """Return the coupling's part of a `written` force: at most the `requested` one."""
+    if not math.isfinite(requested):
         return 0.0
-    return min(max(written, min(asked, 0.0)), max(asked, 0.0))
+    return min(max(written, min(requested, 0.0)), max(requested, 0.0))
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""The contract of a haptic device."""
+"""The haptic device interface."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -9,36 +9,36 @@ Axes = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class HandState:
-    """What one read of a device returns."""
+    """State of the hand from one read of a device."""
 
     position: Axes  # [m]
     velocity: Axes  # [m/s]
-    engage: bool  # the operator holds the engage switch
-    clutch: bool = False  # ... holds the clutch: the hand moves, and nothing with it
-    stop: bool = False  # ... holds the emergency stop
-    finer: bool = False  # ... holds the button for a smaller position scale
+    engage: bool  # the engage switch is held
+    clutch: bool = False  # the clutch is held: the hand moves without the tips
+    stop: bool = False  # the emergency stop is held
+    finer: bool = False  # button held: smaller position scale
     coarser: bool = False  # ... for a larger one
     weaker: bool = False  # ... for a smaller force scale
     stronger: bool = False  # ... for a larger one
 
 
 class DeviceFault(Exception):
-    """The device is gone or cannot be trusted; the message says why."""
+    """The device has failed; the message gives the reason."""
 
 
 class DeviceLost(DeviceFault):
-    """The device is away, but looked for: reading it goes on, and succeeds once it is back."""
+    """The device is unplugged; reads may continue and succeed once it is back."""
 
 
 class Device(Protocol):
-    """A haptic device as the master loop sees it.
+    """Interface of a haptic device to the master loop.
 
-    Opened by its constructor, which raises `DeviceFault` if the hardware is not there; used from
-    one thread; closed exactly once. `read` and `write` never wait for hardware: a driver whose
-    transport can block owns a thread and hands over the newest value. A failure raises
-    `DeviceFault`; the loop then goes to fault, tries to write zero once, and closes. One that mends
-    itself raises `DeviceLost`; the loop goes to fault and on reading. Then a device must not say
-    that its switch is open before it knows, nor apply a force from before.
+    Opened by its constructor, which raises `DeviceFault` if the hardware is not available; used
+    from one thread; closed exactly once. `read` and `write` never wait for hardware: a driver whose
+    transport can block owns a thread and exchanges the newest value. A failure raises
+    `DeviceFault`; the loop then goes to fault, tries to write zero once, and closes. A recoverable
+    failure raises `DeviceLost`; the loop goes to fault and keeps reading. After that a device must
+    not report an open switch before it knows, nor apply an old force.
     """
 
     axes: int
@@ -50,11 +50,11 @@ class Device(Protocol):
         """
 
     def write(self, force: Axes) -> None:
-        """Apply forces [N], one for each axis, positive along +position. Only the gate calls this.
+        """Apply forces [N], one per axis, positive along +position. Only the gate calls this.
 
-        The device holds the force until the next write. It must be without force 250 ms after this
-        process was killed or stopped: by a time-out of its own, or by help from outside.
+        The device holds the force until the next write. Its force must be zero 250 ms after this
+        process was killed or stopped, by a timeout of the device or a watchdog process.
         """
 
     def close(self) -> None:
-        """Set the force to zero and let go of the hardware; must not raise."""
+        """Set the force to zero and release the hardware; must not raise."""

@@ -9,7 +9,7 @@
 The estimate counts a force against pulling as positive, and a hand moving along its positive axis
 pulls, so the hand is pushed the other way.
 
-A joint whose sample the estimator refused is not rendered: what is left of it is an old estimate.
+A joint whose sample the estimator rejected is not rendered: its estimate is outdated.
 A value that is not finite goes through as it is, for the gate to refuse.
 """
 
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from estimator.array_types import Array
 from estimator.compiled import compiled
-from teleop.force_attenuation import ConfidenceConfig, attenuated
+from teleop.force_attenuation import ConfidenceConfig, attenuate
 from teleop.messages import STATUS_NAMES, SlaveState
 
 INVALID = 1 << STATUS_NAMES.index("invalid input")
@@ -35,7 +35,7 @@ class FeedbackConfig:
     slew: float = 150.0  # [N/s] at which a force on one axis grows, below the gate's limit
 
     def __post_init__(self) -> None:
-        """Refuse what could not be felt or would push the hand on."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 <= self.scale <= 10.0:
             raise ValueError("scale: must be within 0 ... 10")
         if not 0.0 < self.limit < math.inf:
@@ -52,15 +52,14 @@ def tip_forces(
     axes: int,
     out: Array,
 ) -> None:
-    """Write the force at each tip [N] that may be felt to the first `axes` of `out`, shape (8,).
+    """Write the admissible force at each tip [N] to the first `axes` of `out`, shape (8,).
 
-    Zero before the first state, for axes without a joint, and for joints whose estimate is of a
-    refused sample.
+    Zero before the first state, for axes without a joint, and for joints with an invalid estimate.
     """
     for k in range(axes):
         out[k] = 0.0
         if has_state and k < state.joints and state.status[k] & INVALID == 0:
-            out[k] = attenuated(confidence, state.force[k], state.force_low[k], state.force_high[k])
+            out[k] = attenuate(confidence, state.force[k], state.force_low[k], state.force_high[k])
 
 
 @compiled
@@ -71,15 +70,15 @@ def reflect(scale: float, force: float) -> float:
 
 @compiled
 def saturation(config: FeedbackConfig) -> float:
-    """Return the force at the tip [N] above which the hand is given no more."""
+    """Return the force at the tip [N] at which the force on the hand saturates."""
     return config.limit / config.scale if config.scale > 0.0 else 0.0
 
 
 @compiled
 def limit_slew(most: float, last: float, force: float, dt: float) -> float:
-    """Return `force` [N], grown since `last` [N] by no more than `most` [N/s] allows.
+    """Return `force` [N] with its growth since `last` [N] limited to `most` [N/s].
 
-    Nothing holds it on its way to zero; not finite stays not finite.
+    Decreasing towards zero is not limited; non-finite values are kept.
     """
     if not math.isfinite(force):
         return force
@@ -89,5 +88,5 @@ def limit_slew(most: float, last: float, force: float, dt: float) -> float:
 
 @compiled
 def clamp(limit: float, force: float) -> float:
-    """Return `force` [N] saturated at `limit` [N]; not finite stays not finite."""
+    """Return `force` [N] saturated at `limit` [N]; non-finite values are kept."""
     return min(max(force, -limit), limit) if math.isfinite(force) else force

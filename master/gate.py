@@ -1,12 +1,11 @@
-"""The last gate before the hand: finite, fresh, engaged, within limits, or no force.
+"""The safety gate before the hand: finite, fresh, engaged, within limits, or no force.
 
-Every force the master loop writes to a device has come through `step`, on every tick. Whatever
-asks for it, the output is finite, no larger than the limits, grows no faster than the slew limit,
-and is zero as soon as the session is not engaged, whatever the reason. Zero is always within reach:
-nothing here slows a force on its way down. There are two exceptions, both of the caller's choice.
-A peer that fell silent lets the force `fade`: each axis goes to zero at `axis_max` per `FADE_S`,
-so no axis is felt `FADE_S` after the silence was noticed. And a device may be kept from falling by
-a small force of its own, `rest`, which takes the place of zero.
+Every force the master loop writes to a device has passed `step`, at every tick. For any request the
+output is finite, within the limits, grows no faster than the slew limit, and is zero as soon as the
+session is not engaged. A decreasing force is never slowed down. Two exceptions are up to the
+caller. If messages of the peer stop, the force `fades`: each axis goes to zero at `axis_max` per
+`FADE_S`, so it is zero `FADE_S` after the timeout. And `rest`, a small force that carries the
+device's weight, replaces zero.
 """
 
 import math
@@ -21,26 +20,26 @@ from master.hand_input import all_finite
 from teleop.messages import MAX_JOINTS
 
 FADE_S = 0.015  # [s] within which the largest force on one axis is gone; 30 ms + this < 50 ms
-_DT_MAX = 0.005  # [s] however long a tick was skipped, a force may grow by no more than this allows
+_DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
 
 @dataclass(frozen=True, slots=True)
 class GateConfig:
-    """What the device and the hand on it may be given."""
+    """Force limits of device and hand."""
 
     axis_max: float = 3.0  # [N] on one axis; desktop haptic devices reach about 3 N
     total_max: float = 4.0  # [N] length of the force vector
     slew_max: float = 200.0  # [N/s] at which a force may grow
 
     def __post_init__(self) -> None:
-        """Refuse limits that limit nothing."""
+        """Check the values; raises `ValueError`."""
         for name in ("axis_max", "total_max", "slew_max"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be above 0 and finite")
 
 
-class Verdict(IntFlag):
-    """What the gate had to do to a tick; 0 = let through as asked."""
+class GateFlags(IntFlag):
+    """Interventions of the gate at a tick; 0 = request passed unchanged."""
 
     PASSED = 0
     NOT_ENGAGED = 1  # zero
@@ -51,13 +50,13 @@ class Verdict(IntFlag):
     SLEW = 32  # growth slowed
 
 
-PASSED = int(Verdict.PASSED)
-NOT_ENGAGED = int(Verdict.NOT_ENGAGED)
-STALE = int(Verdict.STALE)
-NOT_FINITE = int(Verdict.NOT_FINITE)
-AXIS_LIMIT = int(Verdict.AXIS_LIMIT)
-TOTAL_LIMIT = int(Verdict.TOTAL_LIMIT)
-SLEW = int(Verdict.SLEW)
+PASSED = int(GateFlags.PASSED)
+NOT_ENGAGED = int(GateFlags.NOT_ENGAGED)
+STALE = int(GateFlags.STALE)
+NOT_FINITE = int(GateFlags.NOT_FINITE)
+AXIS_LIMIT = int(GateFlags.AXIS_LIMIT)
+TOTAL_LIMIT = int(GateFlags.TOTAL_LIMIT)
+SLEW = int(GateFlags.SLEW)
 
 
 @compiled
@@ -73,22 +72,22 @@ def step(
     rest: Array,
     out: Array,
 ) -> int:
-    """Let `wanted` through as far as it is safe.
+    """Limit `wanted` to a safe force.
 
     Parameters
     ----------
     last, wanted : arrays of shape (8,)
         Forces [N] written last, and requested now; the first `axes` are in use.
     fresh : bool
-        Whether the slave's state behind `wanted` is young enough.
+        Whether the slave's state behind `wanted` is recent.
     may_render : bool
         Whether the session is engaged on both sides.
     dt : float
         Time since the last tick [s].
     fades : bool
-        Whether what is refused goes to zero by a ramp, and not at once.
+        Whether a refused force ramps to zero instead of stepping.
     rest : array of shape (8,)
-        Forces [N] in place of zero; if any is not finite, zero it is.
+        Forces [N] in place of zero; zero if any is not finite.
     out : array of shape (8,)
         The forces that leave the gate [N]; may be `last` or `wanted` itself. They are the `last`
         of the next tick.
@@ -96,7 +95,7 @@ def step(
     Returns
     -------
     int
-        The bits of a `Verdict`.
+        The bits of a `GateFlags`.
     """
     refusal = PASSED
     if not may_render:
@@ -135,13 +134,13 @@ def step(
 
 @compiled
 def _faded(last: float, target: float, by: float) -> float:
-    """Return a force `by` [N] nearer to `target` [N] than the `last`, or there."""
+    """Return `last` moved towards `target` [N] by at most `by` [N]."""
     return max(target, last - by) if last > target else min(target, last + by)
 
 
 @compiled
 def _length(force: Array, axes: int) -> float:
-    """Return the length of a vector, scaled so that no square overflows or vanishes."""
+    """Return the norm of a vector, scaled against overflow and underflow."""
     largest = 0.0
     for k in range(axes):
         largest = max(largest, abs(force[k]))

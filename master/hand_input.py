@@ -15,17 +15,17 @@ from master.device import HandState
 from teleop.messages import MAX_JOINTS
 
 Axes = Annotated[Array, Field("f8", MAX_JOINTS)]
-"""A field with one number for each axis of a device; what is beyond its axes is zero."""
+"""A field with one number per axis of a device, zero beyond its axes."""
 
 
 class HandInput(Record):
-    """What one read of a device returned; all zero if it cannot be read."""
+    """One read of a device; all zero if it cannot be read."""
 
     present: Flag = False  # the device can be read
     axes: I64 = 0  # how many entries of the arrays are in use
     position: Axes  # [m]
     velocity: Axes  # [m/s]
-    engage: Flag = False  # the operator holds the engage switch
+    engage: Flag = False  # the engage switch is held
     clutch: Flag = False  # ... the clutch
     stop: Flag = False  # ... the emergency stop
 

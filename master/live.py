@@ -1,7 +1,7 @@
-"""Settings that may change while the master runs, and how they change without a bump.
+"""Settings that may change while the master runs, with bumpless transfer.
 
-A position scale and a lock act at once: the operator's step anchors hand and tip anew. A force
-scale goes to its new value in `SLEW_S`, so that no force jumps. Nothing else may change.
+A position scale and a lock act at once: the operator re-anchors hand and tip. A force scale ramps
+to its new value in `SLEW_S`. Nothing else may change.
 """
 
 import re
@@ -12,11 +12,11 @@ from master.config import MasterConfig
 from master.device import HandState
 from teleop.errors import UsageError
 
-SLEW_S = 0.5  # [s] for a force scale to go to its new value
-STEP = 2.0**0.5  # by which a button changes a scale
-SCALES = (0.01, 1.0)  # within which buttons keep it
+SLEW_S = 0.5  # [s] ramp of the force scale
+STEP = 2.0**0.5  # factor of a button press
+SCALES = (0.01, 1.0)  # range for buttons
 KEYS = ("force.scale", "operator.lock", "operator.position_scale")
-BUTTONS = (  # that make a scale smaller and larger
+BUTTONS = (  # that decrease and increase a scale
     ("operator.position_scale", "finer", "coarser"),
     ("force.scale", "weaker", "stronger"),
 )
@@ -26,31 +26,31 @@ RELEASED = (False, False)
 
 
 class Live(NamedTuple):
-    """The config in force, and where its force scale is going."""
+    """The active config and the target of its force scale."""
 
     config: MasterConfig
     force_scale: float
-    rate: float = 0.0  # [1/s] at which it goes there
-    held: tuple[bool, ...] = RELEASED  # whether one of `BUTTONS` is, for each scale
+    rate: float = 0.0  # [1/s] of the ramp
+    held: tuple[bool, ...] = RELEASED  # whether one of `BUTTONS` is held, for each scale
 
     @property
     def settled(self) -> bool:
-        """Whether nothing is on its way."""
+        """Whether no ramp is active."""
         return self.config.force.scale == self.force_scale
 
 
 def start(config: MasterConfig) -> Live:
-    """Return the settings before anything was changed."""
+    """Return the initial settings."""
     return Live(config, config.force.scale)
 
 
 def change(live: Live, key: str, value: str) -> tuple[Live, str]:
-    """Return the settings with one of `KEYS` on its way to `value`, and what that is now.
+    """Return the settings with one of `KEYS` set to `value`, and the value as text.
 
     Raises
     ------
     UsageError
-        The key may not be changed while the master runs, or not to this value.
+        The key cannot be changed while the master runs, or not to this value.
     """
     name = key.removeprefix("master.")
     if name not in KEYS:
@@ -75,7 +75,7 @@ def change(live: Live, key: str, value: str) -> tuple[Live, str]:
 
 
 def _number(field: str, text: str) -> float:
-    """Read a number: within the loop, so nothing that takes long or does more."""
+    """Parse a number; called in the loop, so it must be fast."""
     try:
         return float(text)
     except ValueError:
@@ -89,9 +89,9 @@ def _axes(text: str) -> tuple[int, ...]:
 
 
 def follow(live: Live, hand: HandState | None, dt: float) -> tuple[Live, str]:
-    """Return the settings of a tick, `dt` [s] after the last, and what a button has changed.
+    """Return the settings of a tick, `dt` [s] after the last, and a text of button changes.
 
-    One call while nothing changes, which is nearly always.
+    Fast while nothing changes.
     """
     resting = live.config.force.scale == live.force_scale and live.held == RELEASED
     if resting and (
@@ -102,9 +102,9 @@ def follow(live: Live, hand: HandState | None, dt: float) -> tuple[Live, str]:
 
 
 def press(live: Live, hand: HandState | None) -> tuple[Live, str]:
-    """Return the settings after a look at the device's buttons, and what one has changed.
+    """Return the settings after the device's buttons, and a text of the changes.
 
-    A press counts once, and both buttons of a scale at once count for nothing.
+    A press counts once; both buttons of a scale together are ignored.
     """
     if hand is None:
         return live, ""

@@ -1,16 +1,13 @@
-"""Forces that the master makes by itself: the soft limits of the workspace.
+"""Local forces of the master: soft limits of the workspace, and weight compensation.
 
-They come from the hand alone, with no delay and no slave, so they are not part of the coupling.
-The limits are felt while hand and tip are coupled. Outside them a hand at x, going further at v, is
-pushed back with
+They depend only on the hand, so they are not part of the coupling. The limits are rendered while
+hand and tip are coupled. Outside them a hand at x, moving outwards at v, is pushed back with
 
     F = -min(wall * depth + wall_damping * v, wall_max),    depth, v > 0 outwards
 
-and the tip does not follow it there (`master.operator.within`). The damping only opposes going
-deeper, so a limit never pulls. A hand that is outside already when it is coupled is not kicked: its
-limit begins where the hand is, and comes back with it.
-
-The other force of the master's own is the one that keeps the device's weight,
+and the tip does not follow it there (`master.operator.within`). The damping only opposes outward
+motion, so a limit never pulls. If the hand is already outside when it is coupled, its limit starts
+at the hand and moves back with it, so there is no force step. The weight compensation is
 `OperatorSettings.weight`.
 """
 
@@ -22,9 +19,9 @@ from master.operator import OperatorSettings
 
 
 class WorkspaceLimits(Record):
-    """Where the limits begin: at the workspace's, or further out where the hand was."""
+    """Active limits: those of the workspace, or further out where the hand was."""
 
-    known: Flag = False  # a hand was seen
+    known: Flag = False  # a hand position is known
     low: Axes  # [m] -inf where an axis has none
     high: Axes  # [m] inf where an axis has none
 
@@ -33,7 +30,7 @@ class WorkspaceLimits(Record):
 def update_limits(
     settings: OperatorSettings, limits: WorkspaceLimits, hand: HandInput, rendered: bool
 ) -> None:
-    """Move the limits with the hand: out to it while they are not `rendered`, and back with it."""
+    """Move the limits with the hand: outwards while they are not `rendered`, and back with it."""
     if not hand.present:
         return
     for k in range(hand.axes):
@@ -51,7 +48,7 @@ def update_limits(
 def wall_forces(
     settings: OperatorSettings, limits: WorkspaceLimits, hand: HandInput, out: Array
 ) -> None:
-    """Write the force of the limits on the hand [N] to `out`, shape (8,), axis by axis."""
+    """Write the force of the limits on the hand [N] to `out`, shape (8,)."""
     for k in range(hand.axes):
         out[k] = _wall(settings, hand.position[k], hand.velocity[k], limits.low[k], limits.high[k])
 

@@ -1,12 +1,12 @@
-"""One tick of the master: a hand and the slave's newest state in, a command and a force out.
+"""One tick of the master: from hand and newest slave state to a command and a force.
 
 A tick has two phases, both compiled and without clock, link or device:
 
-    command   reads the hand, steps the session and finds the command for the slave
-    force     after the slave has answered, or was waited for long enough: finds the force
+    command reads the hand, steps the session and computes the command for the slave
+    force after the slave's answer or a timeout: computes the force
 
-So a force can be rendered in the tick in which its command was sent. The caller keeps the state of
-one master in a `MasterState`, which both phases change in place.
+So a force can be rendered in the tick in which its command was sent. Both phases update the
+caller's `MasterState` in place.
 """
 
 from typing import Any, NamedTuple
@@ -28,49 +28,49 @@ from teleop.coupling import Side
 from teleop.messages import MAX_JOINTS, Command, Hand, SlaveState
 from teleop.session import Inputs, Reason, Session, State
 
-_ABSURD = 1e3  # [m], [m/s] no hand is there or as fast; NaN is not below it either
+_ABSURD = 1e3  # [m], [m/s] beyond any hand; NaN fails the comparison too
 
 
 class MasterState(Record):
-    """All that the master remembers from one tick to the next, and from `command` to `force`."""
+    """State of the master between ticks, and between `command` and `force`."""
 
     axes: I64  # of the device
     session: Session
     operator: OperatorMemory
-    force: Axes  # [N] that the gate last let through
-    own_force: Axes  # [N] of it, what was not the coupling's
-    answered_ns: I64  # stamp of the newest command that the slave has answered
+    force: Axes  # [N] last output of the gate
+    own_force: Axes  # [N] its part from local forces
+    answered_ns: I64  # stamp of the newest command answered by the slave
     answer_ns: I64 = 0  # the same if it was answered in this tick, 0 = none
     coupling: Side
     rendered: RenderMemory
     limits: WorkspaceLimits
     presence: Presence
     inputs: Inputs  # of the session in this tick
-    may_render: Flag = False  # whether the session let forces reach the hand in `command`
-    counted: Flag = False  # whether the coupling counted the hand as coupled there
+    may_render: Flag = False  # whether the session allowed forces in `command`
+    counted: Flag = False  # whether `count_hand` ran as coupled there
 
 
 class TickInput(Record):
-    """What the world has told before a phase of a tick.
+    """Inputs of a phase of a tick.
 
-    The caller sets all of it before `command`, and `has_state`, `state_age_ns` and `now_ns` anew
-    before `force`.
+    The caller sets all fields before `command`, and updates `has_state`, `state_age_ns` and
+    `now_ns` before `force`.
     """
 
     hand: HandInput
-    has_state: Flag = False  # the slave has ever answered
+    has_state: Flag = False  # a slave state has been received
     state_age_ns: I64 = 0  # age of its newest state
     now_ns: I64 = 0
     dt: F64 = 0.0  # [s] since the last tick
-    fault: I64 = Reason.NONE  # what is wrong on this side, as far as the caller knows
-    stop: I64 = Reason.NONE  # why another process wants everything to stop, if one does
-    reset: Flag = False  # whether one takes that back
+    fault: I64 = Reason.NONE  # fault on this side detected by the caller
+    stop: I64 = Reason.NONE  # reason of an emergency stop by another process
+    reset: Flag = False  # whether the stop is reset
 
 
 class PhaseInput(NamedTuple):
-    """What a loop is told before a phase, besides the hand and the slave's state."""
+    """Inputs of a phase besides the hand and the slave's state."""
 
-    has_state: bool  # the slave has ever answered
+    has_state: bool  # a slave state has been received
     state_age_ns: int  # age of its newest state
     now_ns: int
     dt: float  # [s] since the last tick
@@ -85,11 +85,11 @@ def run_command(
     memories: Records,
     ticks: Records,
     states: Records,
-    told: PhaseInput,
+    phase_input: PhaseInput,
     commands: Records,
 ) -> None:
-    """Run `command` on arrays of one record each: what a loop calls."""
-    _take(ticks[0], told)
+    """Run `command` on arrays of one record each; called by the loop."""
+    _take(ticks[0], phase_input)
     command(settings[0], memories[0], ticks[0], states[0], commands[0])
 
 
@@ -99,20 +99,20 @@ def run_force(
     memories: Records,
     ticks: Records,
     states: Records,
-    told: PhaseInput,
+    phase_input: PhaseInput,
     new_state: bool,
     out: Array,
 ) -> int:
-    """Run `force` on arrays of one record each: what a loop calls."""
-    _take(ticks[0], told)
+    """Run `force` on arrays of one record each; called by the loop."""
+    _take(ticks[0], phase_input)
     return force(settings[0], memories[0], ticks[0], states[0], new_state, out)
 
 
 @compiled
-def _take(tick: TickInput, told: PhaseInput) -> None:
-    tick.has_state, tick.state_age_ns = told.has_state, told.state_age_ns
-    tick.now_ns, tick.dt = told.now_ns, told.dt
-    tick.fault, tick.stop, tick.reset = told.fault, told.stop, told.reset
+def _take(tick: TickInput, phase_input: PhaseInput) -> None:
+    tick.has_state, tick.state_age_ns = phase_input.has_state, phase_input.state_age_ns
+    tick.now_ns, tick.dt = phase_input.now_ns, phase_input.dt
+    tick.fault, tick.stop, tick.reset = phase_input.fault, phase_input.stop, phase_input.reset
 
 
 @compiled
@@ -124,9 +124,9 @@ def fill_hand_message(
 
 
 def start(axes: int, now_ns: int) -> Records:
-    """Return the state before the first tick, as an array of one `MasterState`.
+    """Return the initial state as an array of one `MasterState`.
 
-    Off, no force, nothing commanded since `now_ns`.
+    Off, no force, no command since `now_ns`.
     """
     records = MasterState.array()
     state: MasterState = one(records)
@@ -154,7 +154,7 @@ def command(
     state : SlaveState
         The slave's newest state; not read unless `tick.has_state`.
     out : Command
-        All fields but those of the head are written.
+        Written, except for its head.
     """
     hand, inputs, dt = tick.hand, memory.inputs, tick.dt
     wanted = np.zeros(MAX_JOINTS)
@@ -208,24 +208,24 @@ def force(
 ) -> int:
     """Run the second phase of a tick: from the slave's newest state to the force on the hand.
 
-    The force is zero unless the session is engaged on both sides, then and now, and the state is
-    fresh now: young enough itself, and an answer to a command that is young enough. It fades when
-    the state stops being that.
+    The force is zero unless the session is engaged on both sides, in both phases, and the state is
+    fresh: recent itself, and an answer to a recent command. It fades when the state is no longer
+    fresh.
 
     Parameters
     ----------
     settings, memory, tick, state
         As in `command`; `tick.now_ns` and `tick.state_age_ns` are those of this phase.
     new_state : bool
-        Whether `state` has come since `command`. What it tells (a fault, a stop, a value that is
-        not finite) then acts at once.
+        Whether `state` has arrived since `command`. Its faults, stops and non-finite values then
+        act at once.
     out : array of shape (8,)
         Forces [N] for the device, zero beyond its axes.
 
     Returns
     -------
     int
-        The bits of a `gate.Verdict`.
+        The bits of a `gate.GateFlags`.
     """
     hand, axes, dt = tick.hand, memory.axes, tick.dt
     wanted = np.zeros(MAX_JOINTS)
@@ -234,9 +234,9 @@ def force(
     if new_state:
         _hear(memory, tick, state)
     if new_state or fresh != memory.inputs.peer_fresh:
-        memory.inputs.reset = False  # it has had its effect
+        memory.inputs.reset = False  # already processed
         _step_session(settings, memory, tick, state, finite, 0.0)
-    # no force that the coupling has not counted: where it could begin, the next tick does
+    # no force outside the ledger: a coupling that could start now starts at the next tick
     renders = memory.may_render and session.may_render(memory.session)
     renders = renders and (memory.counted or not finite)
 
@@ -254,7 +254,7 @@ def force(
     if renders:
         coupling_adapter.remember(memory.rendered, settings.force.scale, total, axes)
     local.update_limits(settings.operator, memory.limits, hand, renders)
-    if renders and hand.present:  # at once, whatever the delay
+    if renders and hand.present:  # without delay
         local.wall_forces(settings.operator, memory.limits, hand, own)
     for k in range(axes):
         if _keeps_weight(memory.session):
@@ -282,7 +282,7 @@ def _wanted_forces(
     state: SlaveState,
     out: Array,
 ) -> bool:
-    """Write the forces that the hand should feel [N] to `out`; return whether all are finite."""
+    """Write the wanted forces on the hand [N] to `out`; return whether all are finite."""
     feedback.tip_forces(settings.bilateral.confidence, state, tick.has_state, memory.axes, out)
     for k in range(memory.axes):
         out[k] = feedback.reflect(settings.force.scale, out[k])
@@ -298,7 +298,7 @@ def _step_session(
     finite: bool,
     dt: float,
 ) -> None:
-    """Step the session with what is known of hand and peer; `finite` is about the wanted forces."""
+    """Step the session with hand and peer; `finite` refers to the wanted forces."""
     inputs, hand = memory.inputs, tick.hand
     inputs.peer_fresh = is_fresh(settings, tick, state)
     inputs.peer_state = State.OFF
@@ -319,7 +319,7 @@ def _hear(memory: MasterState, tick: TickInput, state: SlaveState) -> None:
     if tick.has_state:
         energy: Any = state.energy
         wave: Any = state.wave
-        coupling.hear(memory.coupling, state.sender, energy, wave)
+        coupling.receive(memory.coupling, state.sender, energy, wave)
 
 
 @compiled
@@ -330,7 +330,7 @@ def _describe(
     state: SlaveState,
     out: Command,
 ) -> None:
-    """Write all of a command but its head and the tips."""
+    """Fill in a command except for its head and the tip motion."""
     fields: Any = out
     fields.state = memory.session.state
     fields.reason = memory.session.reason
@@ -340,12 +340,12 @@ def _describe(
     fields.force_max = feedback.saturation(settings.force)
     for k in range(MAX_JOINTS):
         fields.energy[k] = memory.coupling.ports[k].passed_on
-        fields.wave[k] = memory.coupling.ports[k].told_wave
+        fields.wave[k] = memory.coupling.ports[k].sent_wave
 
 
 @compiled
 def _note_answer(memory: MasterState, tick: TickInput, state: SlaveState) -> None:
-    """Note which command is answered for the first time."""
+    """Record the command that is answered for the first time."""
     memory.answer_ns = 0
     if tick.has_state and memory.answered_ns < state.echo_stamp_ns <= tick.now_ns:
         memory.answer_ns = state.echo_stamp_ns
@@ -354,7 +354,7 @@ def _note_answer(memory: MasterState, tick: TickInput, state: SlaveState) -> Non
 
 @compiled
 def _keeps_weight(side: Session) -> bool:
-    """Return whether a device keeps its weight in this state of the session."""
+    """Return whether weight compensation is on in this state of the session."""
     return (
         side.state == State.READY  # noqa: PLR1714 - compiled
         or side.state == State.CLUTCHED
@@ -365,26 +365,27 @@ def _keeps_weight(side: Session) -> bool:
 
 @compiled
 def is_fresh(settings: MasterSettings, tick: TickInput, state: SlaveState) -> bool:
-    """Return whether `state` is there, and young enough to act on.
+    """Return whether `state` exists and is fresh.
 
-    Its age tells of a slave that fell silent, and with the age of the sample behind it, of a rig
-    that did. The age of the command it answers tells of a slave that no longer hears us, and of a
-    delay of both ways together, which no clock of one side shows.
+    Its age detects a silent slave and, with the age of its sample, a silent rig. The age of the
+    command it answers detects a slave that no longer receives, and the round-trip delay, which no
+    single clock shows.
     """
     if not tick.has_state:
         return False
-    # as floats: sums of what a message may hold go beyond 64 bits
+    # as floats: sums of message fields may exceed 64 bits
     behind_ns = float(tick.state_age_ns) + max(float(state.sample_age_ns), 0.0)
     answered_ns = float(tick.now_ns - state.echo_stamp_ns)
-    return behind_ns <= settings.freshness * 1e9 and 0.0 <= answered_ns <= settings.delay_max * 1e9
+    return (
+        behind_ns <= settings.state_timeout * 1e9 and 0.0 <= answered_ns <= settings.delay_max * 1e9
+    )
 
 
 @compiled
 def switch(side: Session, hand: HandInput, there: Presence) -> bool:
-    """Return whether the operator's switch counts as closed.
+    """Return whether the engage switch counts as closed.
 
-    It does not while nobody is there; but what went wrong is over only when the operator has let
-    go of everything.
+    Not while no hand is detected; but a fault is cleared only when the real switch is released.
     """
     if (
         side.state == State.FAULT  # noqa: PLR1714 - compiled
@@ -399,7 +400,7 @@ def switch(side: Session, hand: HandInput, there: Presence) -> bool:
 def not_ready_reason(
     settings: MasterSettings, memory: MasterState, tick: TickInput, state: SlaveState
 ) -> int:
-    """Return why this side must not engage yet, `Reason.NONE` if it may."""
+    """Return why this side must not engage, `Reason.NONE` if it may."""
     if tick.has_state and coupling.differs(settings.bilateral, state.coupling):
         return Reason.COUPLING_DIFFERS
     if memory.presence.away:
@@ -411,7 +412,7 @@ def not_ready_reason(
 
 @compiled
 def sound(side: Session, hand: HandInput, finite: bool) -> bool:
-    """Return whether the hand is where hands are, and the force, if it is rendered, is `finite`."""
+    """Return whether the hand's motion is plausible and a rendered force is `finite`."""
     for k in range(hand.axes):
         if not abs(hand.position[k]) < _ABSURD or not abs(hand.velocity[k]) < _ABSURD:
             return False
@@ -422,7 +423,7 @@ def sound(side: Session, hand: HandInput, finite: bool) -> bool:
 def hand_message(
     memory: MasterState, hand: HandInput, state_age_ns: int, round_trip_ns: int, out: Hand
 ) -> None:
-    """Write what listeners are told about the hand after a tick to all but the head of `out`."""
+    """Fill in the `Hand` message after a tick, except for its head."""
     fields: Any = out
     fields.state = memory.session.state
     fields.reason = memory.session.reason

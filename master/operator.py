@@ -1,17 +1,16 @@
-"""From the hand to the tips: where the operator wants them.
+"""Map hand motion to tip commands.
 
 Motion is relative. Engaging couples the hand where it is to the tip where it is; from there
 
     tip = tip_anchor + position_scale * hand,    tip_anchor = tip - position_scale * hand
 
-with tip and hand as they were when they were last coupled, so that neither engaging nor releasing
-nor the clutch moves anything. The same holds, axis by axis, when the scale changes or a lock is
-put on or taken off while they are coupled: the anchor is found anew from the tick before. Released,
-the tip command stays where it was. A slave that was never commanded by this master starts at the
-tip travel it reports, or at zero where it cannot tell.
+with tip and hand as of the last coupling, so that engaging, releasing and the clutch do not move
+the tip. The same holds, axis by axis, when scale or lock change while coupled: the anchor is
+recomputed from the last tick. While released, the tip command is constant. For a slave not
+commanded by this master before, it starts at the reported tip travel, or at zero if unknown.
 
-With `align` hand and tip keep the one correspondence that they were first coupled with, but for
-what the clutch changed on purpose: engaging waits until the hand is where the tip is.
+With `align` hand and tip keep the anchor of the first coupling, except for clutching: engaging
+requires the hand at the position of the tip.
 """
 
 import math
@@ -38,26 +37,26 @@ class OperatorConfig:
     """How hand motion becomes tip motion. Axis k of the device moves joint k."""
 
     position_scale: float = 0.25  # tip travel per hand travel
-    lock: tuple[int, ...] = ()  # axes, counted from 0, that move nothing
-    align: float = field(  # [m] of the tip: engage only with the hand that close; inf = anywhere
+    lock: tuple[int, ...] = ()  # axes, counted from 0, that do not move their joint
+    align: float = field(  # [m] of the tip: largest distance for engaging; inf = no check
         default=math.inf, metadata=MAY_BE_INFINITE
     )
-    presence: float = field(  # [s] without the least motion: nobody holds the device; inf = trusted
+    presence: float = field(  # [s] without motion: no hand at the device; inf = no check
         default=math.inf, metadata=MAY_BE_INFINITE
     )
-    presence_motion: float = 20e-6  # [m] which a living hand does not keep within
-    workspace: tuple[tuple[float, float], ...] = ()  # [m] of the hand, from ... to, one an axis
-    wall: float = 300.0  # [N/m] stiffness of its limits, on the hand
-    wall_damping: float = 2.0  # [N s/m] while the hand goes further in
-    wall_max: float = 2.0  # [N] of a limit, on one axis
-    weight: tuple[float, ...] = ()  # [N] that keeps the device's own weight, one an axis
+    presence_motion: float = 20e-6  # [m] motion threshold of that check
+    workspace: tuple[tuple[float, float], ...] = ()  # [m] of the hand, [from, to] per axis
+    wall: float = 300.0  # [N/m] stiffness of the workspace limits, at the hand
+    wall_damping: float = 2.0  # [N s/m] damping of outward motion
+    wall_max: float = 2.0  # [N] largest force of a limit on one axis
+    weight: tuple[float, ...] = ()  # [N] weight compensation of the device, per axis
 
     def __post_init__(self) -> None:
-        """Refuse a scale that would reverse, freeze or explode the motion, and odd limits."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 < self.position_scale <= 10.0:
             raise ValueError("position_scale: must be above 0 and at most 10")
         if not all(0 <= axis < MAX_JOINTS for axis in self.lock):
-            raise ValueError(f"lock: axes are counted from 0 to {MAX_JOINTS - 1}")
+            raise ValueError(f"lock: axes must be 0 to {MAX_JOINTS - 1}")
         if not self.align > 0.0:
             raise ValueError("align: must be above 0 [m]")
         if not self.presence >= 0.1:
@@ -83,16 +82,16 @@ class OperatorSettings(Record):
     align: F64
     presence: F64
     presence_motion: F64
-    low: Axes  # [m] ends of the workspace: -inf and inf where an axis has none
+    low: Axes  # [m] ends of the workspace: -inf and inf for an axis without limits
     high: Axes
     wall: F64
     wall_damping: F64
     wall_max: F64
-    weight: Axes  # [N] zero where an axis has none
+    weight: Axes  # [N] zero for an axis without one
 
 
 def operator_settings(config: OperatorConfig) -> Records:
-    """Return the record of a config, as an array of one."""
+    """Return the record of a config as an array of one."""
     records = OperatorSettings.array()
     settings: OperatorSettings = one(records)
     for name in _SCALARS:
@@ -114,14 +113,14 @@ _SCALARS = (
 
 
 class OperatorMemory(Record):
-    """What one tick hands to the next."""
+    """State between ticks."""
 
-    tip: Axes  # [m] commanded last, all joints
+    tip: Axes  # [m] last command, all joints
     coupled: Flag = False  # hand and tip are coupled
-    tip_anchor: Axes  # [m] tip less scaled hand when the two were coupled
-    slave: U64 = 0  # sender nonce of the slave that `tip` was meant for
-    hand_known: Flag = False  # they were coupled to this slave at least once
-    hand: Axes  # [m] that `tip` was found from
+    tip_anchor: Axes  # [m] tip less scaled hand at the last coupling
+    slave: U64 = 0  # sender nonce of the commanded slave
+    hand_known: Flag = False  # coupled to this slave at least once
+    hand: Axes  # [m] at the last command
     scale: F64 = 0.0  # with it
     lock: LockFlags
 
@@ -137,18 +136,18 @@ def step(
     out_position: Array,
     out_velocity: Array,
 ) -> None:
-    """Find the tip command of one tick.
+    """Compute the tip command of one tick.
 
     Parameters
     ----------
     hand : HandInput
         Newest read of the device.
     state : SlaveState
-        Newest answer of the slave; not read unless `has_state`.
+        Newest state of the slave; not read unless `has_state`.
     engaged : bool
         Whether the session couples hand and tip in this tick.
     out_position, out_velocity : arrays of shape (8,)
-        Where the tips shall be [m], and go [m/s]; all joints.
+        Commanded tip travel [m] and velocity [m/s]; all joints.
     """
     _know_slave(memory, state, has_state)
     coupled = engaged and hand.present
@@ -175,7 +174,7 @@ def _anchor(
     state: SlaveState,
     has_state: bool,
 ) -> None:
-    """Find the anchors of a tick: kept, unless coupling, scale or locks have changed."""
+    """Update the anchors: kept unless coupling, scale or locks have changed."""
     scale = settings.position_scale
     coupling = not memory.coupled
     changed = scale != memory.scale
@@ -203,10 +202,10 @@ def not_ready_reason(
     state: SlaveState,
     has_state: bool,
 ) -> int:
-    """Return why hand and tip must not be coupled where they are, `Reason.NONE` if they may."""
+    """Return why hand and tip must not be coupled now, `Reason.NONE` if they may."""
     if not hand.present or not memory.hand_known or math.isinf(settings.align):
         return Reason.NONE
-    if has_state and state.sender != memory.slave:  # another slave: never coupled to this one
+    if has_state and state.sender != memory.slave:  # another slave, never coupled to
         return Reason.NONE
     for k in range(hand.axes):
         x = within(settings, k, hand.position[k])
@@ -219,7 +218,7 @@ def not_ready_reason(
 
 @compiled
 def within(settings: OperatorSettings, axis: int, x: float) -> float:
-    """Return a hand's position on one axis [m], taken to the nearest point of its workspace."""
+    """Return a hand position on one axis [m], clipped to the workspace."""
     low: float = settings.low[axis]
     high: float = settings.high[axis]
     return min(max(x, low), high)
@@ -227,7 +226,7 @@ def within(settings: OperatorSettings, axis: int, x: float) -> float:
 
 @compiled
 def _know_slave(memory: OperatorMemory, state: SlaveState, has_state: bool) -> None:
-    """Begin anew if another slave answers."""
+    """Reset if another slave answers."""
     if not has_state or state.sender == memory.slave:
         return
     memory.slave = state.sender
@@ -239,6 +238,6 @@ def _know_slave(memory: OperatorMemory, state: SlaveState, has_state: bool) -> N
 
 @compiled
 def _reported(tip: float, state: SlaveState, has_state: bool, joint: int) -> float:
-    """Return where the slave says that a tip is [m]; `tip` where it cannot tell."""
+    """Return the tip travel reported by the slave [m]; `tip` if unknown."""
     position: float = state.position[joint] if has_state else math.nan
     return position if math.isfinite(position) else tip

@@ -1,8 +1,8 @@
-"""Whether a hand holds the device: a living one is never quite still.
+"""Detect whether a hand holds the device, by its tremor.
 
-The engage switch is held to run, but a switch can be taped down or wedged. A device that has not
-moved by more than `presence_motion` for `presence` seconds while the switch was closed has nobody
-at it. The switch then counts as open until it really was: nothing engages again by a knock.
+The engage switch can be taped down or wedged. If the device has not moved by more than
+`presence_motion` for `presence` seconds while the switch was closed, no hand is present. The switch
+then counts as open until it has really been open, so a knock does not engage again.
 
 The physiological tremor of a hand that holds an instrument is some 0.05 to 0.1 mm, so the default
 of 20 um is below it, and above the noise of an encoder.
@@ -15,17 +15,17 @@ from master.operator import OperatorSettings
 
 
 class Presence(Record):
-    """What one tick hands to the next."""
+    """State between ticks."""
 
     axes: I64 = 0  # how many entries of `around` are in use; 0 = the switch was open
-    around: Axes  # [m] where the hand has been still since
+    around: Axes  # [m] reference position of the still hand
     still_s: F64 = 0.0  # [s]
-    away: Flag = False  # nobody was there, and the switch has not been open since
+    away: Flag = False  # no hand detected, and the switch has not been open since
 
 
 @compiled
 def step(settings: OperatorSettings, memory: Presence, hand: HandInput, dt: float) -> None:
-    """Update who is there in a tick, `dt` [s] after the last."""
+    """Update the detection at a tick, `dt` [s] after the last."""
     if not hand.present or not hand.engage:
         memory.axes = 0
         memory.still_s = 0.0

@@ -5,10 +5,10 @@
   teleop master --set master.force.scale=0.1 --set master.device.reference.type=reaches
 
 Without a slave the hand feels nothing. When the slave's states stop coming for longer than
-`master.freshness`, the force fades; when anything else goes wrong, it is zero at once. It stays so
-until the operator lets go of the engage switch and presses it again, and after an emergency stop
-until that has been reset too (`teleop stop --reset`). A HID device that is unplugged may be plugged
-in again. `teleop set` changes some settings while this runs.
+`master.state_timeout`, the force fades; on any other fault it is zero at once. It stays zero until
+the operator releases the engage switch and presses it again, and after an emergency stop until that
+has been reset too (`teleop stop --reset`). A HID device that is unplugged may be plugged in again.
+`teleop set` changes some settings while this runs.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from master import hand_input, live, loop
 from master.config import MasterConfig
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
-from master.gate import Verdict
+from master.gate import GateFlags
 from master.settings import SettingsRecord
 from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.compile_cache import announced
@@ -57,7 +57,7 @@ class Master(LoopProcess):
         Ticks of the device for one command on the link.
     """
 
-    role, verdict = Role.MASTER, Verdict
+    role, verdict = Role.MASTER, GateFlags
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class Master(LoopProcess):
         self._start_ns = now_ns()
         self._published = self._outline()
         self._away = ""  # why the device cannot be read, while it is looked for
-        self._states = link.subscribe_latest(STATE, round(config.freshness * 1e9))
+        self._states = link.subscribe_latest(STATE, round(config.state_timeout * 1e9))
         self._echo_ns = self._states.packet.records["echo_stamp_ns"]
         self._answered_in_ns = self._states.packet.records["answer_ns"]
 
@@ -312,7 +312,7 @@ class Master(LoopProcess):
         answer = Answer(
             role=Role.MASTER,
             asker=request.asker,
-            asked=request.asked,
+            setting_sequence=request.sequence,
             accepted=accepted,
             text=text_bytes(text),
         )

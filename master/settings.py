@@ -16,7 +16,7 @@ class MasterSettings(Record):
     operator: OperatorSettings
     force: Annotated[FeedbackConfig, Field(record_dtype(FeedbackConfig))]
     gate: Annotated[GateConfig, Field(record_dtype(GateConfig))]
-    freshness: F64  # [s]
+    state_timeout: F64  # [s]
     delay_max: F64  # [s]
     bilateral: BilateralSettings
 
@@ -34,7 +34,7 @@ class SettingsRecord:
         self._config = config
         self.records = MasterSettings.array()
         settings = one(self.records)
-        settings.freshness, settings.delay_max = config.freshness, config.delay_max
+        settings.state_timeout, settings.delay_max = config.state_timeout, config.delay_max
         settings.bilateral = bilateral_settings(bilateral)[0]
         settings.gate = as_records(config.gate)[0]
         settings.operator = operator_settings(config.operator)[0]

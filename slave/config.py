@@ -1,4 +1,4 @@
-"""The slave's section of a config file, and which models its estimators get."""
+"""The slave's section of a config file, and the models of its estimators."""
 
 import math
 from dataclasses import dataclass, field
@@ -22,23 +22,23 @@ from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS
 from teleop.run_config import require_periods
 
-QUANTISED = math.sqrt(12.0)  # a step over the standard deviation that rounding to it adds
+QUANTISED = math.sqrt(12.0)  # quantisation step over the standard deviation of its rounding error
 
 AS_BUILT = "as-built"
 
-NO_FILES: model_files.Given = {}
+NO_FILES: model_files.ModelFiles = {}
 
 DIRECT = DirectConfig()
-FELT_WITH = "they are felt with coupling: {type: direct}"
+USE_DIRECT = "use coupling: {type: direct}"
 
 
 @dataclass(frozen=True, slots=True)
 class SlaveConfig:
-    """Everything the slave process needs."""
+    """Settings of the slave process."""
 
     rig: RigConfig = field(default_factory=SimulatedRigConfig)
     tendons: tuple[TendonConfig, ...] = ()  # one for each tendon of the rig, or one for all
-    # in place of `tendons`: a file, or the numbers of a simulated rig as if perfectly calibrated
+    # instead of `tendons`: a file, or as-built, the true parameters of a simulated rig
     calibration: Literal["as-built"] | Path | None = None
     initialise: InitialiseConfig = field(default_factory=InitialiseConfig)
     monitor: MonitorConfig = field(default_factory=MonitorConfig)
@@ -48,14 +48,14 @@ class SlaveConfig:
     command_timeout: float = (
         0.028  # [s] a command older than this makes the slave hold: < 30 ms in all
     )
-    sample_timeout: float = 0.100  # [s] without a sample that can be used; longer is a fault
+    sample_timeout: float = 0.100  # [s] without a usable sample; longer is a fault
 
     def __post_init__(self) -> None:
-        """Refuse two models, or a command that never grows old."""
+        """Check the values; raises `ValueError`."""
         if self.tendons and self.calibration:
-            raise ValueError("calibration: give either this or tendons")
+            raise ValueError("calibration: conflicts with tendons; use one of them")
         if self.calibration == AS_BUILT and not isinstance(self.rig, SimulatedRigConfig):
-            raise ValueError("calibration: as-built is for simulated rigs")
+            raise ValueError("calibration: as-built is only for simulated rigs")
         if self.control.tension_max >= self.gate.tension_max:
             raise ValueError(
                 f"control.tension_max: must be below gate.tension_max ({self.gate.tension_max:g} N)"
@@ -68,24 +68,27 @@ class SlaveConfig:
             raise ValueError("sample_timeout: must be above 0 and at most 1 s")
 
     def check_rate(self, rate_hz: float) -> None:
-        """Refuse what does not go with the link's rate [Hz]; `UsageError`."""
+        """Check the timeouts against the link's rate [Hz]; `UsageError`."""
         require_periods("slave.command_timeout", self.command_timeout, rate_hz)
         require_periods("slave.sample_timeout", self.sample_timeout, rate_hz)
         require_periods("slave.gate.tension_age_max", self.gate.tension_age_max, rate_hz)
 
     @property
     def rig_obeys(self) -> bool:
-        """Whether the motors go where they are sent; those of data that are played have gone."""
+        """Whether the motors follow commands; False for replayed data."""
         return not isinstance(self.rig, ReplayedRigConfig)
 
 
 def tendon_configs(
-    config: SlaveConfig, count: int, joints: JointTendons = (), files: model_files.Given = NO_FILES
+    config: SlaveConfig,
+    count: int,
+    joints: JointTendons = (),
+    files: model_files.ModelFiles = NO_FILES,
 ) -> tuple[TendonConfig, ...]:
-    """Return the models for `count` tendons; `UsageError` if there are none, or too few.
+    """Return the models of `count` tendons; `UsageError` if there are none, or too few.
 
-    From the config, or from the calibration it names; model files replace what those say of the
-    sheaths. Whether a calibration fits the rig is asked of `hindrance_of`.
+    From the config or the calibration it names; model files replace their sheath parameters.
+    `not_ready_reason` checks whether the calibration fits the rig.
     """
     known: tuple[TendonConfig | None, ...] = (None,) * count
     if not files or config.tendons or config.calibration:
@@ -94,7 +97,7 @@ def tendon_configs(
         tendon for tendon in model_files.apply(known, joints, files) if tendon is not None
     )
     if len(found) < count:
-        raise UsageError(f"--model: not of every tendon, and slave.tendons: {UNCALIBRATED}")
+        raise UsageError(f"--model: missing for some tendons, and slave.tendons: {UNCALIBRATED}")
     return found
 
 
@@ -115,24 +118,21 @@ def _configured(config: SlaveConfig, count: int) -> tuple[TendonConfig, ...]:
     if len(tendons) == 1:
         return tendons * count
     if len(tendons) != count:
-        raise UsageError(
-            f"{place}: {len(tendons)} tendons described, the rig has {count}; {remedy}"
-        )
+        raise UsageError(f"{place}: {len(tendons)} tendons, but the rig has {count}; {remedy}")
     return tendons
 
 
 UNCALIBRATED = (
-    "the estimator has no model of these sheaths; set slave.calibration to the file that "
-    "`teleop calibrate` writes, or that `teleop estimate DATA --fit --save FILE` does; of a "
-    "simulated rig, as-built will do"
+    "the sheaths have no model; set slave.calibration to a file written by `teleop calibrate` or "
+    "`teleop estimate DATA --fit --save FILE`, or to as-built for a simulated rig"
 )
 
 
-def hindrance_of(config: SlaveConfig, rig: file.Named, modelled: bool = False) -> str:
-    """Return why this rig must not be used with this config's calibration; empty if it may.
+def not_ready_reason(config: SlaveConfig, rig: file.RigDescription, modelled: bool = False) -> str:
+    """Return why this rig must not be used with this config's calibration; empty if it may be.
 
-    A rig that is `modelled` by model files needs none. Measured data that are played move nothing:
-    unless its config gives the rig a name, they take the calibration of any.
+    With model files (`modelled`) no calibration is needed. Replayed data accept the calibration of
+    any rig unless the config names one.
     """
     if not isinstance(config.calibration, Path):
         return "" if config.tendons or config.calibration or modelled else UNCALIBRATED
@@ -145,17 +145,22 @@ def hindrance_of(config: SlaveConfig, rig: file.Named, modelled: bool = False) -
 
 
 def has_model_file(config: SlaveConfig) -> bool:
-    """Return whether a tendon's sheath is that of a model file."""
+    """Return whether a tendon uses a model file."""
     tendons = config.tendons
     if isinstance(config.calibration, Path):
         tendons = file.load(config.calibration).tendons
     return any(tendon.model_file is not None for tendon in tendons)
 
 
-def doubts(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
-    """Return what is to be said of calibration and coupling before anyone relies on them."""
+def config_warnings(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
+    """Return warnings about calibration and coupling."""
     if not config.rig_obeys and not isinstance(coupling, DirectConfig):
-        return [f"WARNING: coupling: data that are played fade in the hand; {FELT_WITH}"]
+        return [
+            (
+                "WARNING: coupling: replayed forces fade at the master with this coupling; "
+                f"{USE_DIRECT}"
+            )
+        ]
     if any(tendon.tension_noise == 0.0 for tendon in config.tendons) and config.rig_obeys:
         return ["WARNING: slave.tendons: no tension_noise: a stuck load cell may not be noticed"]
     if not isinstance(config.calibration, Path):
@@ -167,7 +172,7 @@ def doubts(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
 
 
 def as_built(tendon: TendonPlantConfig, pretension: float) -> TendonConfig:
-    """Return what a perfect calibration of a simulated tendon would find; `pretension` in N."""
+    """Return the true parameters of a simulated tendon as a config; `pretension` in N."""
     step = tendon.encoder.resolution(tendon.motor.pulley_radius)
     return TendonConfig(
         friction=tendon.sheath.friction,

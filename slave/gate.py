@@ -1,11 +1,10 @@
-"""The last gate before the motors: finite, fresh, within limits, or the motors hold.
+"""The safety gate before the motors: finite, fresh, within limits, or the motors hold.
 
-Every motor position the slave loop writes has come through `step`, on every tick. Whatever asks
-for it, the output is a finite displacement that stays within the travel limits, or if it stood
-beyond them goes nowhere but back; it differs from the last one by no more than the speed limit
-allows, and does not pull a tendon any further whose tension is over its limit, too old, or cannot
-be read, nor one whose joint is at the end of its range or meets too large a force already. What is
-wanted to stay stays, wherever that is; while it holds, a tendon over its limit may be paid out.
+Every motor position the slave loop writes has passed `step`, at every tick. For any request the
+output is finite and within the travel limits (from beyond them it can only return); it changes by
+at most the speed limit, and does not pull a tendon further whose tension is over its limit, too old
+or not finite, or whose joint is at the end of its range or at its force limit. A request to stay is
+always granted; while the gate holds, a tendon over its limit may be paid out.
 """
 
 import math
@@ -21,7 +20,7 @@ from slave.control.joint import JointEstimates
 from slave.tendons import RigLayout
 from teleop.config import MAY_BE_INFINITE
 
-_DT_MAX = 0.005  # [s] however long a tick was skipped, a motor may go no further than this allows
+_DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,20 +31,20 @@ class GateConfig:
     displacement_max: float = 0.060  # [m] furthest pull
     speed_max: float = 0.10  # [m/s] of a motor's tendon
     tension_max: float = 25.0  # [N] at the housing; above it a tendon is only paid out
-    tension_age_max: float = 0.030  # [s] with no tension younger than this it is only paid out
+    tension_age_max: float = 0.030  # [s] without a newer tension a tendon is only paid out
     joint_min: float = field(  # [m] estimated travel of a joint, from here ...
         default=-math.inf, metadata=MAY_BE_INFINITE
     )
     joint_max: float = field(  # [m] ... to there
         default=math.inf, metadata=MAY_BE_INFINITE
     )
-    force_max: float = field(  # [N] estimated at a tip; above it the joint goes no further
+    force_max: float = field(  # [N] estimated at a tip; above it the joint moves no further
         default=math.inf, metadata=MAY_BE_INFINITE
     )
-    yield_gain: float = 0.004  # [m/s/N] with which a tendon that holds gives way above tension_max
+    yield_gain: float = 0.004  # [m/s/N] paying-out gain of a holding tendon above tension_max
 
     def __post_init__(self) -> None:
-        """Refuse limits that limit nothing."""
+        """Check the values; raises `ValueError`."""
         for name in ("displacement_min", "displacement_max", "speed_max", "tension_max"):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"{name}: must be finite")
@@ -63,39 +62,39 @@ class GateConfig:
             raise ValueError("yield_gain: must be 0 to 1 [m/s/N]")
 
 
-class Verdict(IntFlag):
-    """What the gate had to do to a tick; 0 = let through as asked."""
+class GateFlags(IntFlag):
+    """Interventions of the gate at a tick; 0 = request passed unchanged."""
 
     PASSED = 0
     HELD = 1  # not allowed to move
     NOT_FINITE = 2  # the request, or the tension it depends on, is not a number
     TRAVEL = 4  # clamped to the travel limits
     SPEED = 8  # clamped to the speed limit
-    TENSION = 16  # tension limit: pulling refused
-    STALE = 32  # no tension young enough: pulling refused
-    JOINT = 64  # the joint is at the end of its range, or cannot be told: pulling refused
-    FORCE = 128  # the force at the tip is at its limit, or cannot be told: pulling refused
-    YIELDED = 256  # held, but paid out for its tension
+    TENSION = 16  # tension limit: no further pull
+    STALE = 32  # no recent tension: no further pull
+    JOINT = 64  # joint at the end of its range, or unknown: no further pull
+    FORCE = 128  # tip force at its limit, or unknown: no further pull
+    YIELDED = 256  # held, but paid out because of its tension
 
 
-# for compiled code, which knows no flags
-PASSED = int(Verdict.PASSED)
-HELD = int(Verdict.HELD)
-NOT_FINITE = int(Verdict.NOT_FINITE)
-TRAVEL = int(Verdict.TRAVEL)
-SPEED = int(Verdict.SPEED)
-TENSION = int(Verdict.TENSION)
-STALE = int(Verdict.STALE)
-JOINT = int(Verdict.JOINT)
-FORCE = int(Verdict.FORCE)
-YIELDED = int(Verdict.YIELDED)
+# for compiled code, which does not support flags
+PASSED = int(GateFlags.PASSED)
+HELD = int(GateFlags.HELD)
+NOT_FINITE = int(GateFlags.NOT_FINITE)
+TRAVEL = int(GateFlags.TRAVEL)
+SPEED = int(GateFlags.SPEED)
+TENSION = int(GateFlags.TENSION)
+STALE = int(GateFlags.STALE)
+JOINT = int(GateFlags.JOINT)
+FORCE = int(GateFlags.FORCE)
+YIELDED = int(GateFlags.YIELDED)
 
 
 class Reach(Record):
-    """How much further a tendon may take its joint; NaN where that cannot be told."""
+    """Remaining range of a tendon's joint; NaN if unknown."""
 
-    ahead: F64 = math.nan  # [m] until the joint is at the end towards which it pulls
-    behind: F64 = math.nan  # [m] until the other one, if only this tendon keeps it off that
+    ahead: F64 = math.nan  # [m] to the end of the range in the pulling direction
+    behind: F64 = math.nan  # [m] to the other end, if only this tendon holds the joint off it
     force: F64 = math.nan  # [N] at the tip, against pulling
 
 
@@ -109,8 +108,8 @@ def reaches(
 ) -> None:
     """Write the reach of each tendon of a rig.
 
-    The second tendon of a pair pulls its joint the other way. A joint of one tendon goes back by
-    itself when that is paid out; of a pair, the other tendon has to pull it.
+    The second tendon of a pair pulls its joint the other way. A joint of one tendon returns by its
+    spring; in a pair the other tendon must pull it.
 
     Parameters
     ----------
@@ -119,7 +118,7 @@ def reaches(
     layout : RigLayout
         Which tendons each joint has.
     joint_estimates : JointEstimates
-        Position [m] of each joint and force on it [N]; NaN where they cannot be told.
+        Position [m] of each joint and force on it [N]; NaN if unknown.
     out_reach : Reaches
         One for each tendon, overwritten.
     """
@@ -151,7 +150,7 @@ def step(
     may_yield: bool,
     out_passed: Array,
 ) -> int:
-    """Let `wanted` through as far as it is safe; return the bits of `Verdict`.
+    """Limit `wanted` to safe positions; return the bits of `GateFlags`.
 
     Parameters
     ----------
@@ -160,21 +159,21 @@ def step(
     tendons : int
         How many tendons there are; the arrays may be longer.
     last, wanted : arrays, shape (tendons,)
-        Motor positions [m] written last, and asked for now.
+        Motor positions [m] written last, and requested now.
     tension : array, shape (tendons,)
         Newest tension at the housing [N].
     tension_age : float
-        Time since it came [s].
+        Its age [s].
     may_move : bool
         Whether the session is engaged and the command fresh.
     dt : float
         Time since the last tick [s].
     reach : Reaches, shape (tendons,)
-        Of each tendon.
+        Remaining range of each tendon's joint.
     has_reach : bool
-        Whether `reach` counts; otherwise it may be of any length.
+        Whether `reach` is used; otherwise it may have any length.
     may_yield : bool
-        Whether motors that hold may give way to too large a tension.
+        Whether holding motors may pay out a tendon over its tension limit.
     out_passed : array, shape (tendons,)
         Motor positions [m] to be written, and `last` of the next tick; it may be the array `last`.
 
@@ -222,7 +221,7 @@ def step(
 
 @compiled
 def _refusal(config: GateConfig, reach: Reach, change: float, tension: float) -> int:
-    """Return why a motor must not go on by `change` [m]; a tendon over its limit may be let go."""
+    """Return why a motor must not move by `change` [m]; paying out is always allowed."""
     refusal = PASSED
     if change > 0.0:
         if not reach.ahead > 0.0:
@@ -244,7 +243,7 @@ def _hold(
     dt: float,
     out_passed: Array,
 ) -> int:
-    """Stay; if that is allowed, pay out what is too tight, as fast as it is too tight."""
+    """Hold; if `may_yield`, pay out tendons in proportion to their excess tension."""
     verdict = HELD
     for k in range(tendons):
         was = held = last[k]
@@ -259,7 +258,7 @@ def _hold(
 
 @compiled
 def _yield_speed(config: GateConfig, tension: float) -> float:
-    """Return the speed [m/s] at which a tendon that holds is paid out."""
+    """Return the paying-out speed [m/s] of a holding tendon."""
     if not tension > config.tension_max or config.yield_gain == 0.0:
-        return 0.0  # also of an infinite tension, which times zero is not a number
+        return 0.0  # infinite tension times zero would be NaN
     return min(config.yield_gain * (tension - config.tension_max), config.speed_max)

@@ -1,8 +1,7 @@
-"""Where the motors stand before they were ever commanded: the start of all motion.
+"""Initial motor positions, from which commands count.
 
-A command is a travel from there. A wrong start would be a jump at the first engagement, so it is
-the newest reading of the encoders, or zero for a rig that promises to start there, and nothing
-else.
+A wrong initial position would be a jump at the first engagement, so it is the newest encoder
+reading, or zero for a rig with `starts_at_zero`, and nothing else.
 """
 
 import math
@@ -20,12 +19,12 @@ class InitialPosition(Record):
 
     position: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
     has_position: Flag = False  # whether there is one yet
-    age: F64 = 0.0  # [s] minus infinity where it is known without encoders
+    age: F64 = 0.0  # [s] minus infinity if known without encoders
 
 
 @compiled
 def start(memory: InitialPosition, tendons: int, starts_at_zero: bool) -> None:
-    """Set `memory` to what is known before the first sample of a rig of so many tendons."""
+    """Initialise `memory` for a rig of `tendons` tendons, before the first sample."""
     memory.position[:] = math.nan
     if starts_at_zero:
         memory.position[:tendons] = 0.0
@@ -35,7 +34,7 @@ def start(memory: InitialPosition, tendons: int, starts_at_zero: bool) -> None:
 
 @compiled
 def age(memory: InitialPosition, dt: float) -> None:
-    """Let the reading grow older by `dt` [s]; once a tick, before its samples are taken."""
+    """Increase the age of the reading by `dt` [s]; once per tick, before its samples."""
     memory.age += dt
 
 
@@ -43,10 +42,10 @@ def age(memory: InitialPosition, dt: float) -> None:
 def take(
     memory: InitialPosition, tendons: int, displacement: Array, has_displacement: bool
 ) -> None:
-    """Take in a sample.
+    """Process a sample.
 
-    A reading counts when every encoder gives a finite number; between such readings the last one
-    grows older.
+    A reading is valid if every encoder gives a finite number; until the next valid one, its age
+    grows.
 
     Parameters
     ----------
@@ -71,8 +70,8 @@ def take(
 
 @compiled
 def known(memory: InitialPosition, age_max: float) -> bool:
-    """Return whether it is known where the motors stand, by a reading no older than `age_max` [s].
+    """Return whether the motor positions are known from a reading not older than `age_max` [s].
 
-    They stand at `memory.position` then.
+    The positions are in `memory.position`.
     """
     return memory.has_position and memory.age <= age_max

@@ -1,11 +1,11 @@
-"""One tick of the slave, as one compiled function: from a command to a state and motor positions.
+"""One tick of the slave as a compiled function: from a command to a state and motor positions.
 
-No clock, no link, no rig: the process around it has those, and tests have none. `tick` changes the
-memory that it is given, in place; whoever wants to take a tick back keeps a copy.
+It uses no clock, link or rig; the process around it has those. `tick` updates its memory in place;
+keep a copy to undo a tick.
 
-The order is that of the reader: take the samples, update what is known, advance the session, work
-out where the motors shall go, let the gate decide, say so. What nobody waits for, the monitor of
-the calibration, is `monitor_calibration`, called when the answer is out.
+The steps: process samples, check faults and readiness, advance the session, compute motor targets,
+apply the gate, fill the state message. The calibration monitor is not time-critical:
+`monitor_calibration` runs after the state was sent.
 """
 
 import math
@@ -34,22 +34,22 @@ from teleop.session import Reason, Session, State
 
 DIRECT = Bilateral()
 
-OVERLOAD = 1.2  # times the gate's tension limit; noise and stretch reach over the limit itself
-OVERLOAD_S = 0.020  # [s] a collision's peak passes sooner
-_ABSURD = 1e3  # [m], [m/s] no tip goes there or as fast; NaN is not below it either
+OVERLOAD = 1.2  # times the gate's tension limit; noise and stretch exceed the limit itself
+OVERLOAD_S = 0.020  # [s] the peak of a collision is shorter
+_ABSURD = 1e3  # [m], [m/s] beyond any tip; NaN fails the comparison too
 
 # SlaveMemory.not_ready: why the rig is not usable
 USABLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION = range(4)
 NOT_READY_TEXT = (
     "",
-    "the rig has given no sample yet",
-    "the rig has no calibration that fits it",
-    "no encoder reading tells where the motors stand, and the rig does not start at zero",
+    "no sample from the rig yet",
+    "no calibration fits the rig",
+    "no encoder reading yet, and the rig does not start at zero",
 )
 
 
 class SlaveSettings(Record):
-    """What the config says, as far as a tick needs it."""
+    """Settings of a tick, from the config."""
 
     control: Annotated[control.ControlConfig, Field(record_dtype(control.ControlConfig))]
     fault_detection: Annotated[
@@ -60,12 +60,12 @@ class SlaveSettings(Record):
     monitor: Annotated[monitor.MonitorConfig, Field(record_dtype(monitor.MonitorConfig))]
     bilateral: coupling.BilateralSettings
     sample_timeout: F64 = 0.1  # [s]
-    rig_obeys: Flag = True  # the motors go where they are sent
-    calibrated: Flag = True  # there is a calibration that fits the rig
+    rig_obeys: Flag = True  # the motors follow commands
+    calibrated: Flag = True  # a calibration fits the rig
 
 
 class EstimatedSample(Record):
-    """One sample of the rig and what is estimated from it."""
+    """One sample of the rig with the estimates from it."""
 
     time_s: F64 = 0.0  # [s] on the rig's clock
     elapsed: F64 = 0.0  # [s] since the sample before
@@ -76,7 +76,7 @@ class EstimatedSample(Record):
 
 
 class SlaveMemory(Record):
-    """All that the slave remembers from one tick to the next, but for the tendons' estimators."""
+    """State of the slave between ticks, except for the tendons' estimators."""
 
     session: Session
     initial_position: initial_position.InitialPosition
@@ -89,56 +89,56 @@ class SlaveMemory(Record):
     joints: Annotated[Sequence[JointEstimate], Field(JointEstimate, MAX_JOINTS)]
     reach: Annotated[Sequence[gate.Reach], Field(gate.Reach, MAX_TENDONS)]
     offsets: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of each joint's tendons
-    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] what the gate last let through
+    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] last output of the gate
     has_sample: Flag = False
     has_offsets: Flag = False
     has_motor: Flag = False  # engaged at least once
     sample_time: F64 = 0.0  # [s] of the newest sample
-    silence: F64 = 0.0  # [s] since the last sample that was new and could be used
-    overload: F64 = 0.0  # [s] for which a tension has been far over its limit, engaged
-    found: I64 = Reason.NONE  # Reason that the fault detection gave last
+    silence: F64 = 0.0  # [s] since the last new and usable sample
+    overload: F64 = 0.0  # [s] for which a tension has been far over its limit while engaged
+    found: I64 = Reason.NONE  # last Reason of the fault detection
     found_tendon: I64 = -1
     advice: I64 = Advice.NONE
     not_ready: I64 = NO_SAMPLE
 
 
 class Scratch(Record):
-    """Arrays that a tick works with; nothing in them outlasts it."""
+    """Work arrays of a tick."""
 
     inputs: session.Inputs
-    asked: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
+    requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
     speed: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
-    force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] as the hand feels it
+    force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] rendered to the hand
     displacement: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of the motors in a sample
-    tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] that limits go by
-    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] where the motors are
-    wanted: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] where they shall go
+    tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] used for the limits
+    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor positions
+    wanted: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor targets
 
 
 class TickInput(NamedTuple):
-    """What a tick is told besides samples and command."""
+    """Inputs of a tick besides samples and command."""
 
     dt: float  # [s] since the last tick
     has_command: bool  # whether a command ever came
-    fresh: bool  # whether the newest is young enough to be obeyed
-    fault: int = int(Reason.NONE)  # Reason: what is wrong on this side, as far as the caller knows
-    stop: int = int(Reason.NONE)  # Reason for which another process wants everything to stop
-    reset: bool = False  # whether a stop is taken back
+    fresh: bool  # whether the newest command is younger than its timeout
+    fault: int = int(Reason.NONE)  # Reason: fault on this side detected by the caller
+    stop: int = int(Reason.NONE)  # Reason of an emergency stop by another process
+    reset: bool = False  # whether a stop is reset
 
 
 class RigModel(NamedTuple):
-    """What is known of the rig before the first tick."""
+    """The rig's layout and models."""
 
     joints: tuple[tuple[int, ...], ...]  # `Rig.joints`
     models: tuple[online.TendonModel, ...]  # of each tendon
     layout: Records  # RigLayout, shape (1,)
     prepared: Records  # for the estimators, shape (tendons,)
     watched: Records  # for the monitor of their calibration, shape (tendons,)
-    not_ready_text: str = ""  # why it must not be engaged: no calibration that fits it
+    not_ready_text: str = ""  # why it must not be engaged, e.g. no calibration fits
 
 
 class Slave(NamedTuple):
-    """The records that a tick works on, each of shape (1,) but for the tendons' estimators."""
+    """The records of a tick, each of shape (1,) except for the tendons' estimators."""
 
     settings: Records
     layout: Records
@@ -147,16 +147,16 @@ class Slave(NamedTuple):
     memory: Records
     scratch: Records
     watched: Records
-    estimate: Callable[..., None]  # `estimate`, or what models with effects need
+    estimate: Callable[..., None]  # `estimate`, or `estimate_with_dynamics`
 
     @property
     def estimated(self) -> tuple[Records, Records, Records, Records]:
-        """What `estimate` takes first."""
+        """First arguments of `estimate`."""
         return self.layout, self.prepared, self.estimators, self.memory
 
     @property
     def ticked(self) -> tuple[Records, Records, Records, Records]:
-        """What `tick` takes first."""
+        """First arguments of `tick`."""
         return self.settings, self.layout, self.memory, self.scratch
 
 
@@ -165,19 +165,19 @@ def rig_model(
     models: Sequence[online.TendonModel],
     not_ready_text: str = "",
 ) -> RigModel:
-    """Return what is known of a rig whose tendons have these models."""
+    """Return the `RigModel` of a rig with these tendon models."""
     return RigModel(
         tuple(tuple(joint) for joint in joints),
         tuple(models),
         rig_layout(joints),
         online.prepare_all(models),
-        monitor.prepare(models),
+        monitor.monitor_constants(models),
         not_ready_text,
     )
 
 
 def settings(config: SlaveConfig, bilateral: Bilateral, calibrated: bool = True) -> Records:
-    """Return what a tick needs of the config and of what both sides agreed on, shape (1,)."""
+    """Return the `SlaveSettings` of a config and a coupling, shape (1,)."""
     records = SlaveSettings.array()
     for name in ("control", "fault_detection", "gate", "monitor"):
         records[name] = as_records(getattr(config, name))
@@ -194,10 +194,10 @@ def start(
     starts_at_zero: bool,
     samples: Sequence[RigSample] = (),
 ) -> Slave:
-    """Return a slave that has just started; see `Rig.starts_at_zero`.
+    """Return a slave in its initial state; for `starts_at_zero` see `Rig`.
 
-    `samples` of the rig, oldest first, are all that it measured before: the tensions along the
-    tendons are then known from the start.
+    `samples` are all earlier samples of the rig, oldest first; they initialise the tension profiles
+    of the estimators.
     """
     memory = SlaveMemory.array()
     tendons = len(model.models)
@@ -222,9 +222,9 @@ def start(
 
 
 def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
-    """Put a sample of the rig into one of the rows that `tick` takes.
+    """Write a sample of the rig into a row for `tick`.
 
-    Numbers that are missing in an array that is too short are NaN, which the estimator refuses.
+    Missing entries are NaN, which the estimator rejects.
     """
     travel = sample.proximal_displacement
     tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
@@ -240,7 +240,7 @@ def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
     )
 
 
-# Copies of one kind, whatever a rig gives: for each other kind of array numba would compile anew,
+# Copies of one array type, whatever the rig returns: numba would compile again for any other type,
 # in the middle of a session.
 _MISSING = np.full(MAX_TENDONS, math.nan)
 
@@ -267,12 +267,12 @@ def _fill_row(
 
 @compiled
 def _entry(values: Array, i: int) -> float:
-    """Return an entry, NaN beyond the end, where compiled code would read any memory."""
+    """Return an entry, NaN beyond the end (compiled code has no bounds check)."""
     return values[i] if i < len(values) else math.nan
 
 
 def sample_rows(samples: Sequence[RigSample]) -> Records:
-    """Return these samples as the rows that `tick` takes, shape (samples,); see `fill_sample`."""
+    """Return samples as rows for `tick`, shape (samples,); see `fill_sample`."""
     rows = EstimatedSample.array(len(samples))
     for k, sample in enumerate(samples):
         fill_sample(rows, k, sample)
@@ -287,44 +287,44 @@ def tick(
     scratches: Records,
     rows: Records,
     samples: int,
-    given: TickInput,
+    tick_input: TickInput,
     commands: Records,
     states: Records,
 ) -> int:
-    """Advance the slave by one tick; return the gate's verdict bits.
+    """Advance the slave by one tick; return the bits of `GateFlags`.
 
-    Until it engages for the first time nothing is asked of the motors. From then on they are asked
-    to be somewhere at every tick: where the gate let them go last, unless they are commanded on.
+    Before the first engagement nothing is written to the motors. From then on a position is written
+    at every tick: the last gated one, unless a new one is commanded.
 
     Parameters
     ----------
     settings_records, layouts, memories, scratches : Records
-        Of a `Slave`; its memory is changed.
+        Of a `Slave`; the memory is updated.
     rows : Records
         `EstimatedSample`, the first `samples` of which are new, oldest first, after `estimate`.
-    given : TickInput
-        What else is told.
+    tick_input : TickInput
+        Other inputs.
     commands : Records
-        `Command`, the newest, shape (1,); not looked at unless `given.has_command`.
+        `Command`, the newest, shape (1,); ignored unless `tick_input.has_command`.
     states : Records
-        `SlaveState`, shape (1,), filled in but for the head.
+        `SlaveState`, shape (1,), filled in except for the head.
     """
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
     work, command = scratches[0], commands[0]
-    found, tendon = _take_samples(setting, layout, memory, work, rows, samples, given.dt)
-    _update_faults(setting, layout, memory, rows, samples, found, tendon, given.dt)
+    found, tendon = _take_samples(setting, layout, memory, work, rows, samples, tick_input.dt)
+    _update_faults(setting, layout, memory, rows, samples, found, tendon, tick_input.dt)
     _update_readiness(setting, memory, work)
-    asks = _take_command(layout, work, command, given)
-    _advance_session(setting, layout, memory, work, command, given)
-    engaged = session.may_move(memory.session) and asks
+    commanded = _take_command(layout, work, command, tick_input)
+    _advance_session(setting, layout, memory, work, command, tick_input)
+    engaged = session.may_move(memory.session) and commanded
     if memory.has_sample:
         control.joint_estimates(layout, memory.tendons, memory.offsets, memory.joints)
-    _couple(setting, layout, memory, work, command, given, asks, engaged)
+    _couple(setting, layout, memory, work, command, tick_input, commanded, engaged)
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
-        verdict = _drive(setting, layout, memory, work, engaged, given.dt)
+        verdict = _drive(setting, layout, memory, work, engaged, tick_input.dt)
         memory.has_motor = True
-    _fill_state(setting, layout, memory, command, given, states[0])
+    _fill_state(setting, layout, memory, command, tick_input, states[0])
     return verdict
 
 
@@ -364,7 +364,7 @@ def estimate_with_dynamics(
     rows: Records,
     samples: int,
 ) -> None:
-    """Do what `estimate` does, for models with effects beside the law; takes longer to compile."""
+    """Like `estimate`, for models with dynamic effects; takes longer to compile."""
     layout, memory = layouts[0], memories[0]
     for s in range(samples):
         row = rows[s]
@@ -404,7 +404,7 @@ def _end_sample(layout: RigLayout, memory: SlaveMemory, row: EstimatedSample) ->
 
 @compiled
 def locate(layouts: Records, memories: Records, scratches: Records, rows: Records) -> None:
-    """Take in where the first of `rows`, measured before the first tick, has the motors."""
+    """Initialise the motor positions from the first of `rows`, before the first tick."""
     _locate(layouts[0], memories[0], scratches[0], rows[0])
 
 
@@ -418,7 +418,7 @@ def _take_samples(
     samples: int,
     dt: float,
 ) -> tuple[int, int]:
-    """Take the samples in; return the newest Reason that speaks of a fault, and its tendon."""
+    """Process the samples; return the newest fault Reason and its tendon."""
     found, tendon = Reason.NONE + 0, -1
     initial_position.age(memory.initial_position, dt)
     for i in range(samples):
@@ -436,7 +436,7 @@ def _take_samples(
 
 @compiled
 def _locate(layout: RigLayout, memory: SlaveMemory, work: Scratch, row: EstimatedSample) -> None:
-    """Take in where a sample has the motors."""
+    """Update the initial motor positions with a sample."""
     for i in range(layout.tendons):
         work.displacement[i] = row.tendons[i].displacement
     initial_position.take(
@@ -455,7 +455,7 @@ def _update_faults(
     tendon: int,
     dt: float,
 ) -> None:
-    """Note what speaks of a fault: of the motors, of silence, of a tension over its limit."""
+    """Update the fault conditions: motors, missing samples, tension over its limit."""
     if setting.rig_obeys:
         astray, motor = fault_detection.check_motors(
             setting.fault_detection,
@@ -473,15 +473,15 @@ def _update_faults(
     usable = False
     for i in range(samples):
         usable = usable or _is_usable(layout, rows[i].tendons)
-    heard = usable and not memory.motors.repeated
-    memory.silence = 0.0 if heard else memory.silence + dt
+    has_new_sample = usable and not memory.motors.repeated
+    memory.silence = 0.0 if has_new_sample else memory.silence + dt
     overloaded = session.may_move(memory.session) and _is_overloaded(setting, layout, memory)
     memory.overload = memory.overload + dt if overloaded else 0.0
 
 
 @compiled
 def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
-    """Return whether every tendon's sample could be used by its estimator."""
+    """Return whether the estimators accepted the sample of every tendon."""
     for i in range(layout.tendons):  # noqa: SIM110 - compiled
         if not tendons[i].valid:
             return False
@@ -490,7 +490,7 @@ def _is_usable(layout: RigLayout, tendons: Sequence[EstimatedTendon]) -> bool:
 
 @compiled
 def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory) -> bool:
-    """Return whether a tendon pulls so hard that refusing to pull further has not helped."""
+    """Return whether a tension exceeds its limit although the gate stops the pull."""
     if not memory.has_sample:
         return False
     limit = OVERLOAD * setting.gate.tension_max
@@ -503,7 +503,7 @@ def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemor
 
 @compiled
 def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch) -> None:
-    """Say where the motors are, and whether the rig is usable at all."""
+    """Update the motor positions and whether the rig is usable."""
     known = memory.has_motor or initial_position.known(
         memory.initial_position, setting.sample_timeout
     )
@@ -520,16 +520,18 @@ def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch
 
 
 @compiled
-def _take_command(layout: RigLayout, work: Scratch, command: Command, given: TickInput) -> bool:
-    """Take over what is asked of the joints; return whether the tips are asked to follow."""
-    work.asked[:] = 0.0
+def _take_command(
+    layout: RigLayout, work: Scratch, command: Command, tick_input: TickInput
+) -> bool:
+    """Copy the commanded joint motion; return whether motion is commanded."""
+    work.requested[:] = 0.0
     work.speed[:] = 0.0
-    asks = given.has_command and given.fresh and command.state == State.ENGAGED
-    if asks:
+    commanded = tick_input.has_command and tick_input.fresh and command.state == State.ENGAGED
+    if commanded:
         for k in range(layout.joints):
-            work.asked[k] = command.position[k]
+            work.requested[k] = command.position[k]
             work.speed[k] = command.velocity[k]
-    return asks
+    return commanded
 
 
 @compiled
@@ -539,34 +541,34 @@ def _advance_session(
     memory: SlaveMemory,
     work: Scratch,
     command: Command,
-    given: TickInput,
+    tick_input: TickInput,
 ) -> None:
-    master = session.known_state(command.state) if given.has_command else State.OFF + 0
-    fault = given.fault
+    master = session.known_state(command.state) if tick_input.has_command else State.OFF + 0
+    fault = tick_input.fault
     if fault == Reason.NONE:
         fault = _own_fault(setting, layout, memory, work)
-    differs = given.has_command and coupling.differs(setting.bilateral, command.coupling)
+    differs = tick_input.has_command and coupling.differs(setting.bilateral, command.coupling)
     inputs = work.inputs
     inputs.usable = memory.not_ready == USABLE
-    inputs.peer_fresh = given.fresh
+    inputs.peer_fresh = tick_input.fresh
     inputs.peer_state = master
     inputs.engage = session.switch_of(master)
     inputs.fault = fault
     inputs.clutch = master == State.CLUTCHED
-    inputs.stop = given.stop
-    inputs.reset = given.reset
+    inputs.stop = tick_input.stop
+    inputs.reset = tick_input.reset
     inputs.not_ready_reason = Reason.COUPLING_DIFFERS if differs else Reason.NONE
     inputs.peer = 0
-    if given.has_command:
+    if tick_input.has_command:
         inputs.peer = command.sender
-    session.step(memory.session, inputs, given.dt)
+    session.step(memory.session, inputs, tick_input.dt)
 
 
 @compiled
 def _own_fault(
     setting: SlaveSettings, layout: RigLayout, memory: SlaveMemory, work: Scratch
 ) -> int:
-    """Return what the slave itself finds wrong; nothing is asked of it unless it shall move."""
+    """Return the Reason of a fault on this side."""
     if memory.has_sample and memory.silence > setting.sample_timeout:
         return Reason.SAMPLES_FROZEN + 0 if memory.motors.repeated else Reason.SAMPLES_STALE + 0
     if memory.overload > OVERLOAD_S:
@@ -576,7 +578,7 @@ def _own_fault(
     if memory.advice == Advice.DEMANDED:
         return Reason.CALIBRATION_DUE + 0
     for k in range(layout.joints):
-        if not (abs(work.asked[k]) < _ABSURD and abs(work.speed[k]) < _ABSURD):
+        if not (abs(work.requested[k]) < _ABSURD and abs(work.speed[k]) < _ABSURD):
             return Reason.NOT_FINITE + 0
     return Reason.NONE + 0
 
@@ -588,16 +590,16 @@ def _couple(
     memory: SlaveMemory,
     work: Scratch,
     command: Command,
-    given: TickInput,
-    asks: bool,
+    tick_input: TickInput,
+    commanded: bool,
     engaged: bool,
 ) -> None:
-    """Put the coupling between what is asked of the tips and where they shall go."""
-    if not given.has_command:
+    """Apply the bilateral coupling to the commanded tip motion."""
+    if not tick_input.has_command:
         return
     energy: Any = command.energy
     wave: Any = command.wave
-    coupling.hear(memory.coupling, command.sender, energy, wave)
+    coupling.receive(memory.coupling, command.sender, energy, wave)
     if engaged:
         coupling_adapter.rendered_forces(
             setting.bilateral.confidence,
@@ -609,12 +611,12 @@ def _couple(
     coupling.at_tip(
         setting.bilateral,
         memory.coupling,
-        work.asked,
+        work.requested,
         work.speed,
         work.force,
-        layout.joints if asks else 0,
+        layout.joints if commanded else 0,
         engaged,
-        given.dt,
+        tick_input.dt,
     )
 
 
@@ -627,12 +629,12 @@ def _drive(
     engaged: bool,
     dt: float,
 ) -> int:
-    """Work out where the motors shall go, and let the gate decide how far."""
+    """Compute the motor targets and apply the gate."""
     control.step(
         setting.control,
         layout,
         memory.control,
-        work.asked,
+        work.requested,
         work.speed,
         work.motor,
         memory.tendons,
@@ -669,21 +671,21 @@ def _fill_state(
     layout: RigLayout,
     memory: SlaveMemory,
     command: Command,
-    given: TickInput,
+    tick_input: TickInput,
     out: SlaveState,
 ) -> None:
-    """Say what the tick found: every field of the answer but its head."""
+    """Fill the state message, except for its head."""
     state: Any = out
-    state.answer_ns = 0  # of whoever sends it
+    state.answer_ns = 0  # filled in by the sender
     state.state, state.reason = memory.session.state, memory.session.reason
     state.stops = memory.session.stops
-    state.echo_stamp_ns = command.stamp_ns if given.has_command else 0
+    state.echo_stamp_ns = command.stamp_ns if tick_input.has_command else 0
     state.coupling = setting.bilateral.signature
     state.joints = layout.joints if memory.has_sample else 0
     state.sample_age_ns = round(memory.silence * 1e9) if memory.has_sample else 0
     for k in range(MAX_JOINTS):
         port = memory.coupling.ports[k]
-        state.energy[k], state.wave[k] = port.passed_on, port.told_wave
+        state.energy[k], state.wave[k] = port.passed_on, port.sent_wave
         used = k < state.joints
         joint = memory.joints[k]
         state.position[k] = joint.position if used else 0.0
@@ -702,7 +704,7 @@ def monitor_calibration(
     rows: Records,
     samples: int,
 ) -> None:
-    """Take note of whether the sheaths still have the shape they were calibrated in."""
+    """Update the calibration monitor with the samples of a tick."""
     setting, layout, memory = settings_records[0], layouts[0], memories[0]
     constants: Any = watched
     for s in range(samples):

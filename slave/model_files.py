@@ -1,4 +1,4 @@
-"""`--model`: the model files of diagnoses, in place of the configured sheaths.
+"""`--model`: model files of `teleop diagnose` that replace the configured sheaths.
 
 --model model.yaml                    of every tendon
 --model 1a=left.yaml --model 1b=r.yaml    of these, by joint and side or by number
@@ -14,33 +14,33 @@ from slave.tendon_config import TendonConfig
 from teleop.data import model_file
 from teleop.errors import UsageError
 
-FAR = 1.4  # times the friction that was calibrated, from where a model is hardly of that sheath
+FAR = 1.4  # ratio to the calibrated friction above which a model is hardly of that sheath
 
-Given = Mapping[str, Path]
-"""Model files by the name of their tendon; that of every other tendon by the empty name."""
+ModelFiles = Mapping[str, Path]
+"""Model files by tendon name; the empty name stands for all other tendons."""
 
 _NAMED = re.compile(r"(?P<tendon>[1-9][0-9]*[ab]?)=(?P<file>.+)")
 
 
 def parse(words: Sequence[str]) -> dict[str, Path]:
-    """Return the files that the words of `--model` name."""
+    """Return the files of the arguments of `--model`."""
     files: dict[str, Path] = {}
     for word in words:
         named = _NAMED.fullmatch(word)
         tendon, file = (named["tendon"], named["file"]) if named else ("", word)
         if not file:
-            raise UsageError("--model: the name of a file is missing")
+            raise UsageError("--model: file name is missing")
         if tendon in files:
             of = f"tendon {tendon}" if tendon else "every tendon"
-            raise UsageError(f"--model {word}: a second model of {of}")
+            raise UsageError(f"--model {word}: there is already a model for {of}")
         files[tendon] = Path(file)
     return files
 
 
 def names_of(joints: JointTendons, count: int) -> dict[str, int]:
-    """Return what the tendons of a rig are called, and which it is, from 0.
+    """Return the tendons of a rig by name, counted from 0.
 
-    By joint and side where that is known (1a, 1b, 2a, ...), and by number (1, 2, 3, ...).
+    By joint and side if known (1a, 1b, 2a, ...), and by number (1, 2, 3, ...).
     """
     sides = {
         f"{number}{'ab'[tendons.index(k)]}": k
@@ -51,32 +51,34 @@ def names_of(joints: JointTendons, count: int) -> dict[str, int]:
 
 
 def apply(
-    tendons: Sequence[TendonConfig | None], joints: JointTendons, files: Given
+    tendons: Sequence[TendonConfig | None], joints: JointTendons, files: ModelFiles
 ) -> tuple[TendonConfig | None, ...]:
-    """Return what is known of each tendon, None if nothing, with model files for their sheaths.
+    """Return the configs of the tendons, None if unknown, with model files applied.
 
     Raises
     ------
     UsageError
-        If there is no such tendon, or a file cannot be right.
+        If there is no such tendon, or a file is invalid.
     """
     names = names_of(joints, len(tendons))
     out = [known if "" not in files else with_model(known, files[""]) for known in tendons]
-    told: dict[int, str] = {}
+    assigned: dict[int, str] = {}
     for name, file in files.items():
         if not name:
             continue
         if name not in names:
             raise UsageError(f"--model {name}={file}: must be one of {', '.join(names)}")
         k = names[name]
-        if k in told:
-            raise UsageError(f"--model {name}={file}: a second model of tendon {told[k]}")
-        told[k], out[k] = name, with_model(tendons[k], file)
+        if k in assigned:
+            raise UsageError(
+                f"--model {name}={file}: there is already a model for tendon {assigned[k]}"
+            )
+        assigned[k], out[k] = name, with_model(tendons[k], file)
     return tuple(out)
 
 
 def with_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
-    """Return a tendon whose sheath is that of a model file; noise and all else stay."""
+    """Return a tendon with the sheath of a model file; noise and other settings are kept."""
     if tendon is None:
         return TendonConfig(model_file=file)
     return TendonConfig(
@@ -95,38 +97,38 @@ def with_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
 def friction_warnings(
     calibrated: Sequence[TendonConfig], used: Sequence[TendonConfig]
 ) -> list[str]:
-    """Return a warning for each model file whose friction is far from what was calibrated.
+    """Return a warning for each model file whose friction is far from the calibrated one.
 
-    Nothing in a model file says of which rig it is; measured data do not know.
+    A model file does not name its rig.
     """
-    said: dict[str, None] = {}
+    warnings: dict[str, None] = {}
     for before, after in zip(calibrated, used, strict=True):
         K_before, K = before.model().sheath.K, after.model().sheath.K
         if after.model_file != before.model_file and not K_before / FAR <= K <= K_before * FAR:
-            line = f"{after.model_file}: its K is {K:.3g}, the calibrated one {K_before:.3g}"
-            said[f"WARNING: {line}: is it of this sheath, and bent as now?"] = None
-    return list(said)
+            line = f"{after.model_file}: its K is {K:.3g}, the calibrated K is {K_before:.3g}"
+            warnings[f"WARNING: {line}; check that it is of this sheath, bent as now"] = None
+    return list(warnings)
 
 
 def describe(tendon: TendonConfig) -> list[str]:
-    """Return what becomes of each effect that a tendon's model file has."""
+    """Return how the loop uses each effect in a tendon's model file."""
     extended = tendon.extended()
     if extended is None or tendon.model_file is None:
         return []
-    said = []
+    warnings = []
     for effect, _, use in extended.uses:
         why = f": it {why_left_out(effect)}" if use is Use.NOTHING else ""
-        said.append(f"{effect.label} is {use.value}{why}")
+        warnings.append(f"{effect.label} is {use.value}{why}")
     saved = model_file.load(tendon.model_file)
     if saved.unexplained:
-        said.append("WARNING: most of what was wrong with the data it was fitted to is not in it")
+        warnings.append("WARNING: the model explains only a small part of the error in its data")
     if len(saved.model.shared) == 1:
-        said.append(
-            f"it says nothing of elasticity: axial_stiffness stays {tendon.axial_stiffness:g} N"
+        warnings.append(
+            f"no elasticity in the model: axial_stiffness stays {tendon.axial_stiffness:g} N"
         )
     if saved.unsure:
-        said.append(
-            f"WARNING: the data it was fitted to did not tell this from {', '.join(saved.unsure)}: "
-            "if that is the cause, the force is put right wrongly; find out which (teleop diagnose)"
+        warnings.append(
+            f"WARNING: its data do not distinguish this from {', '.join(saved.unsure)}: if that "
+            "is the cause, the force correction is wrong; record more data (see teleop diagnose)"
         )
-    return said or ["the law of a sheath, no effects"]
+    return warnings or ["sheath model without effects"]

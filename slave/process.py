@@ -22,8 +22,14 @@ import numpy as np
 from estimator.records import Records, as_bytes, one
 from slave import loop, model_files
 from slave.calibration.initialise import initialise
-from slave.config import SlaveConfig, doubts, has_model_file, hindrance_of, tendon_configs
-from slave.gate import Verdict
+from slave.config import (
+    SlaveConfig,
+    config_warnings,
+    has_model_file,
+    not_ready_reason,
+    tendon_configs,
+)
+from slave.gate import GateFlags
 from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
@@ -74,7 +80,7 @@ class Past(NamedTuple):
 class SlaveProcess(LoopProcess):
     """The world around `loop.tick`: one rig, one link, and the counts."""
 
-    role, verdict = Role.SLAVE, Verdict
+    role, verdict = Role.SLAVE, GateFlags
 
     def __init__(
         self,
@@ -271,7 +277,7 @@ def main(args: argparse.Namespace) -> int:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         require_carried(rig)
-        for doubt in doubts(config, shared.coupling):
+        for doubt in config_warnings(config, shared.coupling):
             print(doubt, flush=True)
         stop = Stop(args.duration)
         stop.wake = link.wake
@@ -304,7 +310,7 @@ def model_of(
     requests: RequestListener,
     stop: Stop,
     rate_hz: float,
-    files: model_files.Given,
+    files: model_files.ModelFiles,
 ) -> tuple[RigModel, Past]:
     """Return what is known of a rig when the loop begins, and what it has measured before.
 
@@ -322,7 +328,7 @@ def model_of(
             )
         for line in said:
             print(line, flush=True)
-        not_ready_text = hindrance_of(config, rig, modelled=bool(files))
+        not_ready_text = not_ready_reason(config, rig, modelled=bool(files))
         return loop.rig_model(
             rig.joints, [tendon.model() for tendon in tendons], not_ready_text
         ), past

@@ -1,4 +1,4 @@
-"""The contract of a rig: motors and sensors at the housing, simulated, replayed or real."""
+"""The rig interface: motors and sensors at the housing, simulated, replayed or real."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -8,10 +8,10 @@ from estimator.array_types import Array
 
 @dataclass(frozen=True, slots=True)
 class RigSample:
-    """What one read of the rig returns; arrays have shape (tendons,).
+    """One sample of a rig; arrays have shape (tendons,).
 
-    The two bench arrays are for judging, recording and showing. They are never given to an
-    estimator or a controller, and are None where the rig has no such sensor.
+    The two bench arrays are for evaluation, recording and display. Estimators and controllers never
+    use them; they are None if the rig has no such sensor.
     """
 
     time_s: float  # [s] on the rig's own clock, increasing; only differences count
@@ -22,11 +22,11 @@ class RigSample:
 
 
 class RigFault(Exception):
-    """The rig can no longer be trusted to measure or to obey; the message says why."""
+    """A failure of the rig's sensors or motors; the message gives the reason."""
 
 
 class Rig(Protocol):
-    """A tendon rig as the slave loop sees it.
+    """Interface of a tendon rig to the slave loop.
 
     Opened by its constructor, used from one thread, closed exactly once. `read` and `write` must
     return well within a millisecond and never wait for hardware. A failure, of the constructor
@@ -35,19 +35,19 @@ class Rig(Protocol):
     Attributes
     ----------
     name : str
-        By which calibration files know it.
+        Name of the rig in calibration files.
     tendons : int
-        How many it has, 1 to `teleop.messages.MAX_TENDONS`.
+        Their number, 1 to `teleop.messages.MAX_TENDONS`.
     joints : tuple of tuples of int
         The tendons of each joint, counted from 0 over the whole rig: one that works against a
-        return spring, or a pair `a`, `b` that work against each other. Every tendon belongs to one
-        joint, as in ((0, 1), (2, 3)) or ((0,),); at most `teleop.messages.MAX_JOINTS` of them.
-        Joint travel is positive where `a` pulls, so the tip of `a` travels with the joint and
-        that of `b` against it.
+        return spring, or an antagonistic pair `a`, `b`. Every tendon belongs to one joint, as in
+        ((0, 1), (2, 3)) or ((0,),); at most `teleop.messages.MAX_JOINTS` of them. Joint travel is
+        positive in the pulling direction of `a`; the tip of `a` travels with the joint, that of `b`
+        against it.
     starts_at_zero : bool
-        Whether its motors stand at 0 by their own count when it is opened and stay there until the
-        first write, so that no encoder is needed to know. Otherwise nothing is ever written before
-        encoders have told, for all tendons, where the motors stand.
+        Whether its motors are at position 0 when it is opened and stay there until the first write,
+        so that no encoder is needed. Otherwise nothing is written before the encoders of all
+        tendons have given a position.
     """
 
     name: str
@@ -58,34 +58,33 @@ class Rig(Protocol):
     def read(self, time_s: float) -> tuple[RigSample, ...]:
         """Return the samples that are new at session time `time_s` [s], oldest first.
 
-        Often none or one, several when they come faster than the reads; each is returned once.
+        Often none or one, several if they arrive faster than the reads; each is returned once.
         `time_s` never decreases. A simulated rig advances its plant to that time; a replayed one
-        gives the rows due by then and raises `RigFinished` behind its last; a real one gives what
-        its sensors sent since the last read.
+        returns the rows due by then and raises `RigFinished` after its last; a real one returns the
+        samples received since the last read.
         """
 
     def write(self, proximal_displacement: Array) -> None:
-        """Set the motor positions [m], shape (tendons,), counted as the encoders count.
+        """Set the motor positions [m], shape (tendons,), in the encoders' coordinates.
 
-        Called with what the gate let through: in a session at every tick from the first engagement
-        on, and in a calibration, by command or at the slave's start, with nobody engaged.
+        Called with the output of the gate: in a session at every tick from the first engagement on,
+        and during a calibration, when nobody is engaged.
         """
 
     def advance(self) -> RigSample | None:
-        """Do what nobody waits for: called once a tick, when the answer to the master is out.
+        """Do work that is not time-critical: called once per tick, after the state was sent.
 
-        A simulated rig computes the next step of its plant here, and returns the sample that the
-        next `read` gives if it comes when that is due: that very object, which is estimated from
-        in advance. Only a rig whose sample gets no newer by waiting may do so; a real one returns
-        None, and most have nothing to do.
+        A simulated rig computes the next step of its plant here and returns the sample object that
+        the next `read` will return if that comes in time, so that the estimate is computed in
+        advance. A real rig returns None.
         """
 
     def summary(self) -> dict[str, int | float | str]:
-        """Return what the summary of a run shall tell of the rig, often nothing; never raises."""
+        """Return the rig's entries for the run summary, often none; never raises."""
 
     def close(self) -> None:
-        """Stop the motors where they are and let go of the hardware; never raises."""
+        """Stop the motors where they are and release the hardware; never raises."""
 
 
 class RigFinished(Exception):
-    """A replayed rig has played its last row: the session ends without fault."""
+    """A replayed rig has played its last row; the session ends without a fault."""

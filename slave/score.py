@@ -1,4 +1,4 @@
-"""How far the estimate was from the bench sensor, kept while the loop runs."""
+"""Running error statistics of the estimate against the bench sensor."""
 
 import math
 from typing import Any
@@ -9,11 +9,11 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, I64, Record, Records, one
 
-PULLED = 200.0  # times the noise: of a smaller full scale a percentage tells of the noise alone
+PULLED = 200.0  # times the noise: with a smaller full scale a percentage shows only noise
 
 
 class Sums(Record):
-    """What is summed over all samples."""
+    """Sums over all samples."""
 
     samples: I64 = 0
     inside: I64 = 0  # samples inside the certified interval
@@ -25,7 +25,7 @@ class Sums(Record):
 
 @compiled
 def add(sums: Sums, estimate: float, low: float, high: float, measured: float) -> None:
-    """Take one sample in; a missing bench value (NaN) or estimate does not count."""
+    """Add one sample; a missing bench value (NaN) or estimate is ignored."""
     error = estimate - measured
     if not math.isfinite(error):
         return
@@ -39,7 +39,7 @@ def add(sums: Sums, estimate: float, low: float, high: float, measured: float) -
 
 @compiled
 def add_rows(all_sums: Records, layouts: Records, rows: Records, samples: int) -> None:
-    """Take in all tendons of the first `samples` of a tick's rows."""
+    """Add all tendons of the first `samples` of a tick's rows."""
     for k in range(samples):
         row = rows[k]
         for i in range(layouts[0].tendons):
@@ -51,18 +51,18 @@ def add_rows(all_sums: Records, layouts: Records, rows: Records, samples: int) -
 def add_columns(
     all_sums: Records, estimate: Array, low: Array, high: Array, measured: Array
 ) -> None:
-    """Take in a whole record, arrays of shape (n,)."""
+    """Add a whole record, arrays of shape (n,)."""
     for k in range(len(estimate)):
         add(all_sums[0], estimate[k], low[k], high[k], measured[k])
 
 
 class Score:
-    """Running error of the distal tension [N] against a bench sensor; empty where there is none.
+    """Running error of the distal tension [N] against a bench sensor.
 
     Parameters
     ----------
     noise : float
-        Standard deviation [N] of the housing's load cells, 0 if it is not known.
+        Standard deviation [N] of the housing's load cells, 0 if unknown.
     """
 
     def __init__(self, noise: float = 0.0) -> None:
@@ -71,16 +71,16 @@ class Score:
         self._sums: Sums = one(self._all_sums)
 
     def add(self, estimate: float, low: float, high: float, measured: float) -> None:
-        """Take one sample in; a missing bench value (NaN) or estimate does not count."""
+        """Add one sample; a missing bench value (NaN) or estimate is ignored."""
         add(self._sums, estimate, low, high, measured)
 
     def add_columns(self, estimate: Array, low: Array, high: Array, measured: Array) -> None:
-        """Take in a whole record [N], arrays of shape (n,); see `add`."""
+        """Add a whole record [N], arrays of shape (n,); see `add`."""
         columns = (estimate, low, high, measured)
         add_columns(self._all_sums, *(np.ascontiguousarray(c, dtype=np.float64) for c in columns))
 
     def add_rows(self, layouts: Records, rows: Records, samples: int) -> None:
-        """Take in all tendons of the first `samples` of a tick's rows."""
+        """Add all tendons of the first `samples` of a tick's rows."""
         add_rows(self._all_sums, layouts, rows, samples)
 
     def summary(self) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-"""From what a tick found to the messages that listeners get."""
+"""Fill the messages for listeners from the records of a tick."""
 
 import math
 from typing import Any
@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 def fill_tendon_state(
     layouts: Records, memories: Records, rows: Records, index: int, states: Records
 ) -> None:
-    """Fill in a `TendonState` from one of a tick's rows, all but its head.
+    """Fill in a `TendonState` from a row of a tick, except for its head.
 
     Parameters
     ----------
     layouts, memories, rows : Records
         `RigLayout`, `SlaveMemory` and `EstimatedSample` of the tick.
     index : int
-        Of the row.
+        Index of the row.
     states : Records
         The message, shape (1,).
     """
@@ -63,7 +63,7 @@ def fill_tension_profile(
     points: Array,
     profiles: Records,
 ) -> None:
-    """Fill in a `TensionProfile` of one tendon, all but its head.
+    """Fill in a `TensionProfile` of one tendon, except for its head.
 
     Parameters
     ----------

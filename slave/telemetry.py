@@ -1,4 +1,4 @@
-"""What the slave tells listeners now and then: events, tension profiles, sheath shapes."""
+"""Low-rate messages of the slave: events, tension profiles, sheath shapes."""
 
 from collections.abc import Callable
 
@@ -20,21 +20,21 @@ from teleop.packet import Packet
 from teleop.session import OutlineReader, Reason, SessionOutline, State
 from teleop.topics import PROFILE, SHEATH, Role
 
-PROFILE_PERIOD_S = 0.02  # T(x) of one tendon after the other; the viewer shows no more of one
-PROFILE_LEAST_S = 0.005  # between two of them, however many tendons there are
-SHEATH_PERIOD_S = 1.0  # for listeners that come late
-PROGRESS_S = 2.0  # between two lines of a calibration
+PROFILE_PERIOD_S = 0.02  # T(x) of one tendon; the viewer shows no more
+PROFILE_LEAST_S = 0.005  # least period between two of them, for any number of tendons
+SHEATH_PERIOD_S = 1.0  # for listeners that start later
+PROGRESS_S = 2.0  # between two progress lines of a calibration
 
 
 class Telemetry:
-    """Publishes what is due, and what is new.
+    """Publishes low-rate messages when due, and events when they occur.
 
     Attributes
     ----------
     detail : str
-        What the reason of the present session state is about; empty if nothing more is known.
+        Detail of the reason of the present session state; may be empty.
     stop_text : str
-        By whom the last emergency stop was called for.
+        Sender of the last emergency stop.
     """
 
     def __init__(self, link: Link, model: RigModel, slave: Slave) -> None:
@@ -55,11 +55,11 @@ class Telemetry:
         self._advice = int(Advice.NONE)
 
     def __call__(self, time_s: float) -> None:
-        """Publish what is due at session time `time_s` [s]."""
+        """Publish the messages due at session time `time_s` [s]."""
         side = self._outline()
         before = self._published
         lasting = side.state is State.FAULT and before is not None and before[0] == side
-        if not (lasting and self.detail):  # where a fault began, not where it shows by and by
+        if not (lasting and self.detail):  # the origin of a fault, not its later symptoms
             self.detail = self._detail(side.reason)
         now = side, self.detail
         if now != before:
@@ -83,7 +83,7 @@ class Telemetry:
                     self._link.publish(SHEATH, message)
 
     def _detail(self, reason: Reason) -> str:
-        """Return what the reason of a state is about: why it is not usable, which tendon it is."""
+        """Return the detail of a reason: why not usable, or which tendon."""
         if reason is Reason.NONE:
             return ""
         if reason is Reason.NOT_USABLE:
@@ -103,7 +103,7 @@ class Telemetry:
         tendons = range(len(self._model.models))
         errors = [monitor.force_error(self._memory.monitors[k]) for k in tendons]
         k = max(tendons, key=lambda k: abs(errors[k]))
-        return f"{self._named(k)}: the force is wrong by about {100.0 * errors[k]:+.0f} %"
+        return f"{self._named(k)}: force error about {100.0 * errors[k]:+.0f} %"
 
     def _named(self, tendon: int) -> str:
         j = self._joint_of[tendon]
@@ -122,7 +122,7 @@ class Telemetry:
 
 
 def calibrating(rig: Rig) -> Callable[[Progress], None]:
-    """Return what prints how far the calibration of a rig is, at each phase that lasts."""
+    """Return a callback that prints the progress of a calibration at each long phase."""
     due_s = 0.0
 
     def show(progress: Progress) -> None:

@@ -1,4 +1,4 @@
-"""What a config or a calibration file says of one tendon and its sheath."""
+"""Config of one tendon and its sheath, also in calibration files."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -19,40 +19,42 @@ _IN_MODEL_FILE = (
     "drag",
     "asymmetry",
 )
-"""What a model file says of a sheath."""
+"""Fields that a model file replaces."""
 
 
 @dataclass(frozen=True, slots=True)
 class TendonConfig:
-    """Parameters of one tendon and its sheath, as the estimator uses them.
+    """Parameters of one tendon and its sheath for the estimator.
 
-    Either the effective friction K of the whole sheath, as a calibration gives it, or a friction
-    coefficient and the sections it acts along, or the model file of a diagnosis.
+    Either the effective friction K of the whole sheath, from a calibration, or a friction
+    coefficient with sections, or the model file of a diagnosis.
     """
 
     effective_friction: float | None = None  # K, dimensionless
-    length: float = 1.5  # [m] with effective_friction; else the sections say
+    length: float = 1.5  # [m] with effective_friction; else from the sections
     friction: float | None = None  # mu, dimensionless
     sections: tuple[SectionConfig, ...] = ()  # housing to tip
-    axial_stiffness: float = 9000.0  # EA [N] of tendon and sheath in series; a model_file's first
+    axial_stiffness: float = (
+        9000.0  # EA [N] of tendon and sheath in series; model_file takes precedence
+    )
     drag: float = 0.0  # tau [N], load-independent
     asymmetry: float = 1.0  # rho, friction releasing over friction pulling
-    pretension: float = 0.0  # [N] all along the tendon at the start; 0 = slack
+    pretension: float = 0.0  # [N] uniform tension at the start; 0 = slack
     tension_noise: float = 0.0  # [N] standard deviation at the load cell
     displacement_noise: float = 0.0  # [m] standard deviation at the encoder
-    friction_error: float = 0.02  # relative error of K that the interval allows for
-    elongation_error: float = 0.1  # relative error of the predicted elongation it allows for
-    tip_tension_rate: float = 100.0  # [N/s] at which the tip may change unseen
-    model_file: Path | None = None  # model.yaml of `teleop diagnose`, in place of all of the sheath
+    friction_error: float = 0.02  # relative error of K covered by the interval
+    elongation_error: float = 0.1  # relative error of the elongation covered by the interval
+    tip_tension_rate: float = 100.0  # [N/s] largest unobserved rate of the tip tension
+    model_file: Path | None = None  # model.yaml of `teleop diagnose`, replaces all of the sheath
 
     def __post_init__(self) -> None:
-        """Refuse a sheath described twice or not at all."""
+        """Check the values; raises `ValueError`."""
         if self.model_file is not None:
             self._refuse_beside_model_file()
         elif (self.effective_friction is None) == (self.friction is None):
-            raise ValueError("effective_friction: give either this or friction with sections")
+            raise ValueError("effective_friction: set either this or friction with sections")
         if (self.friction is None) != (not self.sections):
-            raise ValueError("sections: needed with friction, and only with it")
+            raise ValueError("sections: required with friction, and only with it")
         if len(self.sections) > MAX_SECTIONS:
             raise ValueError(f"sections: at most {MAX_SECTIONS}")
         self.model()
@@ -60,7 +62,7 @@ class TendonConfig:
     def _refuse_beside_model_file(self) -> None:
         for item in fields(self):
             if item.name in _IN_MODEL_FILE and getattr(self, item.name) != item.default:
-                raise ValueError(f"{item.name}: not beside model_file, which says what it is")
+                raise ValueError(f"{item.name}: conflicts with model_file; use one of them")
 
     def extended(self) -> Extended | None:
         """Return the extended model of the model file, None without one."""

@@ -1,4 +1,4 @@
-"""The tendons of a rig, as records: which joints they move, what is measured and estimated."""
+"""Records of the tendons of a rig: layout, measurements and estimates."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from estimator.online.tendon_estimate import TendonEstimate
 from estimator.records import F64, I64, Field, Flag, Record, Records, one
 from teleop.messages import MAX_JOINTS
 
-SIGNS = (1.0, -1.0)  # of a joint's travel in that of its tendons a and b
+SIGNS = (1.0, -1.0)  # of a joint's travel at the tips of its tendons a and b
 
 
 class JointTendons(Record):
@@ -34,9 +34,9 @@ class EstimatedTendon(Record):
 
     tension: F64 = math.nan  # [N] measured at the housing
     displacement: F64 = math.nan  # [m] measured motor position; NaN without an encoder
-    corrected_tension: F64 = math.nan  # [N] without the sensor's effects that a model knows
+    corrected_tension: F64 = math.nan  # [N] corrected for modelled sensor effects
     corrected_displacement: F64 = math.nan  # [m]
-    valid: Flag = False  # whether the estimator took the sample
+    valid: Flag = False  # whether the estimator accepted the sample
     estimate: TendonEstimate
 
 

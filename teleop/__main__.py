@@ -1,8 +1,7 @@
-"""Where the program begins, and what Ctrl-C does until a command runs.
+"""Program entry point, and the handling of Ctrl-C until a command runs.
 
-Python raises KeyboardInterrupt wherever it happens to be. Half-way through an import that is a
-traceback of thirty lines, or it is lost in a callback. Nothing is open yet, so the signal just ends
-the process here.
+Python raises KeyboardInterrupt anywhere; during an import that is a long traceback, or it is lost
+in a callback. Nothing is open yet, so the signal just ends the process here.
 """
 
 import os
@@ -19,15 +18,15 @@ def main() -> int:
 
     try:
         return cli.main(begin=_interruptible)
-    except KeyboardInterrupt:  # as late as in the words about another error
+    except KeyboardInterrupt:  # even while another error is printed
         return _INTERRUPTED
-    finally:  # the outcome is known; a signal on the way out changes nothing
+    finally:  # the exit code is known; ignore later signals
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _interruptible() -> None:
-    """From now on there may be something to close: raise, for a command without a loop to stop."""
+    """From now on raise KeyboardInterrupt, so that open resources are closed."""
     from teleop.process import interruption
 
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -1,7 +1,7 @@
-"""One clock and one absolute time grid.
+"""Clock and absolute time grid.
 
-Stamps are nanoseconds since the Unix epoch, anchored once to the system clock and carried on by the
-monotonic one: they compare across processes and name a date in a recording, yet never jump.
+Stamps are nanoseconds since the Unix epoch, anchored once to the system clock and continued with
+the monotonic one: comparable across processes, dated, and without jumps.
 """
 
 import gc
@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-STALL_NS = 5_000_000  # [ns] a loop that decided longer ago than this must decide again
+STALL_NS = 5_000_000  # [ns] a loop must decide again after this time
 
 _ANCHOR_NS = time.time_ns() - time.monotonic_ns()
 
@@ -29,9 +29,9 @@ class Tick:
     """One point of the grid: its index, its time and the time since the last one that ran."""
 
     index: int
-    stamp_ns: int  # when the tick really began, as `now_ns` gives it
+    stamp_ns: int  # actual start of the tick, by `now_ns`
     dt: float  # [s] since the previous tick; on a grid a whole number of periods
-    answers: bool = False  # whether something arrived that waits for an answer
+    answers: bool = False  # whether a message arrived that needs an answer
 
 
 @dataclass(slots=True)
@@ -54,23 +54,22 @@ class TickStats:
 class Grid:
     """An absolute time grid: ticks fall on `(k + phase) * period` of the machine's monotonic clock.
 
-    All processes of a machine have that clock in common, whatever was done to the system clock
-    between their starts. So two loops of one machine keep a known distance: with the slave half a
-    period behind the master, each hears the other's newest word well before its own tick, and a
-    command comes back as a force after exactly one period. Unaligned grids took one or two, by
-    luck, for a whole run.
+    All processes of a machine share that clock, whatever happens to the system clock. So two loops
+    of one machine have a known phase: with the slave half a period behind the master, each has the
+    other's newest message well before its own tick, and a command returns as a force after exactly
+    one period. Unaligned grids took one or two, at random, for a whole run.
 
     A tick whose work outlasts its period makes the grid skip whole periods and count them; it never
-    catches up with a burst, because a burst of forces is not what a late force was.
+    catches up with a burst, as a burst of forces is wrong.
 
     Parameters
     ----------
     rate_hz : float
         Grid rate [Hz].
     phase : float
-        Where in the period the ticks fall, 0 to 1.
+        Phase of the ticks in the period, 0 to 1.
     stop : callable
-        Asked before each tick; the iteration ends when it returns true.
+        Called before each tick; true ends the iteration.
     now, sleep : callable
         Injected by tests; the machine's monotonic clock [ns] otherwise.
     """
@@ -89,7 +88,7 @@ class Grid:
         self._stop, self._now, self._sleep = stop, now, sleep
 
     def __iter__(self) -> Iterator[Tick]:
-        """Yield ticks until told to stop."""
+        """Yield ticks until `stop` returns true."""
         stats, period = self.stats, self.period_ns
         target = self._first(self._now())
         index, skipped = 0, 0
@@ -114,20 +113,19 @@ class Grid:
 
 
 class EventClock:
-    """Ticks when something arrives, and when nothing does, at a deadline.
+    """Ticks at arrivals, or else at a deadline.
 
-    While arrivals come at about `rate_hz`, each is a tick at once, however they jitter: the
-    deadline is `LATE` periods after the last tick, so that an arrival that is a little late is not
-    overtaken by it. When a deadline has passed, the next ones are a period apart: so a loop that
-    nobody asks anything runs at its own rate. No two ticks are nearer than `NEAREST` periods: a
-    burst, or a flood, is one tick with the newest value.
+    While arrivals come at about `rate_hz`, each is a tick at once, despite jitter: the deadline is
+    `LATE` periods after the last tick. After a missed deadline the next ones are a period apart, so
+    a loop without arrivals runs at its own rate. Ticks are at least `NEAREST` periods apart: a
+    burst is one tick with the newest value.
 
     Parameters
     ----------
     rate_hz : float
-        Rate without arrivals, and about that of the arrivals [Hz].
+        Rate without arrivals, and approximate rate of arrivals [Hz].
     stop : callable
-        Asked before each tick; the iteration ends when it returns true.
+        Called before each tick; true ends the iteration.
     wait : callable
         Waits for an arrival until a time of the machine's monotonic clock [ns]; returns whether
         there was one.
@@ -151,7 +149,7 @@ class EventClock:
         self._stop, self._wait, self._now, self._sleep = stop, wait, now, sleep
 
     def __iter__(self) -> Iterator[Tick]:
-        """Yield ticks until told to stop."""
+        """Yield ticks until `stop` returns true."""
         stats, period = self.stats, self.period_ns
         late_ns, nearest_ns = round(self.LATE * period), round(self.NEAREST * period)
         last, deadline = self._now() - period, self._now()
@@ -173,13 +171,13 @@ class EventClock:
             index += 1
 
     def _next(self, deadline: int) -> int:
-        """Return the next deadline [ns] of a loop that nobody asks anything: on a grid."""
+        """Return the next deadline [ns] of a loop without arrivals, on a grid."""
         skipped = max(0, (self._now() - deadline) // self.period_ns)
         return deadline + (1 + skipped) * self.period_ns
 
 
 class quiet_garbage:  # noqa: N801 - used as a statement: `with quiet_garbage():`
-    """Keep the garbage collector out of a loop: what exists is frozen, what comes is left alone."""
+    """Disable garbage collection in a loop and freeze existing objects."""
 
     def __enter__(self) -> None:
         gc.collect()

@@ -1,8 +1,7 @@
-"""Where compiled code is kept between runs: one folder for each state of the sources.
+"""Cache of compiled code: one folder per state of the sources.
 
-Numba keeps compiled functions beside their source and looks at that one file's date, so after a
-change in one module it would go on running old code that another module had compiled in. A folder
-named after all our sources has no old code in it.
+Numba checks only the date of a function's own file, so after a change in one module it would run
+outdated code inlined into another. A folder named after a hash of all sources is never outdated.
 """
 
 import contextlib
@@ -18,16 +17,16 @@ from collections.abc import Callable, Iterator
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-KEPT = 3  # folders of former states, for going back and forth between two
+KEPT = 3  # folders of earlier states, for switching between versions
 _COMPILED = ("estimator", "master", "slave", "teleop")
 _NAME = "tendon-teleop"
 
 
 def choose() -> Path | None:
-    """Name the folder in the environment, before numba is imported, and forget the oldest ones.
+    """Set the folder in the environment, before numba is imported, and delete the oldest ones.
 
-    A folder that the user has named in `NUMBA_CACHE_DIR` is left alone. Where no folder can be
-    made, numba is left to its own ways and None is returned.
+    `NUMBA_CACHE_DIR` set by the user has precedence. Returns None, with numba's default, if no
+    folder can be created.
     """
     if named := os.environ.get("NUMBA_CACHE_DIR"):
         return Path(named)
@@ -57,28 +56,28 @@ def announced(
     what : str
         What is compiled, for the line.
     about_s : float
-        How long it takes [s] if nothing is in the cache.
+        Compile time [s] with an empty cache.
     beside : callable, optional
-        What is to be compiled as well: called at the end of the context, and if anything has to be
-        compiled in it, by another process at the same time, so that it is in the cache by then. A
-        function of a module, or a `functools.partial` of one.
+        Also to be compiled: called at the end of the context, and in a parallel process if anything
+        has to be compiled, so that it is cached by then. A function of a module, or a
+        `functools.partial` of one.
     """
     from numba.core import event
 
     class Announcement(event.Listener):
-        said = False
+        printed = False
         helper: BaseProcess | None = None
 
         def on_start(self, _event: object) -> None:
-            if self.said:
+            if self.printed:
                 return
-            self.said = True
+            self.printed = True
             print(f"compiling {what} (once on this machine; about {about_s:.0f} s) ...", flush=True)
             if beside is not None:
                 self.helper = _start_helper(beside)
 
         def on_end(self, _event: object) -> None:
-            """Do nothing; a listener must have it."""
+            """Do nothing; required by the listener interface."""
 
     announcement = Announcement()
     with event.install_listener("numba:compile", announcement):
@@ -119,14 +118,14 @@ def _start_helper(work: Callable[[], object]) -> BaseProcess:
 
 
 def _help(beside: Callable[[], object]) -> None:
-    """Compile for another process, which ends this one if it is interrupted."""
+    """Compile in a child process, which its parent ends on an interrupt."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
     beside()
 
 
 def _state() -> str:
-    """Return a word that changes with the sources of what is compiled."""
+    """Return a hash of the sources of compiled functions."""
     root = Path(__file__).parents[1]
     sources = sorted(path for name in _COMPILED for path in (root / name).rglob("*.py"))
     text = "".join(f"{p} {p.stat().st_mtime_ns} {p.stat().st_size}\n" for p in sources)
@@ -134,7 +133,7 @@ def _state() -> str:
 
 
 def _places() -> Iterator[Path]:
-    """Yield the folders to try: of the user's caches, then one for temporary files."""
+    """Yield candidate folders: in the user's cache, then a temporary one."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if named.is_absolute():
         yield named / _NAME
@@ -146,7 +145,7 @@ def _places() -> Iterator[Path]:
         found = private.lstat()
     except OSError:
         return
-    # code is loaded from there: nobody else may have made it or write to it
+    # code is loaded from there: it must be owned and writable by this user only
     if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
         yield private
 
@@ -154,5 +153,5 @@ def _places() -> Iterator[Path]:
 def _last_used(folder: Path) -> int:
     try:
         return folder.stat().st_mtime_ns
-    except FileNotFoundError:  # another process of ours has just forgotten it
+    except FileNotFoundError:  # deleted by another process
         return 0

@@ -1,9 +1,9 @@
-"""From YAML to nested frozen dataclasses, refusing whatever is not exactly understood.
+"""Strict conversion of YAML to nested frozen dataclasses.
 
-Each config dataclass sits beside the code it configures, with a default for every field and its
+Each config dataclass is next to the code it configures, with a default for every field and its
 ranges checked in `__post_init__` by `ValueError("field: what is wrong, what is allowed")`. This
-module builds such dataclasses from a file and from `--set key=value` overrides. It knows none of
-them; it only reads their annotations:
+module builds such dataclasses from a file and from `--set key=value` overrides, using only their
+annotations:
 
 =========================== =====================================================================
 annotation                  what the file may say
@@ -57,15 +57,15 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
     cls : type
         The config dataclass.
     section : str or None
-        The top-level key that holds it; None when `cls` holds top-level keys itself: the shared
-        ones of a session's config, or all those of a file of its own kind.
+        The top-level key of the section; None if `cls` has top-level keys itself: the shared ones
+        of a session's config, or all keys of another kind of file.
     overrides : sequence of str
-        `dotted.key=YAML value`, laid over the file, the last one winning.
+        `dotted.key=YAML value`; override the file, the last one wins.
 
     Raises
     ------
     UsageError
-        The file cannot be read, or says something that `cls` does not allow.
+        The file cannot be read, or is invalid for `cls`.
     """
     source = _Source(path, [_Override.parse(text) for text in overrides])
     tree = source.tree()
@@ -82,7 +82,7 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
 
 
 def as_tree(config: Any) -> Any:
-    """Return a config as plain YAML values, so that `load` makes an equal one of it."""
+    """Return a config as plain YAML values; the inverse of `load`."""
     if dataclasses.is_dataclass(config) and not isinstance(config, type):
         return {
             f.name: as_tree(getattr(config, f.name)) for f in dataclasses.fields(config) if f.init
@@ -102,7 +102,7 @@ class _Override:
 
     @classmethod
     def parse(cls, text: str) -> "_Override":
-        """Split and read `dotted.key=value`."""
+        """Parse `dotted.key=value`."""
         key, equals, value = text.partition("=")
         keys = tuple(key.strip().split("."))
         if not equals or not all(re.fullmatch(r"\w+", k) for k in keys):
@@ -111,14 +111,14 @@ class _Override:
 
 
 class _Source:
-    """The file and the overrides: the tree they make, and who to blame for a key in it."""
+    """The merged tree of file and overrides, with the origin of each key."""
 
     def __init__(self, path: Path | None, overrides: list[_Override]) -> None:
         self.path = path
         self.overrides = overrides
 
     def tree(self) -> dict[str, Any]:
-        """Return the file's mapping with the overrides laid over it."""
+        """Return the file's mapping with the overrides applied."""
         tree = {} if self.path is None else strict_yaml.read(self.path)
         for override in self.overrides:
             self._lay(tree, override)
@@ -145,7 +145,7 @@ class _Source:
                 node = inner
 
     def by_override(self, keys: tuple[str, ...]) -> _Override | None:
-        """Return the override that set the value at `keys` or decided its surroundings."""
+        """Return the override that set the value at `keys` or one of its parents."""
         for override in reversed(self.overrides):
             shared = min(len(keys), len(override.keys))
             if override.keys[:shared] == keys[:shared]:
@@ -164,14 +164,14 @@ class _Source:
 
 
 class _Builder:
-    """Turns a tree of YAML values into what the annotations ask for."""
+    """Builds values from a YAML tree by annotations."""
 
     def __init__(self, source: _Source) -> None:
         self.source = source
 
     def dataclass(self, cls: type[Any], data: Any, keys: tuple[str, ...], base: Any) -> Any:
-        """Build `cls` from a mapping; what it leaves out comes from `base` or from the defaults."""
-        data = {} if data is None else data  # a heading with nothing below it
+        """Build `cls` from a mapping; missing keys come from `base` or from the defaults."""
+        data = {} if data is None else data  # an empty section
         if not isinstance(data, dict):
             raise self.source.error(keys, f"{_shown(data)} is not a mapping (key: value lines)")
         hints = get_type_hints(cls)
@@ -203,7 +203,7 @@ class _Builder:
         values: Mapping[str, Any],
         keys: tuple[str, ...],
     ) -> UsageError:
-        """Put the place in front of what a `__post_init__` said."""
+        """Prefix the message of a `__post_init__` with its place."""
         if isinstance(error, UsageError):
             return error
         found = _FIELD_FIRST.match(" ".join(str(error).split()))
@@ -220,7 +220,7 @@ class _Builder:
     def value(
         self, hint: Any, data: Any, keys: tuple[str, ...], preset: Any, infinite: bool = False
     ) -> Any:
-        """Return `data` as `hint` asks, or raise."""
+        """Convert `data` to the type `hint`, or raise."""
         origin = get_origin(hint)
         if origin in (Union, types.UnionType):
             return self._union(get_args(hint), data, keys, preset, infinite)
@@ -274,7 +274,7 @@ class _Builder:
         bases: tuple[Any, ...] = ()
         if isinstance(data, dict) and data and isinstance(preset, tuple):  # --set key.0.name=...
             bases, changed = preset, data
-            if "type" in changed:  # of one item, its brackets forgotten
+            if "type" in changed:  # of one item, without its brackets
                 item = f"; [{{type: {changed['type']}, ...}}] is wanted"
                 raise self._wrong(hint, data, keys, item)
             if not all(_INDEX.fullmatch(str(k)) and int(k) < len(bases) for k in changed):
@@ -320,7 +320,7 @@ class _Builder:
         for member in rest:
             try:
                 return self.value(member, data, keys, preset, infinite)
-            except UsageError:  # another member may fit
+            except UsageError:  # try the next member
                 continue
         named = len(classes) > 1 and isinstance(data, str) and data in _by_tag(classes)
         meant = f"; {{type: {data}, ...}} is wanted" if named else ""
@@ -343,14 +343,14 @@ class _Builder:
             except ExtensionError as error:
                 raise self.source.error((*keys, "type"), str(error)) from error
         if not isinstance(tag, str) or tag not in by_tag:
-            given = "is missing" if tag is None else f"{_shown(tag)} is unknown"
+            problem = "is missing" if tag is None else f"{_shown(tag)} is unknown"
             suggestion = _suggest(tag, by_tag)
-            raise self.source.error((*keys, "type"), f"{given}{suggestion}")
+            raise self.source.error((*keys, "type"), f"{problem}{suggestion}")
         return cast(type[Any], by_tag[tag])
 
 
 def _by_tag(classes: Iterable[Any]) -> dict[str, Any]:
-    """Return the dataclasses of a union by what their key `type` must say."""
+    """Return the dataclasses of a union by the value of their key `type`."""
     built_in = [c for c in classes if not issubclass(c, Extension)]
     return {get_args(get_type_hints(c)["type"])[0]: c for c in built_in}
 
@@ -374,16 +374,16 @@ def _is_word(value: Any) -> bool:
     return value is None or isinstance(value, bool)
 
 
-def _suggest(given: Any, known: Iterable[Any], listed: bool = True) -> str:
-    """Return what is allowed, and what was perhaps meant."""
+def _suggest(problem: Any, known: Iterable[Any], listed: bool = True) -> str:
+    """Return the allowed values and the closest match."""
     names = [str(k) for k in known]
-    return did_you_mean(str(given), names) + (
+    return did_you_mean(str(problem), names) + (
         f" (allowed: {', '.join(sorted(names))})" if listed else ""
     )
 
 
 def _described(members: Iterable[Any]) -> list[str]:
-    """Return the members of a union in words, dataclasses told apart by `type` as one."""
+    """Return the members of a union as text, tagged dataclasses as one."""
     classes = [m for m in members if dataclasses.is_dataclass(m)]
     words = [_describe(m) for m in members if m not in classes]
     if len(classes) > 1:
@@ -392,7 +392,7 @@ def _described(members: Iterable[Any]) -> list[str]:
 
 
 def _describe(hint: Any) -> str:
-    """Return an annotation in words."""
+    """Return an annotation as text."""
     origin, args = get_origin(hint), get_args(hint)
     if origin is Literal:
         return "one of " + ", ".join(map(_shown, args))

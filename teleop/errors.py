@@ -1,7 +1,7 @@
-"""The family of errors a user can cause or meet.
+"""Exceptions for users.
 
-The command line prints one as a single line and ends with its exit code; anything outside this
-family is a defect of ours and shows its traceback.
+The command line prints one as a single line and exits with its code; any other exception is a bug
+and shows its traceback.
 """
 
 
@@ -12,10 +12,10 @@ class TeleopError(Exception):
 
 
 class UsageError(TeleopError):
-    """Wrong usage, config or data: exit code 2, one line that names place and remedy."""
+    """Wrong usage, config or data: exit code 2, one line with place and remedy."""
 
     exit_code = 2
 
 
 class PeerError(UsageError):
-    """A peer that must not be talked to: a second master, or another message version."""
+    """An incompatible peer: a second master, or another message version."""

@@ -1,4 +1,4 @@
-"""Events: what has become of a side, for everyone on the link and for who started the process."""
+"""Events of a side, for all listeners on the link and for the terminal."""
 
 from teleop.link import Link
 from teleop.messages import Event, text_bytes

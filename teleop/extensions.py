@@ -1,7 +1,7 @@
 """Rigs, devices and effects of other packages, named in a config as `package.module:Name`.
 
 An installed package may also declare a short name as an entry point, in the group `teleop.rigs`,
-`teleop.devices` or `teleop.effects`. Nothing is imported that is not named.
+`teleop.devices` or `teleop.effects`. Only named extensions are imported.
 """
 
 import importlib
@@ -13,12 +13,12 @@ from teleop.suggestions import did_you_mean
 
 
 class ExtensionError(ValueError):
-    """A name that leads to no extension; the message says why and what to do."""
+    """A name is not that of an extension; the message gives reason and remedy."""
 
 
 @dataclass(frozen=True)
 class Extension:
-    """Base of the configs of what other packages bring; subclasses are frozen dataclasses.
+    """Base of the configs of extensions; subclasses are frozen dataclasses.
 
     The fields of a subclass are the keys of its section in the config, checked as built-in ones
     are: a `ValueError` of its `__post_init__` becomes a line that names the place.
@@ -26,11 +26,11 @@ class Extension:
 
     GROUP: ClassVar[str] = ""
 
-    type: str = ""  # as the config names it
+    type: str = ""  # name in the config
 
 
 def resolve(name: str, group: str) -> Any:
-    """Return the object that a name means.
+    """Return the object of a name.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def names_of(base: type[Extension]) -> set[str]:
 
 
 def resolve_class(name: str, base: type[Extension]) -> type[Extension]:
-    """Return the class that a name means; `ExtensionError` unless it is a subclass of `base`."""
+    """Return the class of a name; `ExtensionError` unless it is a subclass of `base`."""
     found = resolve(name, base.GROUP)
     if not (isinstance(found, type) and issubclass(found, base)):
         raise ExtensionError(f"{name}: must be a subclass of {base.__module__}:{base.__name__}")
@@ -86,6 +86,6 @@ def resolve_class(name: str, base: type[Extension]) -> type[Extension]:
 
 
 def opening_failed(place: str, config: Extension, error: Exception) -> str:
-    """Return one line on an exception that an extension's own code raised while it was opened."""
-    said = " ".join(str(error).split())
-    return f"{place}: {config.type} cannot be opened: {type(error).__name__}: {said}"
+    """Return one line on an exception raised by an extension's own code while opening."""
+    message_text = " ".join(str(error).split())
+    return f"{place}: {config.type} cannot be opened: {type(error).__name__}: {message_text}"

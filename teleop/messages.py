@@ -4,18 +4,17 @@ A message is a frozen dataclass whose fields are annotated with a wire type (`F6
 fixed array of one (`Joints`, `Tendons`, ...). From that one declaration come the packed bytes, the
 numpy dtype, the ROS 2 message definition and the table in the docs. The bytes are CDR,
 little-endian, as ROS 2 writes them: a four-byte encapsulation header, then each field at its
-natural alignment. So the bytes that cross the network go into a recording as they are.
+natural alignment. So the bytes on the network go into a recording unchanged.
 
 Every message begins with the same five fields, which the link fills in and checks:
 
-========== ==== ==========================================================================
-checksum   u32  CRC-32 of the message's name and of everything after it: one that was damaged
-                or is of another kind is dropped and counted
-layout     u32  CRC-32 of the declarations: a peer built from other ones is refused
-sender     u64  a nonce drawn when the process started: a restarted peer is a new sender
-sequence   u64  one more for each message of a topic: loss, repetition and reordering show
-stamp_ns   i64  when it was sent, on the sender's clock (`teleop.clock`)
-========== ==== ==========================================================================
+========== ==== ========================================================================== checksum
+u32  CRC-32 of the message's name and of everything after it: damaged messages and those of another
+kind are dropped and counted layout     u32  CRC-32 of the declarations: a peer with another layout
+is refused sender     u64  a nonce drawn when the process started: a restarted peer is a new sender
+sequence u64 incremented with each message of a topic, to detect loss and reordering stamp_ns
+i64  when it was sent, on the sender's clock (`teleop.clock`) ========== ====
+==========================================================================
 """
 
 import struct
@@ -34,24 +33,24 @@ MAX_SECTIONS = 16
 PROFILE_POINTS = 65
 TEXT_BYTES = 256
 
-# What TendonState.phase counts, in the paper's words
+# Names of TendonState.phase, as in the paper
 PHASE_NAMES = ("slack", "virgin", "pull", "pull to release", "release", "release to pull")
 # The bits of SlaveState.status and TendonState.status, lowest first: estimator.online.online.Status
 STATUS_NAMES = ("tension only", "uninitialised", "tip moved", "slack", "invalid input")
 
-# The stages of a command's way to the hand, in Latency's arrays
+# Names of the stages in Latency's arrays
 STAGE_NAMES = ("read to sent", "link both ways", "answered", "received to written", "all")
 
-# What EmergencyStop.action counts
+# Values of EmergencyStop.action
 STOP_ACTIONS = ("stop", "reset", "watch", "leave")
 
 ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR, little-endian
-_CHECKED_FROM = len(ENCAPSULATION) + 4  # the checksum covers all that follows it
+_CHECKED_FROM = len(ENCAPSULATION) + 4  # the checksum covers everything after it
 _HEAD = struct.Struct("<IIQQq")
 
 
 class MessageError(TeleopError):
-    """Bytes that are not the message they should be; `kind` says in what way."""
+    """Invalid message bytes; `kind` says in what way."""
 
     def __init__(self, kind: str, detail: str) -> None:
         super().__init__(f"{kind}: {detail}")
@@ -59,7 +58,7 @@ class MessageError(TeleopError):
 
 
 class Head(NamedTuple):
-    """Who sent a message, which one it is, and when on the sender's clock."""
+    """Head of a message: sender, sequence number, stamp on the sender's clock."""
 
     sender: int
     sequence: int
@@ -68,7 +67,7 @@ class Head(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """How a field travels: its `struct` code, its ROS 2 and numpy names, its fixed count."""
+    """Wire type of a field: `struct` code, ROS 2 and numpy names, fixed count."""
 
     code: str
     ros: str
@@ -96,7 +95,7 @@ Stages = Annotated[tuple[int, ...], Wire("q", "int64", "<i8", len(STAGE_NAMES))]
 
 TextBytes = Annotated[tuple[int, ...], Wire("B", "uint8", "u1", TEXT_BYTES)]
 
-# Field defaults, one for each array type
+# Field defaults, one per array type
 NO_JOINTS = (0.0,) * MAX_JOINTS
 NO_JOINT_FLAGS = (0,) * MAX_JOINTS
 NO_TENDONS = (0.0,) * MAX_TENDONS
@@ -109,7 +108,7 @@ NO_TEXT = (0,) * TEXT_BYTES
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """The head that all messages share; see the module's table."""
+    """The head of all messages; see the module's table."""
 
     checksum: U32 = 0
     layout: U32 = 0
@@ -131,7 +130,7 @@ class Message:
 
 
 class Schema:
-    """The wire form of one message class, worked out once from its annotations."""
+    """The wire format of a message class, derived from its annotations."""
 
     def __init__(self, cls: type[Message]) -> None:
         hints = get_type_hints(cls, include_extras=True)
@@ -153,7 +152,7 @@ class Schema:
         self._struct = struct.Struct(code)
         names = list(self.wires)
         formats = [(w.numpy, (w.count,)) if w.count > 1 else w.numpy for w in self.wires.values()]
-        # of the bytes as they travel; and of what follows the encapsulation, in aligned memory
+        # of the bytes on the wire; and without encapsulation, in aligned memory
         self.dtype = _structure(
             names, formats, [len(ENCAPSULATION) + o for o in offsets], self.size
         )
@@ -186,7 +185,7 @@ class Schema:
         return zlib.crc32(body, self.seed)
 
     def sender(self, data: bytes) -> int:
-        """Return whom `data` claims to be from, unchecked; 0 if it is too short to say."""
+        """Return the sender in `data`, unchecked; 0 if it is too short."""
         short = len(data) < len(ENCAPSULATION) + _HEAD.size
         return 0 if short else int(_HEAD.unpack_from(data, len(ENCAPSULATION))[2])
 
@@ -237,7 +236,7 @@ def text_bytes(text: str) -> tuple[int, ...]:
 def text_of(raw: tuple[int, ...]) -> str:
     """Return the text in a `TextBytes` field, on one line.
 
-    What could steer a terminal (control characters, changes of writing direction) becomes a space.
+    Control characters and changes of writing direction become spaces.
     """
     text = bytes(raw).rstrip(b"\0").decode(errors="replace")
     return "".join(letter if letter.isprintable() else " " for letter in text)
@@ -250,11 +249,11 @@ class Command(Message):
     state: U32 = 0  # teleop.session.State of the master
     reason: U32 = 0  # teleop.session.Reason behind it
     echo_stamp_ns: I64 = 0  # stamp_ns of the newest SlaveState received, 0 = none
-    position: Joints = NO_JOINTS  # [m] tip travel asked for, positive = pulled in
+    position: Joints = NO_JOINTS  # [m] commanded tip travel, positive = pulled in
     velocity: Joints = NO_JOINTS  # [m/s]
-    stops: U32 = 0  # calls for a stop that began or ended here; a reset names this number
-    coupling: U32 = 0  # which one, teleop.coupling.Bilateral.signature; 0 = not told
-    force_max: F64 = 0.0  # [N] at the tip; the hand is given no more
+    stops: U32 = 0  # emergency stops at this side so far; a reset gives this number
+    coupling: U32 = 0  # teleop.coupling.Bilateral.signature; 0 = unknown
+    force_max: F64 = 0.0  # [N] at the tip; largest rendered force
     energy: Joints = NO_JOINTS  # [J] passed on to the slave since the sender started
     wave: Joints = NO_JOINTS  # [sqrt(J s)] integral of the waves sent to it
 
@@ -272,7 +271,7 @@ class SlaveState(Message):
     force_low: Joints = NO_JOINTS  # [N] the certified interval's ends
     force_high: Joints = NO_JOINTS  # [N]
     status: JointFlags = NO_JOINT_FLAGS  # bits named by STATUS_NAMES, all tendons of the joint
-    sample_age_ns: I64 = 0  # since the newest sample that could be used; 0 while there is none
+    sample_age_ns: I64 = 0  # since the newest usable sample; 0 while there is none
     stops: U32 = 0  # as in Command
     coupling: U32 = 0  # as in Command
     energy: Joints = NO_JOINTS  # [J] passed on to the master since the sender started
@@ -285,26 +284,26 @@ class TendonState(Message):
     """Slave to listeners, every rig sample: all tendons in detail, bench sensors too."""
 
     tendons: U32 = 0  # how many entries of the arrays are in use
-    time_s: F64 = 0.0  # rig time of the sample; one message a sample, however many ticks it lasts
+    time_s: F64 = 0.0  # rig time of the sample; one message per sample
     proximal_tension: Tendons = NO_TENDONS  # [N] measured at the housing
-    proximal_displacement: Tendons = NO_TENDONS  # [m] NaN where there is no encoder
+    proximal_displacement: Tendons = NO_TENDONS  # [m] NaN without an encoder
     commanded_displacement: Tendons = (
-        NO_TENDONS  # [m] let through by the gate; NaN until engaged once
+        NO_TENDONS  # [m] output of the gate; NaN before the first engagement
     )
     distal_tension: Tendons = NO_TENDONS  # [N] estimated
     distal_tension_low: Tendons = NO_TENDONS  # [N]
     distal_tension_high: Tendons = NO_TENDONS  # [N]
     elongation: Tendons = NO_TENDONS  # [m] estimated
-    front: Tendons = NO_TENDONS  # [m] X', how deep the newest reversal has travelled
+    front: Tendons = NO_TENDONS  # [m] X', front of the newest reversal
     phase: TendonFlags = NO_TENDON_FLAGS  # index into PHASE_NAMES
     status: TendonFlags = NO_TENDON_FLAGS  # estimator.online.online.Status flags
-    bench_distal_tension: Tendons = NO_TENDONS  # [N] NaN where no bench sensor
-    bench_distal_displacement: Tendons = NO_TENDONS  # [m] NaN where no bench sensor
+    bench_distal_tension: Tendons = NO_TENDONS  # [N] NaN without a bench sensor
+    bench_distal_displacement: Tendons = NO_TENDONS  # [m] NaN without a bench sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hand(Message):
-    """Master to listeners, every master tick: the hand, and the force it was given."""
+    """Master to listeners, every master tick: the hand and the rendered force."""
 
     state: U32 = 0  # teleop.session.State of the sender
     reason: U32 = 0  # teleop.session.Reason behind it
@@ -341,26 +340,26 @@ class Sheath(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ledger(Message):
-    """Master and slave to listeners: what became of the energy at the ports of one side.
+    """Master and slave to listeners: the energy ledger of the ports of one side.
 
     All in tip units, since the process started:
-    credit = granted + put_in + heard - taken_out - passed_on - dissipated.
+    credit = granted + put_in + received - taken_out - passed_on - dissipated.
     """
 
     role: U32 = 0  # teleop.topics.Role of the sender
     joints: U32 = 0  # how many entries of the arrays are in use
-    credit: Joints = NO_JOINTS  # [J] that may be taken out now
+    credit: Joints = NO_JOINTS  # [J] available now
     put_in: Joints = NO_JOINTS  # [J] work of hand or tip on the network
-    taken_out: Joints = NO_JOINTS  # [J] of it on them
+    taken_out: Joints = NO_JOINTS  # [J] work of the network on hand or tip
     passed_on: Joints = NO_JOINTS  # [J] to the other side
-    heard: Joints = NO_JOINTS  # [J] from the other side
+    received: Joints = NO_JOINTS  # [J] from the other side
     dissipated: Joints = NO_JOINTS  # [J] given up
-    granted: Joints = NO_JOINTS  # [J] reserves given at engagements, and what hands dissipate
+    granted: Joints = NO_JOINTS  # [J] reserves at engagements, and dissipation of hands
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event(Message):
-    """Any process to all, reliable: a change of session state, or something worth a line."""
+    """Any process to all, reliable: a change of session state, or another event."""
 
     role: U32 = 0  # teleop.topics.Role of the sender
     state: U32 = 0  # teleop.session.State of the sender
@@ -370,7 +369,7 @@ class Event(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopReport(Message):
-    """Master and slave to all, twice a second: how the loop keeps time and what the link lost."""
+    """Master and slave to all, twice a second: timing of the loop and losses of the link."""
 
     role: U32 = 0  # teleop.topics.Role of the sender
     state: U32 = 0  # teleop.session.State of the sender
@@ -384,8 +383,8 @@ class LoopReport(Message):
     repeated: U64 = 0
     out_of_order: U64 = 0
     foreign: U64 = 0  # from another sender while the peer is alive
-    unknown: U64 = 0  # from a sender that nobody announced
-    delayed: U64 = 0  # too old when they came
+    unknown: U64 = 0  # from a sender without a presence token
+    delayed: U64 = 0  # too old on arrival
     clock_jumps: U64 = 0  # of the peer's clock
     restarts: U64 = 0  # of the peer's process
     rate_hz: F64 = 0.0  # achieved over the last report's span
@@ -396,14 +395,14 @@ class LoopReport(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Latency(Message):
-    """Master to all, twice a second: how long the stages from hand to force took since the last.
+    """Master to all, twice a second: durations of the stages from hand to force since the last.
 
-    Only of commands that were answered in their own tick. The link counts both ways together: no
-    clock of one side shows one way alone.
+    Only of commands answered in their own tick. The link stage is both ways together, as one side
+    cannot measure one way alone.
     """
 
     role: U32 = 0  # teleop.topics.Role of the sender
-    answered: U64 = 0  # commands that this is of
+    answered: U64 = 0  # number of commands
     p50_ns: Stages = NO_STAGES  # of each of STAGE_NAMES
     p99_ns: Stages = NO_STAGES
     p99_9_ns: Stages = NO_STAGES
@@ -412,13 +411,13 @@ class Latency(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EmergencyStop(Message):
-    """Any process to both sides, reliable: stop everything, or take a stop back."""
+    """Any process to both sides, reliable: emergency stop, or its reset."""
 
     role: U32 = 0  # teleop.topics.Role of the sender
-    action: U32 = 0  # index into STOP_ACTIONS: a "watch" that falls silent without "leave" stops
+    action: U32 = 0  # index into STOP_ACTIONS: a "watch" that times out without "leave" is a stop
     side: U32 = 0  # of a reset: teleop.topics.Role of the side it is for
-    number: U32 = 0  # of a reset: `stops` of that side; any other is out of date, and ignored
-    text: TextBytes = NO_TEXT  # UTF-8, zero-padded: who or what wanted it
+    number: U32 = 0  # of a reset: `stops` of that side; others are outdated and ignored
+    text: TextBytes = NO_TEXT  # UTF-8, zero-padded: sender and reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -432,13 +431,13 @@ class Setting(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer(Message):
-    """Master to whoever sent a Setting, reliable: whether it was taken."""
+    """Master to the sender of a Setting, reliable: whether it was accepted."""
 
     role: U32 = 0  # teleop.topics.Role of the sender
     asker: U64 = 0  # `sender` of the Setting
-    asked: U64 = 0  # its `sequence`
+    setting_sequence: U64 = 0  # `sequence` of the Setting
     accepted: U32 = 0  # 1 = yes
-    text: TextBytes = NO_TEXT  # UTF-8, zero-padded: the new value, or why not
+    text: TextBytes = NO_TEXT  # UTF-8, zero-padded: the new value, or the reason of the refusal
 
 
 MESSAGES: tuple[type[Message], ...] = (

@@ -1,4 +1,4 @@
-"""The page of topics and messages in the docs, made from the declarations.
+"""Generate the docs page of topics and messages from the declarations.
 
 python -m teleop.messages_page > docs/messages.md
 """
@@ -126,7 +126,7 @@ def page() -> str:
 
 def _topic_row(topic: Topic[Any]) -> str:
     sender = "any" if topic.publisher is None else topic.publisher.name.lower()
-    rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "now and then"
+    rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "on events"
     kind = "live" if topic.live else "reliable"
     name = topic.message.__name__
     return f"| `{topic.name}` | [{name}](#{name.lower()}) | {sender} | {rate} | {kind} |"

@@ -1,4 +1,4 @@
-"""How a control loop keeps its time: reports while it runs, and its part of the summary after."""
+"""Timing of a control loop: reports while it runs, and its part of the summary."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -16,13 +16,13 @@ REPORT_PERIOD_NS = 500_000_000
 
 
 class LoopMeter:
-    """Watches one loop's grid, the work of its ticks and, on the master, its round trips."""
+    """Measures one loop's grid, the work of its ticks and, on the master, its round trips."""
 
     def __init__(self, role: Role, stats: TickStats) -> None:
         self.work = Durations()
         self.latency = Durations()
-        self.answer = Durations()  # from a tick's begin to its message on the link
-        self.without_rig = Durations()  # work, but for the computing of a simulated rig
+        self.answer = Durations()  # from the start of a tick to its message on the link
+        self.without_rig = Durations()  # work, without the computation of a simulated rig
         self.stages = StageMeter()
         self._role, self._stats = role, stats
         self._due_ns = now_ns() + REPORT_PERIOD_NS
@@ -30,14 +30,14 @@ class LoopMeter:
         self._since_ns = now_ns()
         self._in_state: Counter[State] = Counter()  # ticks
         self._faults: list[str] = []
-        self._pending = ""  # the fault after which nobody has engaged again
+        self._pending = ""  # the fault since the last engagement
         self._state = State.OFF
         self._words = self._not_usable = Reason.NOT_USABLE.text
 
     def tick(self, side: SessionOutline, work_ns: int, detail: str = "") -> None:
-        """Count one tick, which left the session at `side` and took `work_ns` [ns].
+        """Add one tick that left the session at `side` and took `work_ns` [ns].
 
-        `detail` says what the session's reason is about: which tendon, or why it is not usable.
+        `detail` of the session's reason: which tendon, or why it is not usable.
         """
         self._words = format_reason(side.reason, detail)
         if side.reason is Reason.NOT_USABLE:
@@ -91,7 +91,7 @@ class LoopMeter:
     def summary(
         self, side: SessionOutline, counts: Counts, verdicts: Mapping[str, int]
     ) -> dict[str, Any]:
-        """Return what the whole run was like."""
+        """Return the summary of the whole run."""
         stats = self._stats
         return {
             "role": self._role.name.lower(),
@@ -129,5 +129,5 @@ class LoopMeter:
 
 
 def format_reason(reason: Reason, detail: str) -> str:
-    """Return a reason, and what it is about, in one line."""
+    """Return a reason and its detail in one line."""
     return f"{reason.text}: {detail}" if detail else reason.text

@@ -1,8 +1,8 @@
-"""A message as its bytes and as a record over the same memory, for the loops.
+"""A message as bytes and as a record in the same memory, for the loops.
 
 A loop keeps one `Packet` for each message that it sends or receives at every tick. Compiled
-functions read and write its fields in place, `seal` fills in the head, and `Packet.data` are the
-bytes on the wire: nothing is packed, padded or rebuilt.
+functions access its fields in place, `seal` fills in the head, and `Packet.data` are the bytes on
+the wire, without packing.
 """
 
 from typing import Any, Generic, TypeVar
@@ -17,8 +17,8 @@ from teleop.messages import ENCAPSULATION, LAYOUT, Message
 M = TypeVar("M", bound=Message)
 Bytes = NDArray[np.uint8]
 
-_BODY = 8  # where the body begins in a packet's memory: aligned, and behind the encapsulation
-_CHECKED = _BODY + 4  # the checksum covers all that follows it
+_BODY = 8  # start of the body in a packet's memory: aligned, after the encapsulation
+_CHECKED = _BODY + 4  # the checksum covers everything after it
 
 _CRC_32 = 0xEDB88320  # the polynomial of zlib.crc32, reflected
 
@@ -42,7 +42,7 @@ _TABLES = _crc_tables()
 
 @compiled
 def crc32(data: Bytes, seed: int) -> int:
-    """Return what `zlib.crc32(data, seed)` does."""
+    """Compiled equivalent of `zlib.crc32(data, seed)`."""
     crc = np.uint32(seed) ^ np.uint32(0xFFFFFFFF)
     i, n = 0, len(data)
     while i + 8 <= n:
@@ -79,7 +79,7 @@ def seal(
     sequence: int,
     stamp_ns: int,
 ) -> None:
-    """Fill in the head of a message whose other fields are there; `size` [bytes] is its body's."""
+    """Fill in the head of a complete message; `size` [bytes] is that of its body."""
     record = records[0]
     record.layout = LAYOUT
     record.sender = sender
@@ -114,12 +114,12 @@ class Packet(Generic[M]):
 
     def seal(self, sender: int, sequence: int, stamp_ns: int) -> bytes:
         """Fill in the head and return the bytes to send."""
-        nonce = np.uint64(sender)  # of all its 64 bits, where numba takes an int for 63 of them
+        nonce = np.uint64(sender)  # uint64, as numba's int is signed
         seal(self._memory, self.records, self._size, self._seed, nonce, sequence, stamp_ns)
         return self.data.tobytes()
 
     def fill(self, message: M) -> None:
-        """Take over every field of a message object."""
+        """Copy every field of a message object."""
         for name in message.schema.wires:
             setattr(self.record, name, getattr(message, name))
 

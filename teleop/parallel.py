@@ -1,4 +1,4 @@
-"""Work in several processes, and how many of them this machine runs side by side."""
+"""Parallel map over processes."""
 
 import os
 import signal
@@ -16,7 +16,7 @@ def processors() -> int:
 
 
 def parallel_map(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
-    """Yield what `work` makes of each task, in their order, so many `jobs` at a time."""
+    """Yield `work(task)` for each task in order, with `jobs` processes."""
     if jobs == 1:
         yield from map(work, tasks)
         return
@@ -26,5 +26,5 @@ def parallel_map(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int)
 
 
 def _quiet() -> None:
-    """Leave Ctrl-C to the parent, who ends the pool."""
+    """Ignore Ctrl-C in the children; the parent ends the pool."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

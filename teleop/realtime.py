@@ -1,13 +1,13 @@
 """Real-time scheduling of a control process: priority, CPU limit, locked memory, cores.
 
 The order in a process is: import, compile, `go_realtime`, open the link and the devices,
-`enter_loop`, loop. What is compiled after `go_realtime` would hold a core at real-time priority for
+`enter_loop`, loop. Compiling after `go_realtime` would hold a core at real-time priority for
 seconds; threads of the link that are started after it inherit the priority.
 
-A thread at SCHED_FIFO that never sleeps takes its core from everything else, a login shell too. Two
-limits apply: the kernel gives real-time threads 95 % of the time (`kernel.sched_rt_runtime_us`),
-from `limit_computing` on `RLIMIT_RTTIME` limits how long a thread may compute without sleeping. A
-loop sleeps in every period, so it never comes near.
+A thread at SCHED_FIFO that never sleeps blocks its core for everything else. Two limits apply: the
+kernel gives real-time threads 95 % of the time (`kernel.sched_rt_runtime_us`), from
+`limit_computing` on `RLIMIT_RTTIME` limits how long a thread may compute without sleeping. A loop
+sleeps in every period, far below.
 """
 
 import ctypes
@@ -24,15 +24,15 @@ from pathlib import Path
 from types import FrameType
 from typing import Literal
 
-FEWEST_CORES = 4  # with fewer, a core of its own for a loop leaves too little for the others
-FEWEST_OTHERS = 2  # cores that are left to the threads of the links and to other programs
+FEWEST_CORES = 4  # with fewer, no core is reserved for a loop
+FEWEST_OTHERS = 2  # cores left for link threads and other programs
 
-SOFT_LIMIT_US = 1_000_000  # [us] of computing without sleep: back to ordinary scheduling
-HARD_LIMIT_US = 3_000_000  # [us] the kernel ends the process: it is in code that no handler enters
+SOFT_LIMIT_US = 1_000_000  # [us] of computing without sleep: then ordinary scheduling
+HARD_LIMIT_US = 3_000_000  # [us] then the kernel ends the process, if no handler can run
 
 CLAIM = "tendon-teleop-core-{core}"  # name of the abstract socket that a loop holds
 
-HEAP_RESERVE = 8 << 20  # [B] touched beforehand, and kept by malloc
+HEAP_RESERVE = 8 << 20  # [B] touched beforehand and kept by malloc
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _MADV_DONTNEED = 4
@@ -52,7 +52,7 @@ class RealtimeConfig:
     cores: Literal["auto"] | tuple[int, ...] = "auto"
 
     def __post_init__(self) -> None:
-        """Refuse a priority above that of the kernel's interrupt threads, and no cores."""
+        """Check the values; raises `ValueError`."""
         if not 0 <= self.priority <= 49:
             raise ValueError("priority: must be 0 to 49")
         if self.cores != "auto" and any(core < 0 for core in self.cores):
@@ -65,15 +65,15 @@ _DEFAULT = RealtimeConfig()
 def limit_numeric_threads() -> None:
     """Let numeric libraries compute in one thread, unless the environment says otherwise.
 
-    To be called before numpy is imported. Arrays here are small: a second thread costs more than it
-    gives, and the pool of every library would hold a locked stack.
+    To be called before numpy is imported. Arrays are small: a second thread is slower, and each
+    library's pool would hold locked stacks.
     """
     for name in _THREAD_COUNTS:
         os.environ.setdefault(name, "1")
 
 
 def go_realtime(config: RealtimeConfig = _DEFAULT) -> list[str]:
-    """Take real-time scheduling and lock memory where the user may; return what was granted."""
+    """Request real-time scheduling and memory locking; return what was granted."""
     granted: list[str] = []
     if config.priority:
         try:
@@ -109,10 +109,10 @@ def limit_computing(granted: list[str]) -> None:
 
 
 def pin_loop(granted: list[str], config: RealtimeConfig = _DEFAULT) -> None:
-    """Move the calling thread to a free core of the loops; add to `granted` which one it got.
+    """Move the calling thread to a free core of the loops; add it to `granted`.
 
-    The other threads that the process has by then, and those that they start, keep off the cores of
-    the loops. Does nothing where `divide_cores` gives none or every one of them is taken.
+    The other threads of the process, and their children, are kept off the cores of the loops. No
+    effect if `divide_cores` gives none or all are taken.
     """
     if not hasattr(os, "sched_getaffinity"):
         return
@@ -142,10 +142,10 @@ def divide_cores(
     Returns
     -------
     loops : list of int
-        In the order in which they are to be taken.
+        In order of preference.
     others : set of int
-        Both are empty where nothing is to be divided: with fewer than `FEWEST_CORES` cores, or if
-        fewer than `FEWEST_OTHERS` would be left.
+        Both are empty with fewer than `FEWEST_CORES` cores, or if fewer than `FEWEST_OTHERS` would
+        be left.
     """
     cores = sorted(set(allowed), reverse=True)
     if len(cores) < FEWEST_CORES:
@@ -161,7 +161,7 @@ def divide_cores(
 
 
 def computing_limits(soft: int, hard: int) -> tuple[int, int]:
-    """Return the limits of RLIMIT_RTTIME [us] to set where `soft` and `hard` apply; never higher.
+    """Return the limits of RLIMIT_RTTIME [us], at most the present `soft` and `hard`.
 
     The soft one stays below the hard one, so that it is reached first.
     """
@@ -171,21 +171,21 @@ def computing_limits(soft: int, hard: int) -> tuple[int, int]:
 
 
 def _back_to_ordinary(granted: list[str]) -> Callable[[int, FrameType | None], None]:
-    """Return the handler of SIGXCPU: it takes real-time scheduling from all threads."""
+    """Return the handler of SIGXCPU, which ends real-time scheduling of all threads."""
 
     def handle(_number: int, _frame: FrameType | None) -> None:
         for thread in os.listdir("/proc/self/task"):
             with suppress(ProcessLookupError):  # it has ended
                 os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
-        said = f"SCHED_FIFO given up: computed for {SOFT_LIMIT_US / 1e6:g} s without sleeping"
-        granted.append(said)
-        os.write(2, f"WARNING: {said}\n".encode())  # print may be where this interrupts
+        warning = f"SCHED_FIFO disabled: computed for {SOFT_LIMIT_US / 1e6:g} s without sleeping"
+        granted.append(warning)
+        os.write(2, f"WARNING: {warning}\n".encode())  # the signal may interrupt print
 
     return handle
 
 
 def _lock_memory() -> bool:
-    """Lock the pages in use, and others as they come into use.
+    """Lock resident pages, and others when they become resident.
 
     Without MCL_ONFAULT every mapped page becomes resident: the heaps that malloc reserves for each
     thread, stacks of 8 MB, libraries as a whole: 600 MB in the slave, of which 170 MB are used.
@@ -198,7 +198,7 @@ def _lock_memory() -> bool:
 
 
 def _reserve_heap() -> None:
-    """Touch memory that malloc then keeps, so that the loop finds it resident."""
+    """Touch memory that malloc then keeps resident for the loop."""
     libc = ctypes.CDLL(None)
     if not hasattr(libc, "mallopt"):
         return
@@ -214,10 +214,9 @@ def _reserve_heap() -> None:
 
 
 def _release_compiler() -> None:
-    """Give back what compiling took and the loop does not need; locked, it would stay resident.
+    """Release memory used for compiling, before it is locked.
 
-    That is free heap, and the compiler's code (50 MB): clean pages of a file, which are read again
-    if they are needed after all.
+    Free heap, and the compiler's code (50 MB): clean file pages, which can be read again.
     """
     gc.collect()
     libc = ctypes.CDLL(None)
@@ -232,10 +231,10 @@ def _release_compiler() -> None:
 
 
 def unmodified_code(smaps: str, library: str) -> list[tuple[int, int]]:
-    """Return address and size [B] of the code of `library` that is as it is in the file.
+    """Return address and size [B] of the unmodified code pages of `library`.
 
-    `smaps` is the text of /proc/PID/smaps. A mapping with pages of its own (anonymous ones, such as
-    relocations) is left out: they cannot be read again.
+    `smaps` is the text of /proc/PID/smaps. Mappings with anonymous pages, such as relocations, are
+    omitted: they cannot be read again.
     """
     found = []
     parts = re.split(r"^(?=[0-9a-f]+-[0-9a-f]+ )", smaps, flags=re.MULTILINE)
@@ -250,9 +249,9 @@ def unmodified_code(smaps: str, library: str) -> list[tuple[int, int]]:
 
 
 def _claim(core: int) -> bool:
-    """Reserve a core among the loops of this machine; whether it was free.
+    """Reserve a core among the loops of this machine; return whether it was free.
 
-    By an abstract socket name, which vanishes with the process however that ends.
+    By an abstract socket name, which vanishes with the process.
     """
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

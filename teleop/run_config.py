@@ -1,4 +1,4 @@
-"""What every process of a session must agree on: the config file's shared keys."""
+"""The config file's shared keys, for every process of a session."""
 
 import argparse
 import re
@@ -16,14 +16,14 @@ from teleop.realtime import RealtimeConfig
 T = TypeVar("T")
 
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
-PERIODS = 3  # of the link that a timeout is at least: a lost message and jitter are no silence
+PERIODS = 3  # least timeout in periods of the link, to tolerate a lost message and jitter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
     """Name, rate, link and coupling of a session; `teleop.config.load(path, RunConfig, None)`."""
 
-    session: str = "demo"  # root of every key: sessions on one network do not hear each other
+    session: str = "demo"  # root of every key; separates sessions on one network
     rate_hz: float = (
         1000.0  # [Hz] of the link and the slave, and of the master's device; 100 to 4000
     )
@@ -34,7 +34,7 @@ class RunConfig:
 
     @property
     def bilateral(self) -> Bilateral:
-        """What both sides must agree on about the force."""
+        """The settings of the coupling that both sides share."""
         return Bilateral(self.confidence, self.coupling)
 
     def __post_init__(self) -> None:
@@ -46,10 +46,10 @@ class RunConfig:
 
 @runtime_checkable
 class RateChecked(Protocol):
-    """A config section with values that not every rate allows."""
+    """A config section with values to be checked against the rate."""
 
     def check_rate(self, rate_hz: float) -> None:
-        """Raise `UsageError` if something in this section does not go with `rate_hz` [Hz]."""
+        """Raise `UsageError` if a value of this section conflicts with `rate_hz` [Hz]."""
 
 
 def load_section(args: argparse.Namespace, cls: type[T], section: str) -> tuple[RunConfig, T]:
@@ -65,12 +65,12 @@ def load_section(args: argparse.Namespace, cls: type[T], section: str) -> tuple[
 
 
 def require_periods(key: str, timeout_s: float, rate_hz: float) -> None:
-    """Refuse a timeout [s] that is shorter than `PERIODS` of the link; `key` is its dotted key.
+    """Check that a timeout [s] is at least `PERIODS` of the link; `key` is its dotted key.
 
     Raises
     ------
     UsageError
-        With the least that it must be.
+        With the least value.
     """
     least = PERIODS / rate_hz
     if timeout_s < least * (1.0 - 1e-9):

@@ -11,16 +11,14 @@
                                    │                          ▲ a fault of its own, from any state
                                    └─reset──── STOPPED ◄─ a stop, from any state
 
-The operator's switch is the master's own; the slave's switch is what the master's newest command
-says (`switch_of`), and so is its clutch. So the master engages first and the slave follows, the
-slave leaves when the master does, and after a fault of its own the slave waits until the operator
-has let go.
+The master has the operator's switch; switch and clutch of the slave are taken from the master's
+newest command (`switch_of`). So the master engages first and the slave follows, the slave
+disengages with the master, and after its own fault the slave waits until the operator has released
+the switch.
 
-To engage, a side must have found two things in its present READY spell: the switch open, and its
-peer READY. So neither a switch held through a fault, nor a process restarted in the middle of a
-session, ever engages by itself.
-
-What goes away by itself is held, what does not is a fault:
+To engage, a side must have seen the switch open and its peer READY since it entered READY. So
+neither a switch held through a fault nor a restarted process engages by itself. Transient
+conditions hold, others are a fault:
 
 ======== ============================================================== =========================
 state    what is done                                                   how it ends
@@ -33,8 +31,8 @@ FAULT    motors hold, no force                                          fault go
 STOPPED  motors hold, no force; latched: letting go does not end it     an explicit reset
 ======== ============================================================== =========================
 
-None of them ends in motion: each goes to READY, where the switch has to be found open and be
-pressed again; only the clutch goes straight back, because the operator's hand held it.
+None of them ends in motion: each goes to READY, where the switch must be open and then pressed
+again; only the clutch returns directly to ENGAGED.
 
 What each side may do depends on `may_move` and `may_yield` (slave), `may_render` and `fades`
 (master), and on nothing else.
@@ -49,29 +47,29 @@ from typing import NamedTuple
 from estimator.compiled import compiled
 from estimator.records import F64, I64, U64, Flag, Record, Records, one
 
-FOLLOW_LIMIT_S = 0.1  # [s] within which the peer must be engaged too: 100 ticks of 1 kHz
-HOLD_LIMIT_S = 2.0  # [s] of silence after which nobody counts on the peer any more
+FOLLOW_LIMIT_S = 0.1  # [s] timeout for the peer to engage: 100 ticks at 1 kHz
+HOLD_LIMIT_S = 2.0  # [s] of silence after which HOLDING becomes a fault
 
 
 class State(IntEnum):
-    """Where a side is."""
+    """State of a side."""
 
     OFF = 0  # not usable yet: device or rig missing, estimator warming up
     READY = 1  # usable, not coupled: zero force, motors hold
     ENGAGED = 2  # coupled: commands move the rig, forces move the hand
-    FAULT = 3  # something is wrong: zero force, motors hold, until the operator releases
-    CLUTCHED = 4  # coupled but for the clutch: zero force, motors hold, the hand is free
-    HOLDING = 5  # the peer fell silent while coupled: force fades, motors hold and give way
+    FAULT = 3  # fault: zero force, motors hold, until the operator releases
+    CLUTCHED = 4  # clutch held while coupled: zero force, motors hold, the hand is free
+    HOLDING = 5  # no messages of the peer while coupled: force fades, motors hold and yield
     STOPPED = 6  # emergency stop: zero force, motors hold, until it is reset
 
     @classmethod
     def _missing_(cls, value: object) -> "State | None":
-        """Read a number of a later version as FAULT: such a peer cannot be relied upon."""
+        """Decode an unknown number, of a later version, as FAULT."""
         return cls.FAULT if isinstance(value, int) else None
 
 
 class Reason(IntEnum):
-    """Why a side is in its state. Numbers are sent and recorded: none is ever reassigned."""
+    """Reason of a state. Numbers are sent and recorded, and never reassigned."""
 
     text: str
 
@@ -84,7 +82,7 @@ class Reason(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> "Reason | None":
-        """Read a number of a later version as UNKNOWN."""
+        """Decode an unknown number, of a later version, as UNKNOWN."""
         return cls.UNKNOWN if isinstance(value, int) else None
 
     NONE = 0, "ok"
@@ -95,17 +93,17 @@ class Reason(IntEnum):
     RELEASED = 5, "engage switch released"
     PEER_ENDED = 6, "peer has ended"
     CLUTCH_HELD = 7, "clutch held"
-    ALIGN_FIRST = 8, "move the hand to where the tip is first"
+    ALIGN_FIRST = 8, "move the hand to the position of the tip first"
     RESET = 9, "emergency stop was reset; engage again"
     HAND_AWAY = 10, "no hand detected at the device; release the engage switch first"
-    COUPLING_DIFFERS = 11, "the peer's config has another coupling or confidence"
+    COUPLING_DIFFERS = 11, "the peer's config differs in coupling or confidence"
 
     PEER_SILENT = 20, "no messages from the peer"
     PEER_FAULT = 21, "peer in fault"
     PEER_LEFT = 22, "peer disengaged by itself"
     PEER_DECLINED = 23, "peer did not engage in time"
     PEER_STOPPED = 24, "peer in emergency stop"
-    PEER_HOLDS = 25, "peer is holding, as it receives no messages"
+    PEER_HOLDS = 25, "peer is holding: it receives no messages"
     PEER_RESTARTED = 26, "peer was restarted"
 
     DEVICE_FAULT = 40, "haptic device failed"
@@ -115,12 +113,12 @@ class Reason(IntEnum):
     NOT_FINITE = 44, "value not finite"
     OVER_LIMIT = 45, "measured value over its limit"
     TENDON_BROKEN = 46, "tendon has no tension although it is wound in"
-    TENDON_JAMMED = 47, "tendon stiffer than its sheath allows, as if jammed"
+    TENDON_JAMMED = 47, "tendon stiffer than its sheath allows, probably jammed"
     CELL_SATURATED = 48, "load cell at the end of its range"
     CELL_STUCK = 49, "load cell repeats the same reading"
     CALIBRATION_DUE = 50, "sheath has changed its shape; calibrate again"
     MOTOR_ASTRAY = 51, "motor not where it was commanded"
-    SAMPLES_FROZEN = 52, "the rig's samples stay the same although a motor was moved"
+    SAMPLES_FROZEN = 52, "samples of the rig do not change although a motor was moved"
     EMERGENCY_STOP = 53, "operator pressed the emergency stop"
     STOP_CALLED = 54, "emergency stop requested"
     WATCH_LOST = 55, "watching process was lost"
@@ -129,40 +127,40 @@ class Reason(IntEnum):
 
 
 class Inputs(Record):
-    """What a side knows at a tick."""
+    """Inputs of a side at a tick."""
 
     usable: Flag  # its own device or rig can be read and written
-    peer_fresh: Flag  # the peer's newest message is young enough to act on
+    peer_fresh: Flag  # the peer's newest message is recent
     peer_state: I64 = State.OFF  # in that message, `known_state` of it; OFF if there was none
     engage: Flag = False  # the switch: the operator's, or `switch_of` the master's state
-    fault: I64 = Reason.NONE  # what is wrong on this side now
+    fault: I64 = Reason.NONE  # present fault of this side
     clutch: Flag = False  # the clutch: the operator's, or the master's CLUTCHED
-    stop: I64 = Reason.NONE  # why everything must stop, if it must
-    reset: Flag = False  # the emergency stop is taken back
-    not_ready_reason: I64 = Reason.NONE  # why this side must not engage yet
+    stop: I64 = Reason.NONE  # Reason of an emergency stop, if any
+    reset: Flag = False  # the emergency stop is reset
+    not_ready_reason: I64 = Reason.NONE  # why this side must not engage
     peer: U64 = 0  # nonce of the peer's process
-    follow_s: F64 = FOLLOW_LIMIT_S  # [s] within which the peer must be engaged too
+    follow_s: F64 = FOLLOW_LIMIT_S  # [s] timeout for the peer to engage
 
 
 class Session(Record):
-    """State and reason of a side, and what it must remember to leave them."""
+    """State and reason of a side, and conditions for leaving them."""
 
     state: I64 = State.OFF
     reason: I64 = Reason.NOT_USABLE
-    open_seen: Flag = False  # the switch, since last engaged
-    peer_seen: Flag = False  # READY, since last engaged
-    followed: Flag = False  # the peer is, or was, engaged with us
-    waited_s: F64 = 0.0  # [s] for it to follow, or to be heard
-    peer: U64 = 0  # nonce of the process we are coupled to
-    calling: Flag = False  # a stop was asked for in this tick
-    stops: I64 = 0  # calls that began or ended: a reset names it
+    open_seen: Flag = False  # the switch was open since last engaged
+    peer_seen: Flag = False  # the peer was READY since last engaged
+    followed: Flag = False  # the peer is, or was, engaged in this engagement
+    waited_s: F64 = 0.0  # [s] waited for the peer to engage or to send
+    peer: U64 = 0  # nonce of the coupled process
+    calling: Flag = False  # a stop was requested in this tick
+    stops: I64 = 0  # number of stops so far; a reset gives it
 
 
 _REASONS = {int(reason): reason for reason in Reason}
 
 
 class SessionOutline(NamedTuple):
-    """What people and listeners are told of a session; an event is a change of it."""
+    """Summary of a session for people and listeners; an event is a change of it."""
 
     state: State = State.OFF
     reason: Reason = Reason.NOT_USABLE
@@ -179,7 +177,7 @@ _FAULT = int(State.FAULT)
 
 
 class OutlineReader:
-    """Reads the outline of a session that a loop keeps; costs little while it stays the same.
+    """Reads the outline of a loop's session; cheap while it does not change.
 
     Parameters
     ----------
@@ -195,7 +193,7 @@ class OutlineReader:
         self._outline = SessionOutline()
 
     def __call__(self) -> SessionOutline:
-        """Return state and reason as they are now."""
+        """Return the present state and reason."""
         numbers = (int(self._state[0]), int(self._reason[0]))
         if numbers != self._numbers:
             self._numbers = numbers
@@ -204,13 +202,13 @@ class OutlineReader:
 
     @property
     def stops(self) -> int:
-        """How many calls for a stop began or ended so far."""
+        """Number of stops so far."""
         return int(self._stops[0])
 
 
 @compiled
 def known_state(number: int) -> int:
-    """Return the state that a message tells; a number of a later version counts as FAULT."""
+    """Return the state in a message; an unknown number counts as FAULT."""
     if 0 <= number <= _LAST_STATE:
         return number
     return _FAULT
@@ -220,7 +218,7 @@ def known_state(number: int) -> int:
 def switch_of(master: int) -> bool:
     """Return whether the switch counts as closed for a slave whose master is in this state.
 
-    A master at FAULT, HOLDING or STOPPED has not seen the operator let go.
+    At FAULT, HOLDING or STOPPED the master has not seen the switch open.
     """
     return master not in (State.OFF, State.READY)
 
@@ -233,25 +231,25 @@ def may_move(session: Session) -> bool:
 
 @compiled
 def may_yield(session: Session) -> bool:
-    """Return whether motors that hold may give way to a tension over its limit."""
+    """Return whether holding motors may pay out a tendon over its tension limit."""
     return session.state in (State.CLUTCHED, State.HOLDING)
 
 
 @compiled
 def may_render(session: Session) -> bool:
-    """Return whether forces may reach the hand: only once the slave has engaged too."""
+    """Return whether forces may be rendered: only when the slave has engaged too."""
     return session.state == State.ENGAGED and session.followed
 
 
 @compiled
 def fades(session: Session) -> bool:
-    """Return whether the force on the hand goes to zero by a ramp, and not at once."""
+    """Return whether the force on the hand ramps to zero instead of stepping."""
     return session.state == State.HOLDING
 
 
 @compiled
 def _enter(session: Session, state: int, reason: int) -> None:
-    """Enter a state: nothing of what was seen or waited for before counts in it."""
+    """Enter a state, with all conditions reset."""
     session.state = state
     session.reason = reason
     session.open_seen = False
@@ -263,7 +261,7 @@ def _enter(session: Session, state: int, reason: int) -> None:
 
 @compiled
 def _enter_with(session: Session, state: int, reason: int, followed: bool, waited_s: float) -> None:
-    """Enter a state that counts on the peer: the one that the session is coupled to."""
+    """Enter a coupled state with the present peer."""
     peer = session.peer
     _enter(session, state, reason)
     session.followed = followed
@@ -273,7 +271,7 @@ def _enter_with(session: Session, state: int, reason: int, followed: bool, waite
 
 @compiled
 def _fault_is_over(session: Session, inputs: Inputs) -> bool:
-    """Return whether nothing but the past keeps a side in FAULT."""
+    """Return whether the cause of a FAULT is gone."""
     if inputs.engage or not inputs.usable:
         return False
     if session.reason in (Reason.PEER_SILENT, Reason.PEER_LEFT, Reason.PEER_DECLINED):
@@ -283,7 +281,7 @@ def _fault_is_over(session: Session, inputs: Inputs) -> bool:
 
 @compiled
 def _step_ready(session: Session, inputs: Inputs) -> None:
-    """Usable and not engaged: engage, or say what is missing."""
+    """Usable and not engaged: engage, or set the reason why not."""
     peer_ready = inputs.peer_fresh and inputs.peer_state == State.READY
     peer_engaged = inputs.peer_fresh and inputs.peer_state == State.ENGAGED
     present = peer_ready or peer_engaged
@@ -309,7 +307,7 @@ def _step_ready(session: Session, inputs: Inputs) -> None:
 
 @compiled
 def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
-    """Engaged or clutched: stay so, change between the two, or leave."""
+    """Engaged or clutched: stay, switch between the two, or leave."""
     follows = inputs.peer_state == State.ENGAGED
     if not inputs.usable:
         _enter(session, State.FAULT, Reason.NOT_USABLE)
@@ -347,7 +345,7 @@ def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
 
 @compiled
 def _step_holding(session: Session, inputs: Inputs, dt: float) -> None:
-    """Hold until the peer is heard and the operator has let go; silence for too long is a fault."""
+    """Hold until the peer sends again and the switch is open; too long a silence is a fault."""
     if not inputs.usable:
         _enter(session, State.FAULT, Reason.NOT_USABLE)
     elif not inputs.peer_fresh:
@@ -399,9 +397,9 @@ def step(session: Session, inputs: Inputs, dt: float) -> None:
     Parameters
     ----------
     session : Session
-        Changed to what it is after the tick.
+        Updated.
     inputs : Inputs
-        What this side knows; its `peer_state` must be a state of this version (`known_state`).
+        Inputs of this side; `peer_state` must be a known state (`known_state`).
     dt : float
         Time since the last tick [s].
     """

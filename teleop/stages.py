@@ -1,4 +1,4 @@
-"""How long each stage of a command's way to the hand takes, at all times."""
+"""Durations of the stages from hand to force."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,18 +9,18 @@ from teleop.topics import Role
 
 
 class StageMeter:
-    """Durations of the stages of `STAGE_NAMES`, of the whole run and of its newest span."""
+    """Durations of the stages of `STAGE_NAMES`, for the whole run and since the last report."""
 
     def __init__(self) -> None:
         self._stages = tuple(Durations() for _ in STAGE_NAMES)
 
     def add(self, durations_ns: Sequence[int]) -> None:
-        """Count one command; a duration [ns] for each stage."""
+        """Add one command; a duration [ns] per stage."""
         for stage, duration in zip(self._stages, durations_ns, strict=True):
             stage.add(duration)
 
     def message(self, role: Role) -> Latency:
-        """Return what listeners are told, and begin a new span."""
+        """Return the message for listeners, and start a new span."""
         spans = [stage.take_span() for stage in self._stages]
         return Latency(
             role=role,

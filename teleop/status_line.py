@@ -14,7 +14,7 @@ from teleop.topics import Role
 class StatusLine:
     """One line kept at the bottom of a terminal, with ordinary lines printed above it.
 
-    Without a terminal the line is left out, and ordinary lines are printed as they come.
+    Without a terminal only ordinary lines are printed.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class StatusLine:
             self._stream.flush()
 
     def clear(self) -> None:
-        """Take the status line away."""
+        """Remove the status line."""
         self.show("")
 
 

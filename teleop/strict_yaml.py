@@ -1,4 +1,4 @@
-"""YAML read strictly: no key twice, numbers as one expects them, every mistake one line."""
+"""Strict YAML: unique keys, YAML 1.2 scalars, one-line errors."""
 
 import re
 from collections.abc import Hashable
@@ -11,7 +11,7 @@ from teleop.errors import UsageError
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.2's idea of a scalar, and no key twice.
+    """YAML 1.2 scalars, and unique keys.
 
     PyYAML follows YAML 1.1, where `1e-3` is text, `012` is ten, `1:30` is ninety and `no` is
     false: each a trap in a file of physical constants.
@@ -25,7 +25,7 @@ class _Loader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                problem = f"the key {key!r} is not a word"
+                problem = f"the key {key!r} is not text"
             elif key in seen:
                 problem = f"the key {key!r} occurs twice"
             else:
@@ -52,7 +52,7 @@ for _tag, _pattern, _first in (
 
 
 def parse(text: str, place: str) -> Any:
-    """Parse one YAML document; whatever is wrong with it is one line."""
+    """Parse one YAML document; errors are one line."""
     try:
         return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
     except yaml.MarkedYAMLError as error:
@@ -63,7 +63,7 @@ def parse(text: str, place: str) -> Any:
         raise UsageError(f"{place}: not YAML text: {' '.join(str(error).split())}") from error
     except RecursionError as error:
         raise UsageError(f"{place}: nested too deeply") from error
-    except ValueError as error:  # an integer of thousands of digits
+    except ValueError as error:  # an integer with thousands of digits
         raise UsageError(f"{place}: {error}") from error
 
 

@@ -10,7 +10,7 @@ from teleop.session import Reason
 
 
 def read_child(path: Path) -> dict[str, Any] | None:
-    """Return what a child left, or None if it was killed before it could."""
+    """Return the summary of a child, or None if it was killed before."""
     try:
         content: dict[str, Any] = json.loads(path.read_text())
     except FileNotFoundError:
@@ -19,11 +19,11 @@ def read_child(path: Path) -> dict[str, Any] | None:
 
 
 def ran(loop: Mapping[str, Any] | None) -> bool:
-    """Return whether a loop's summary tells of a loop that ran."""
+    """Return whether the summary is of a loop that ran."""
     return bool(loop and loop["ticks"])
 
 
-# what a fault that began at the peer looks like from here
+# reasons of a fault that started at the peer
 FROM_AFAR = (
     Reason.PEER_SILENT.text,
     Reason.PEER_FAULT.text,
@@ -35,9 +35,9 @@ FROM_AFAR = (
 
 
 def trouble(summary: Mapping[str, Any]) -> str:
-    """Return what was wrong with a session to its end, empty if nothing was.
+    """Return the fault of a session at its end; empty if none.
 
-    Either its slave was never usable, or a fault ended it: one after which nobody engaged again.
+    Either its slave was never usable, or a fault without later engagement ended it.
     """
     loops = {role: summary.get(role) for role in ("slave", "master")}
     slave = loops["slave"]
@@ -58,12 +58,12 @@ def trouble(summary: Mapping[str, Any]) -> str:
     return ""
 
 
-# what a gate says of a session that is not engaged, or that needs nothing from it
+# flags of a gate in a session that is not engaged, or without intervention
 ORDINARY = ("PASSED", "HELD", "NOT_ENGAGED", "STALE", "NOT_ENGAGED|STALE")
 
 
 def lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return the summary as text, one fact a line; of a loop that never ran there is none."""
+    """Return the summary as lines of text; none of a loop that never ran."""
     out = []
     for role in ("slave", "master"):
         loop = summary.get(role)
@@ -92,7 +92,7 @@ def lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def loop_lines(loop: Mapping[str, Any]) -> list[str]:
-    """Return what one loop was like: its time-keeping, its link, its session, its gate."""
+    """Return the summary of one loop: timing, link, session, gate."""
     rejected = sum(loop["rejected"].values())
     ticks = loop["ticks"] or 1
     engaged = loop["ticks_in"]["engaged"] / ticks * loop["seconds"]
@@ -111,10 +111,10 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
         ),
     ]
     if limits:
-        told = ", ".join(
+        counts = ", ".join(
             f"{kind.lower()} {100 * n / ticks:.1f} %" for kind, n in sorted(limits.items())
         )
-        out.append(f"{'':9} the gate stepped in: {told} of the ticks")
+        out.append(f"{'':9} gate active: {counts} of the ticks")
     latency = loop["latency_ms"]
     if latency["n"]:
         out.append(
@@ -138,7 +138,7 @@ _STAGE_WORDS = ("read", "link", "slave", "render")
 
 
 def format_latency(quantiles_ms: Sequence[float], medians_ms: Mapping[str, float]) -> str:
-    """Return the latency from hand to force, and the medians of its stages, in a few words.
+    """Return the latency from hand to force, and the medians of its stages, as text.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def format_latency(quantiles_ms: Sequence[float], medians_ms: Mapping[str, float
 def force_line(error: Mapping[str, Any] | None) -> str:
     """Return one line on the force error, or on its absence.
 
-    Of a full scale not far above the sensors' noise a percentage would say nothing of the estimate.
+    No percentage if the full scale is close to the sensors' noise.
     """
     if error is None:
         return "no distal tension measured to compare the estimate with"
@@ -176,10 +176,10 @@ def force_line(error: Mapping[str, Any] | None) -> str:
 
 
 def impair_lines(counts: Mapping[str, Any]) -> list[str]:
-    """Return what a proxy did to the messages, one topic a line."""
+    """Return the message counts of a proxy, one line per topic."""
     out = []
     for way in ("to_slave", "to_master"):
         for topic, numbers in counts[way].items():
-            told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in numbers.items() if n)
-            out.append(f"{way:9} {topic}: {told}")
+            text = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in numbers.items() if n)
+            out.append(f"{way:9} {topic}: {text}")
     return out

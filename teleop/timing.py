@@ -1,10 +1,10 @@
-"""Durations of a whole run and of its newest span, in memory that does not grow with the run."""
+"""Duration statistics of a whole run and since the last report, in constant memory."""
 
 from array import array
 from typing import NamedTuple
 
 _FINE_NS, _FINE = 1_000, 100_000  # bins up to 0.1 s
-_COARSE_NS, _COARSE = 100_000, 19_000  # and on to 2 s; what is longer is counted in the last one
+_COARSE_NS, _COARSE = 100_000, 19_000  # up to 2 s; longer ones in the last bin
 _TURN_NS = _FINE_NS * _FINE
 
 
@@ -37,7 +37,7 @@ class Durations:
         self._span: list[int] = []
 
     def add(self, duration_ns: int) -> None:
-        """Count one duration [ns]."""
+        """Add one duration [ns]."""
         self.count += 1
         self._largest = max(self._largest, duration_ns)
         if duration_ns < _TURN_NS:
@@ -67,7 +67,7 @@ class Durations:
         return out
 
     def take_span(self) -> Span:
-        """Return what came since the last call, and begin a new span."""
+        """Return the durations since the last call, and start a new span."""
         values = sorted(self._span)
         self._span.clear()
         if not values:

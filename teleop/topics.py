@@ -1,4 +1,4 @@
-"""The table of topics: one line each, read by publisher, subscriber, recorder, viewer and docs.
+"""The table of topics, for publisher, subscriber, recorder, viewer and docs.
 
 Keys are `teleop/<session>/<topic>`. A live topic is best effort: an old value is dropped rather
 than delivered late. Others are reliable.
@@ -27,7 +27,7 @@ from teleop.messages import (
 
 
 class Role(IntEnum):
-    """Who a process is in a session."""
+    """Role of a process in a session."""
 
     LAUNCHER = 0
     MASTER = 1
@@ -35,7 +35,7 @@ class Role(IntEnum):
     RECORDER = 3
     VIEWER = 4
     REMOTE = 5  # `teleop stop`, `teleop set`
-    WATCH = 6  # `teleop stop --watch`: its end stops the session
+    WATCH = 6  # `teleop stop --watch`: its end is an emergency stop
 
 
 def role_name(number: int) -> str:
@@ -56,7 +56,7 @@ class Topic(Generic[M]):
     name: str
     message: type[M]
     publisher: Role | None  # None = any
-    rate_hz: float  # expected in normal running; 0 = now and then
+    rate_hz: float  # expected in normal operation; 0 = on events
     live: bool  # latest value counts: best effort, real-time priority, dropped when congested
 
 

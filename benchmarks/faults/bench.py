@@ -10,7 +10,7 @@ from pathlib import Path
 from teleop.app.launch.supervisor import wait_for
 from teleop.errors import TeleopError
 from teleop.link import Link
-from teleop.link.bridge import ask
+from teleop.link.bridge import send_request
 from tests.system.processes import OURS, START_S, Processes, free_ports
 
 HELD = (0.3, 2.6)  # [s] the scripted hand holds the engage switch, of every
@@ -23,7 +23,7 @@ MOTION = (
 NAMES = ("record", "impair", "slave", "master")
 
 
-class Bench(Processes):
+class FaultSession(Processes):
     """A session whose hand is always in motion and engages every `PERIOD`."""
 
     def __init__(self, folder: Path, config: Path, *overrides: str) -> None:
@@ -33,7 +33,7 @@ class Bench(Processes):
         self.link: Link | None = None
         self._begun: list[str] = []
 
-    def __enter__(self) -> "Bench":
+    def __enter__(self) -> "FaultSession":
         for name in NAMES:
             self.begin(name)
         self.link = self.look()
@@ -89,7 +89,7 @@ class Bench(Processes):
         end = time.monotonic() + 10.0
         while True:
             try:
-                return ask(self.link_config, self.session, self.proxy, "\n".join(words))
+                return send_request(self.link_config, self.session, self.proxy, "\n".join(words))
             except TeleopError:
                 if time.monotonic() > end:
                     raise

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.faults.bench import Bench
-from benchmarks.faults.judge import Verdict, judge
+from benchmarks.faults.bench import FaultSession
+from benchmarks.faults.judge import CampaignResult, judge
 from benchmarks.faults.kinds import PLAN, Fault, inject
 from tests.conftest import ROOT
 from tests.system.processes import pause
@@ -27,7 +27,7 @@ FAULTS = "faults.json"
 SLAVE_S, MASTER_S = 0.030, 0.050  # [s] after the last fresh message
 
 
-def harm(bench: Bench, plan: list[tuple[str, str]], rng: np.random.Generator, say=print):
+def harm(bench: FaultSession, plan: list[tuple[str, str]], rng: np.random.Generator, say=print):
     """Inject the faults of a plan, each into a session that is engaged; return them."""
     faults: list[Fault] = []
     for number, (kind, target) in enumerate(plan):
@@ -43,7 +43,7 @@ def harm(bench: Bench, plan: list[tuple[str, str]], rng: np.random.Generator, sa
     return faults
 
 
-def told(verdict: Verdict) -> dict:
+def summarise(verdict: CampaignResult) -> dict:
     """Return the figures of a campaign."""
     by_side, by_fault = defaultdict(list), defaultdict(list)
     for fault, side, seconds in verdict.reactions:
@@ -73,7 +73,7 @@ def told(verdict: Verdict) -> dict:
     }
 
 
-def failures(verdict: Verdict, faults: list[Fault]) -> list[str]:
+def failures(verdict: CampaignResult, faults: list[Fault]) -> list[str]:
     """Return what a session must not have done, or what was not seen of it."""
     out = []
     concerned = sum(fault.concerns(side) for fault in faults for side in ("master", "slave"))
@@ -114,13 +114,13 @@ def main():
         folder = args.judge or args.out or Path(scratch)
         if not args.judge:
             folder.mkdir(parents=True, exist_ok=True)
-            with Bench(folder, ROOT / "configs" / "demo.yaml") as bench:
+            with FaultSession(folder, ROOT / "configs" / "demo.yaml") as bench:
                 faults = harm(bench, plan, rng)
                 bench.end()
             (folder / FAULTS).write_text(json.dumps(faults))
         faults = [Fault(*one) for one in json.loads((folder / FAULTS).read_text())]
         verdict = judge(sorted(folder.glob("*.mcap")), faults)
-    figures = {"faults": len(faults), "seed": args.seed} | told(verdict)
+    figures = {"faults": len(faults), "seed": args.seed} | summarise(verdict)
     figures["failures"] = failures(verdict, faults)
     print(json.dumps(figures, indent=2))
     if args.json:

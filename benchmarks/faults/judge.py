@@ -55,10 +55,12 @@ def columns(paths: list[Path], topic: str, names: list[str]) -> np.ndarray:
     return rows[order]
 
 
-def true_times(rows: np.ndarray, told: np.ndarray, faults: list[Fault], target: str) -> np.ndarray:
+def true_times(
+    rows: np.ndarray, own_messages: np.ndarray, faults: list[Fault], target: str
+) -> np.ndarray:
     """Return the stamps as if the sender's clock had never been made to jump.
 
-    `told` are messages of the same side that echo its peer's stamps.
+    `own_messages` are messages of the same side that echo its peer's stamps.
     """
     stamps = rows["stamp_ns"].copy()
     for fault in faults:
@@ -74,17 +76,17 @@ def true_times(rows: np.ndarray, told: np.ndarray, faults: list[Fault], target: 
                 after = stamps > fault.begin_ns + half
             else:  # the loop ends its tick, and waits for its clock
                 newest = np.maximum.accumulate(np.where(mine, stamps, 0))
-                after = stamps > set_back_at(told, fault, sender)
+                after = stamps > set_back_at(own_messages, fault, sender)
                 after |= (stamps < newest - half) & (newest > fault.begin_ns - half)
             stamps[mine & after] -= jump
     return stamps
 
 
-def set_back_at(told: np.ndarray, fault: Fault, sender: int) -> int:
+def set_back_at(own_messages: np.ndarray, fault: Fault, sender: int) -> int:
     """Return what a clock that was set back told then: from there on the peer is far ahead."""
-    near = abs(told["stamp_ns"] - fault.begin_ns) < 200_000_000
-    near &= (told["sender"] == sender) & (told["echo_stamp_ns"] != 0)
-    stamps, ahead = told["stamp_ns"][near], np.diff(told["echo_stamp_ns"][near])
+    near = abs(own_messages["stamp_ns"] - fault.begin_ns) < 200_000_000
+    near &= (own_messages["sender"] == sender) & (own_messages["echo_stamp_ns"] != 0)
+    stamps, ahead = own_messages["stamp_ns"][near], np.diff(own_messages["echo_stamp_ns"][near])
     if not ahead.size or ahead.max() < abs(fault.jump_s) * 0.5e9:
         return fault.begin_ns
     first = int(ahead.argmax())
@@ -92,17 +94,17 @@ def set_back_at(told: np.ndarray, fault: Fault, sender: int) -> int:
 
 
 def silences(
-    rows: np.ndarray, stamps: np.ndarray, heard: np.ndarray, sent: np.ndarray, fresh_ns: int
+    rows: np.ndarray, stamps: np.ndarray, peer_messages: np.ndarray, sent: np.ndarray, fresh_ns: int
 ) -> np.ndarray:
     """Return the silence at each tick [ns].
 
-    `heard` holds rows of the peer's messages and `sent` their true times; of a message that was not
-    recorded the time is unknown, and it is taken for fresh.
+    `peer_messages` holds rows of the peer's messages and `sent` their true times; a message that
+    was not recorded is taken as fresh.
     """
     echo = rows["echo_stamp_ns"]
     new = np.concatenate([[False], (echo[1:] != echo[:-1]) & (echo[1:] != 0)])
-    order = np.argsort(heard["stamp_ns"], kind="stable")
-    known = heard["stamp_ns"][order]
+    order = np.argsort(peer_messages["stamp_ns"], kind="stable")
+    known = peer_messages["stamp_ns"][order]
     place = np.minimum(np.searchsorted(known, echo), len(known) - 1)
     late = np.where(known[place] == echo, stamps - sent[order][place], 0)
     fresh = np.where(new & (late <= fresh_ns), stamps, np.iinfo(np.int64).min // 2)
@@ -122,7 +124,7 @@ def joined(
     return out
 
 
-class Verdict(NamedTuple):
+class CampaignResult(NamedTuple):
     """What the recordings of a campaign say."""
 
     reactions: list[tuple[Fault, str, float]]  # fault, side, [s] it acted on after its peer's last
@@ -135,7 +137,7 @@ class Verdict(NamedTuple):
     engagements: int
 
 
-def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> Verdict:
+def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> CampaignResult:
     """Look at all recordings of a session and at what was done to it."""
     command = columns(paths, COMMAND.name, ["state", "echo_stamp_ns"])
     state = columns(paths, STATE.name, ["state", "echo_stamp_ns"])
@@ -156,7 +158,7 @@ def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> V
     follows = slave.stamp_ns[engaged["slave"]]
     follows = follows[recorded(master, follows)]
     since = follows - starts[np.maximum(np.searchsorted(starts, follows) - 1, 0)]
-    return Verdict(
+    return CampaignResult(
         [
             (fault, name, reaction(side, fault))
             for fault in faults
@@ -179,13 +181,13 @@ def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> V
 def ticks(
     rows: np.ndarray,
     stamps: np.ndarray,
-    heard: np.ndarray,
+    peer_messages: np.ndarray,
     sent: np.ndarray,
     acts: np.ndarray,
     fresh_ns: int,
 ) -> Ticks:
-    """Return a side as its messages tell of it; `heard` and `sent` as in `silences`."""
-    silence = silences(rows, stamps, heard, sent, fresh_ns)
+    """Return a side as its messages tell of it; `peer_messages` and `sent` as in `silences`."""
+    silence = silences(rows, stamps, peer_messages, sent, fresh_ns)
     # the first may be missing; skipped ticks make the start seem later, so the least counts
     start = rows["stamp_ns"] - rows["sequence"].astype("i8") * TICK_NS
     sequence = rows["sequence"].astype("i8")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.faults.bench import Bench
+from benchmarks.faults.bench import FaultSession
 from teleop.app.launch.supervisor import wait_for
 from teleop.clock import now_ns
 from tests.system.processes import pause
@@ -51,7 +51,7 @@ PLAN = (
 )
 
 
-def inject(bench: Bench, kind: str, target: str, rng: np.random.Generator) -> Fault:
+def inject(bench: FaultSession, kind: str, target: str, rng: np.random.Generator) -> Fault:
     """Do it, and undo it after a while."""
     seconds = float(rng.choice([0.08, 0.2, 0.5, 1.0]))
     if kind == "kill":

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.faults.bench import NAMES, Bench
-from benchmarks.faults.campaign import failures, told
+from benchmarks.faults.bench import NAMES, FaultSession
+from benchmarks.faults.campaign import failures, summarise
 from benchmarks.faults.judge import FRESH_NS, judge
 from benchmarks.faults.kinds import PLAN, Fault, inject
 from tests.conftest import ROOT
@@ -35,7 +35,7 @@ STOPPED = 50  # messages that may be dropped unseen around each stop of a proces
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def memory_mb(bench: Bench) -> dict[str, float]:
+def memory_mb(bench: FaultSession) -> dict[str, float]:
     """Return the resident memory of each process."""
     return {
         name: PAGE_MB * int(Path(f"/proc/{bench.running[name].pid}/statm").read_text().split()[1])
@@ -43,7 +43,7 @@ def memory_mb(bench: Bench) -> dict[str, float]:
     }
 
 
-def live(bench: Bench, seconds: float, rng: np.random.Generator, kinds: list[str]):
+def live(bench: FaultSession, seconds: float, rng: np.random.Generator, kinds: list[str]):
     """Let a session live for some time; return its faults and its memory over time."""
     plan = [one for one in PLAN if one[0] in kinds]
     faults, sizes = list[Fault](), []
@@ -116,7 +116,7 @@ def main():
     with tempfile.TemporaryDirectory() as scratch:
         folder = args.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        with Bench(folder, ROOT / "configs" / "demo.yaml", *words) as bench:
+        with FaultSession(folder, ROOT / "configs" / "demo.yaml", *words) as bench:
             faults, sizes = live(bench, args.seconds, np.random.default_rng(args.seed), args.kinds)
             bench.end()
         ends = {name: json.loads((folder / f"{name}-0.json").read_text()) for name in NAMES[1:]}
@@ -145,7 +145,7 @@ def main():
         "counters": counters,
         "proxy": ends["impair"],
         "failures": wrong,
-    } | told(verdict)
+    } | summarise(verdict)
     print(json.dumps(figures, indent=2))
     if args.json:
         args.json.write_text(json.dumps(figures, indent=2) + "\n")

@@ -61,8 +61,10 @@ class Result(NamedTuple):
         if not effects or (self.absorbed and self.verdict == Verdict.CLEAN):
             return self.verdict == Verdict.CLEAN
         named = self.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
-        said = {*self.causes, *self.rivals}
-        return named and set(effects) <= said and len(said) <= ALIKE + len(effects) - 1
+        named_causes = {*self.causes, *self.rivals}
+        return (
+            named and set(effects) <= named_causes and len(named_causes) <= ALIKE + len(effects) - 1
+        )
 
     @property
     def absorbed(self):
@@ -224,8 +226,8 @@ def summary(results):
         for r in results
         if not r.right
     )
-    for (true, said), count in taken.most_common():
-        print(f"  {true} taken for {said}: {count}")
+    for (true, named_causes), count in taken.most_common():
+        print(f"  {true} taken for {named_causes}: {count}")
     print(f"seconds a record: median {np.median([r.seconds for r in results]):.1f}")
 
 

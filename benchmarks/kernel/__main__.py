@@ -34,7 +34,7 @@ def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
     initrd = folder / "initrd"
     initrd.write_bytes(image.build("benchmarks.kernel.guest", _LATE, modules))
     count = 1 if by_the_wall else min(_MACHINES_MAX, len(names), os.cpu_count() or 1)
-    said: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     with ExitStack() as running:
         machines = [
             running.enter_context(
@@ -49,24 +49,24 @@ def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
             )
             for k in range(count)
         ]
-        _follow(machines, said)
-        if sum(line["check"] == "end" for line in said) < count:
-            said.append({"check": "end", "trouble": "a machine did not come to its end"})
-            _show(said[-1])
-        if failed := sum("trouble" in line for line in said):
+        _follow(machines, results)
+        if sum(line["check"] == "end" for line in results) < count:
+            results.append({"check": "end", "trouble": "a machine did not come to its end"})
+            _show(results[-1])
+        if failed := sum("trouble" in line for line in results):
             print(*(machine.console for machine in machines), sep="\n")
-    print(f"{len(said)} checks, {failed} failed")
+    print(f"{len(results)} checks, {failed} failed")
     return failed
 
 
-def _follow(machines: list[Machine], said: list[dict[str, Any]]) -> None:
+def _follow(machines: list[Machine], results: list[dict[str, Any]]) -> None:
     """Print and keep each line as it comes."""
     end = time.monotonic() + _PATIENCE
     running = True
     while running and time.monotonic() < end:
         running = any(machine.runs for machine in machines)
         for line in [line for machine in machines for line in machine.news()]:
-            said.append(line)
+            results.append(line)
             _show(line)
         time.sleep(0.1)
 

@@ -26,7 +26,7 @@ from master.devices.hid.drivers import DRIVERS
 from master.devices.hid.line import Line
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
-from master.devices.hid.search import Found
+from master.devices.hid.search import FoundDevice
 from master.devices.hid.signs import ForceSign, Signs, save
 from master.devices.hid.writer import ABANDONED_S
 from teleop.clock import Grid, quiet_garbage
@@ -88,11 +88,11 @@ def signs(case: Case, rig: Plugged) -> Figures:
             force = [0.0] * len(case.forces)
             force[axis] = -_PROBE_SHARE
             _hold(line, tuple(force))
-            felt = rig.pushes()[-1].force
-            seen.append(-round(felt[axis] / abs(felt[axis])) if felt[axis] else 0)
-            others = [abs(share) for k, share in enumerate(felt) if k != axis]
+            forces = rig.pushes()[-1].force
+            seen.append(-round(forces[axis] / abs(forces[axis])) if forces[axis] else 0)
+            others = [abs(share) for k, share in enumerate(forces) if k != axis]
             if max(others, default=0.0) > 0.01 * _PROBE_SHARE:
-                raise WrongError(f"a force on {name} pushed {felt}")
+                raise WrongError(f"a force on {name} pushed {forces}")
             known = known.having(ForceSign(*line.found.pusher, name, seen[-1]))
     finally:
         line.end(1.0)
@@ -238,7 +238,7 @@ def _push_for_ever(case: Case) -> None:
         hid.write(force)
 
 
-def _search(case: Case) -> Found:
+def _search(case: Case) -> FoundDevice:
     """Return the device, once the kernel has it."""
     model = f"{case.device().vendor:04x}:{case.device().product:04x}"
     end = time.monotonic() + _APPEAR_S

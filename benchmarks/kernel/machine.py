@@ -36,7 +36,7 @@ class Machine:
         folder.mkdir()
         self._results, self._console = folder / "results", folder / "console"
         self._results.touch()
-        self._said = 0
+        self._lines_read = 0
         self._process = subprocess.Popen(
             [
                 qemu,
@@ -70,6 +70,6 @@ class Machine:
     def news(self) -> list[dict[str, Any]]:
         """Return the results that have come since the last call."""
         lines = self._results.read_text().splitlines(keepends=True)
-        new = [line for line in lines[self._said :] if line.endswith("\n")]
-        self._said += len(new)
+        new = [line for line in lines[self._lines_read :] if line.endswith("\n")]
+        self._lines_read += len(new)
         return [json.loads(line) for line in new]

@@ -16,7 +16,7 @@ from estimator.array_types import Array
 from estimator.calibration.measured import CalibrationError
 from estimator.signals import noise_sigma
 
-LEAST_SAMPLES = 40
+MIN_SAMPLES = 40
 """Samples a branch needs."""
 
 _SWING = 0.02  # of the travel: what comes back by less is no turn
@@ -99,14 +99,14 @@ def read(tension: ArrayLike, displacement: ArrayLike) -> BlockedLoop:
     ends = [0, *_turning_points(q)]
     if q[ends[1]] < q[ends[0]]:
         ends = ends[1:]  # released before the first pull
-    if len(ends) < 2 or ends[1] - ends[0] < LEAST_SAMPLES:
+    if len(ends) < 2 or ends[1] - ends[0] < MIN_SAMPLES:
         raise CalibrationError("no pull before the release: record the loop from before the pull")
     if len(ends) < 3:
         raise CalibrationError("no release after the pull: record the loop to the end")
     spans = list(itertools.pairwise(ends))
-    if min(b - a for a, b in spans) < LEAST_SAMPLES:
+    if min(b - a for a, b in spans) < MIN_SAMPLES:
         raise CalibrationError(
-            f"a branch of fewer than {LEAST_SAMPLES} samples: record more slowly or more densely"
+            f"a branch of fewer than {MIN_SAMPLES} samples: record more slowly or more densely"
         )
     _refuse_saturation(T, q, spans[0])
     turns = np.array([_tension_at_end(T[a : b + 1], q[a : b + 1]) for a, b in spans])
@@ -132,9 +132,9 @@ def _checked(tension: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]
         raise CalibrationError(
             f"tension {T.shape} and displacement {q.shape}: give two rows of equal length"
         )
-    if len(T) < 2 * LEAST_SAMPLES:
+    if len(T) < 2 * MIN_SAMPLES:
         raise CalibrationError(
-            f"{len(T)} samples, at least {2 * LEAST_SAMPLES} are needed: record more densely"
+            f"{len(T)} samples, at least {2 * MIN_SAMPLES} are needed: record more densely"
         )
     bad = ~(np.isfinite(T) & np.isfinite(q))
     if bad.any():

@@ -18,8 +18,8 @@ from estimator.array_types import Array
 from estimator.calibration.measured import CalibrationError, Measured
 from estimator.signals import noise_sigma
 
-_LEAST = 0.3  # of the highest tension; above it the pull has wiped out what was before
-_LEAST_SAMPLES = 100
+_MIN_SHARE = 0.3  # of the highest tension; above it the pull has wiped out what was before
+_MIN_SAMPLES = 100
 _LAW = 0.003  # of K1 + K2 that the law itself is trusted to
 _ROUGH = 2.0  # times the noise: residuals that are no noise
 _ROUGHER = 0.01  # of the highest tension of the tendon drawn out, and so much more
@@ -43,9 +43,9 @@ def friction_of_both(pulled: Array, drawn: Array, travel: Array) -> Measured:
     CalibrationError
         If the tensions are not such.
     """
-    if len(pulled) < _LEAST_SAMPLES:
-        raise CalibrationError(f"{len(pulled)} samples of a drag, {_LEAST_SAMPLES} are needed")
-    high = np.flatnonzero(pulled > _LEAST * pulled.max())
+    if len(pulled) < _MIN_SAMPLES:
+        raise CalibrationError(f"{len(pulled)} samples of a drag, {_MIN_SAMPLES} are needed")
+    high = np.flatnonzero(pulled > _MIN_SHARE * pulled.max())
     where = slice(int(high[0]), int(high[-1]) + 1)
     T, q, drawn = pulled[where], travel[where], drawn[where]
     noise = noise_sigma(drawn)

@@ -119,7 +119,7 @@ class Shape(NamedTuple):
         return 2 * len(self.ends) + int(self.straight.sum())
 
 
-class Fit(NamedTuple):
+class PatternFit(NamedTuple):
     """A shape, its best pattern, and how far the loop is from it."""
 
     shape: Shape
@@ -244,7 +244,7 @@ class Fitter:
         residual, _ = self._solve(self._play.free(step))
         return float(residual @ residual)
 
-    def fit(self, shape: Shape, evaluations: int = 25, *, hold_last: bool = False) -> Fit:
+    def fit(self, shape: Shape, evaluations: int = 25, *, hold_last: bool = False) -> PatternFit:
         """Return the best fit of a shape, its ends moved; `hold_last` keeps the last width."""
         logs = _logs(shape.ends)
         held = logs[-1:] if hold_last else logs[:0]
@@ -270,7 +270,7 @@ class Fitter:
         )
         return self._fitted(shape._replace(ends=ends(found.x)))
 
-    def refine(self, fit: Fit) -> tuple[Fit, Uncertainty]:
+    def refine(self, fit: PatternFit) -> tuple[PatternFit, Uncertainty]:
         """Move the turning tensions and the zero too; return the fit and what noise leaves open."""
         n = len(fit.shape.ends)
 
@@ -313,13 +313,13 @@ class Fitter:
             math.sqrt(float(covariance[-1, -1])),
         )
 
-    def tension_residual(self, fit: Fit) -> float:
+    def tension_residual(self, fit: PatternFit) -> float:
         """Return the root mean square of the residuals as a tension [N], noise left in."""
         residual, _ = self._solve(self._play.columns(fit.shape))
         each = residual / np.sqrt(self._count)  # in units of the noise of one sample
         return self._loop.sigma * float(np.sqrt(np.average(each**2, weights=self._count)))
 
-    def _linear_variance(self, fit: Fit) -> float:
+    def _linear_variance(self, fit: PatternFit) -> float:
         """Return the variance of the sum of compliances while the ends stay [m²/N²]."""
         used = np.array([*fit.pattern.spread, *np.array(fit.pattern.straight)[fit.shape.straight]])
         A = self._centred(self._play.columns(fit.shape) * self._weight[:, None])[:, used > 0.0]
@@ -348,7 +348,7 @@ class Fitter:
         x, _ = nnls(A / scale, self._target, maxiter=50 * A.shape[1])
         return self._target - (A / scale) @ x, x / scale
 
-    def _fitted(self, shape: Shape) -> Fit:
+    def _fitted(self, shape: Shape) -> PatternFit:
         residual, x = self._solve(self._play.columns(shape))
         n = len(shape.ends)
         straight = np.zeros(n + 1)
@@ -356,7 +356,7 @@ class Fitter:
         pattern = Pattern(
             tuple(shape.ends.tolist()), tuple(x[:n].tolist()), tuple(straight.tolist())
         )
-        return Fit(shape, pattern, float(residual @ residual))
+        return PatternFit(shape, pattern, float(residual @ residual))
 
 
 def _differences(function: Callable[[Array], Array], x: Array, steps: Array) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.calibration.measured import Measured
 from estimator.calibration.model_averaging import Rival, Weighed, alone, distinct
-from estimator.calibration.pattern import LARGEST_K, LEAST_STEP, Fit, Fitter, Shape
+from estimator.calibration.pattern import LARGEST_K, LEAST_STEP, Fitter, PatternFit, Shape
 
 Mask = NDArray[np.bool_]
 
@@ -75,16 +75,16 @@ def search(fitter: Fitter) -> Found:
     )
 
 
-def _rival(fit: Fit, scale: float, uncertainty: float, prior: float = 0.0) -> Rival:
+def _rival(fit: PatternFit, scale: float, uncertainty: float, prior: float = 0.0) -> Rival:
     score = fit.chi2 / scale + WEIGHED * fit.shape.parameters + _rarity(fit) + prior
     return Rival(fit.pattern, score, math.sqrt(scale) * uncertainty)
 
 
-def _rivals(fitter: Fitter, best: Fit, scale: float, uncertainty: float) -> Iterator[Rival]:
+def _rivals(fitter: Fitter, best: PatternFit, scale: float, uncertainty: float) -> Iterator[Rival]:
     """Yield what the pattern could have been as well."""
     state = fitter.state
 
-    def score(fit: Fit) -> float:
+    def score(fit: PatternFit) -> float:
         return _rival(fit, scale, 0.0).score
 
     shapes = (*_larger(best.shape), *_smaller(best.shape))
@@ -115,12 +115,12 @@ def _rivals(fitter: Fitter, best: Fit, scale: float, uncertainty: float) -> Iter
         yield _rival(fitter.fit(shape, hold_last=True), scale, uncertainty, prior)
 
 
-def _misfit(fitter: Fitter, fit: Fit) -> float:
+def _misfit(fitter: Fitter, fit: PatternFit) -> float:
     """Return the least chi² of any pattern, per degree of freedom."""
     return min(fitter.free_chi2(_FREE_STEP), fit.chi2) / (fitter.n - _FREE_PARAMETERS)
 
 
-def _first(fitter: Fitter) -> Fit:
+def _first(fitter: Fitter) -> PatternFit:
     straight = np.array([True, True])
     fits = [fitter.fit(Shape(np.array([K]), straight)) for K in _STARTS]
     best = min(fits, key=lambda fit: fit.chi2)
@@ -130,11 +130,11 @@ def _first(fitter: Fitter) -> Fit:
     return best
 
 
-def _chosen(fitter: Fitter, fit: Fit) -> Fit:
+def _chosen(fitter: Fitter, fit: PatternFit) -> PatternFit:
     """Grow and shrink while that pays."""
     scale = max(_misfit(fitter, fit), 1.0)
 
-    def cost(fit: Fit) -> float:
+    def cost(fit: PatternFit) -> float:
         return fit.chi2 + scale * (PRICE * fit.shape.parameters + _rarity(fit))
 
     while len(fit.shape.ends) < MOST_INTERVALS:
@@ -153,7 +153,7 @@ def _chosen(fitter: Fitter, fit: Fit) -> Fit:
     return fit
 
 
-def _rarity(fit: Fit) -> float:
+def _rarity(fit: PatternFit) -> float:
     """Return how improbably tight the last bend is, in units of chi²."""
     pattern = fit.pattern
     last = pattern.K - (pattern.ends[-2] if len(pattern.ends) > 1 else 0.0)

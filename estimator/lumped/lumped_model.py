@@ -18,7 +18,7 @@ from estimator.compiled import compiled, compiled_in_caller
 from estimator.lumped.nodes import (
     NODES,
     PLACES,
-    Law,
+    FrictionLaw,
     Tendon,
     Tip,
     elongation,
@@ -124,7 +124,7 @@ SAMPLE = 7
 class _Line(NamedTuple):
     """A tendon ready for steps."""
 
-    law: Law
+    law: FrictionLaw
     holder: _Holder
     softness: float  # [m/N]: what the tension's rate is to the motor's speed
     weights: Array  # [m/N] of each node
@@ -157,7 +157,7 @@ def by_tension(physics: Physics, time: Array, tension: Array, rate: Array) -> Mo
 def constants_of(physics: Physics) -> Array:
     """Return what `advance` needs to know of a tendon, as one flat array."""
     p = physics
-    law = Law(
+    law = FrictionLaw(
         p.drag,
         p.viscosity,
         p.stribeck,
@@ -243,7 +243,7 @@ def _packed(scalars: Array, compliance: float, weights: Array, friction: float) 
 def _line(constants: Array) -> _Line:
     """Return what `constants_of` has packed."""
     c, last = constants, NODES - 1
-    law = Law(
+    law = FrictionLaw(
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
         c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19],
     )  # fmt: skip
@@ -295,7 +295,7 @@ def advance(
     """
     law, holder, softness, weights, even, spread = _line(constants)
     out = np.empty((len(samples), 5))
-    told = len(speeds) > 0
+    speeds_known = len(speeds) > 0
     late = law.stribeck != 0.0 and law.stribeck_memory > 0.0
     state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
     crept, sliding = memory[_CREPT:_ENDS], memory[_SLIDING:_SPEED]
@@ -313,7 +313,7 @@ def advance(
         tendon = Tendon(law, half, drag, dt, weights, scale, kept)
         tip = _tip_of(holder, compliance, samples[i, OFFSET], dt, q, v, a, load)
         if law.stribeck != 0.0 and not late:
-            speed[:] = speeds if told else spread * (rate * softness if forced else rate)
+            speed[:] = speeds if speeds_known else spread * (rate * softness if forced else rate)
         fill_contacts(law, friction, state, speed, rested, half, drag)
         if law.give > 0.0:
             reach = settle(tendon, tip, state, lengths, target, forced, after)
@@ -326,7 +326,7 @@ def advance(
                 _Contacts(sliding, speed, rested), state, lengths, after, slid, gone, work,
             )  # fmt: skip
         if late and dt > 0.0:
-            now = speeds if told else np.abs(gone) / dt
+            now = speeds if speeds_known else np.abs(gone) / dt
             speed += -math.expm1(-dt / law.stribeck_memory) * (now - speed)
         new, _slope, load = tip_travel(tip, after[NODES - 1])
         if dt > 0.0:

@@ -24,10 +24,10 @@ EDGES = np.concatenate([[0.0], 0.5 * (PLACES[:-1] + PLACES[1:]), [1.0]])
 
 _SMOOTH = 0.05  # of K, that friction never falls below, however far a fit is carried on
 _STEEPEST = 0.45  # half the friction between two nodes, at most; beyond it nothing would pass
-_LEAST = 1e-2  # [N] below which friction is no power of the tension any more
+_MIN_TENSION = 1e-2  # [N] below which friction is no power of the tension any more
 
 
-class Law(NamedTuple):
+class FrictionLaw(NamedTuple):
     """Scalars of `extended.Physics`, as a step uses them."""
 
     drag: float
@@ -68,7 +68,7 @@ class Tip(NamedTuple):
 class Tendon(NamedTuple):
     """A tendon at one sample: what its contacts and its elasticity do."""
 
-    law: Law
+    law: FrictionLaw
     half: Array  # half the friction coordinate of each contact
     drag: Array  # [N] of each contact
     dt: float  # [s]
@@ -103,7 +103,7 @@ def tip_travel(tip: Tip, tension: float) -> tuple[float, float, float]:
 
 @compiled
 def fill_contacts(
-    law: Law, K: float, state: Array, speed: Array, rested: Array, half: Array, drag: Array
+    law: FrictionLaw, K: float, state: Array, speed: Array, rested: Array, half: Array, drag: Array
 ) -> None:
     """Fill in, for each contact, half its friction coordinate and its drag [N].
 
@@ -113,7 +113,7 @@ def fill_contacts(
         tension = 0.5 * (state[j] + state[j + 1])
         share = max(1.0 + law.rise * tension, _SMOOTH)
         if law.exponent != 1.0:
-            share *= (max(tension, _LEAST) / law.reference) ** (law.exponent - 1.0)
+            share *= (max(tension, _MIN_TENSION) / law.reference) ** (law.exponent - 1.0)
         if law.stribeck != 0.0:
             x = speed[j] / law.stribeck_speed
             share *= 1.0 + law.stribeck * math.exp(-x * x)
@@ -125,7 +125,7 @@ def fill_contacts(
 
 
 @compiled
-def take_hold(law: Law, dt: float, slid: Array, rested: Array) -> None:
+def take_hold(law: FrictionLaw, dt: float, slid: Array, rested: Array) -> None:
     """Let contacts take hold while they rest and let go while they slide, in place."""
     kept = math.exp(-dt / law.static_time)
     for j in range(len(rested)):

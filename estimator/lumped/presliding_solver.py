@@ -4,7 +4,7 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.lumped.nodes import Tendon, Tip, elongation, tip_travel
 
-_ROUNDS = 60
+_MAX_ITERATIONS = 60
 _ENOUGH = 1e-11  # [m] of travel
 
 
@@ -66,7 +66,7 @@ def settle(
     T = before[len(before) - 1]
     low, high = -1.0, 1e6
     q_p, dq_p, D = 0.0, 0.0, 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         q_p, dq_p, D = _lean(tendon, tip, before, lengths, T, after)
         over, by = (after[0] - target, D) if forced else (q_p - target, dq_p)
         if abs(over) < _ENOUGH or (T == 0.0 and over > 0.0):

@@ -31,7 +31,7 @@ SPEED_OVER = 0.02  # [s] over which speeds are averaged
 QUICK, SLOW = 0.02, 2.0  # [s] between which changes at the tip count
 LEARNT_OVER = 2.0  # [s] for which they count
 CLOSED_OVER = 10.0  # [s]
-LEAST = 1e-4  # [N^2 s] of changes that weigh as much as the bench
+PRIOR_WEIGHT = 1e-4  # [N^2 s] of changes that weigh as much as the bench
 ONCE = 1.0  # a step is not divided: it must end in time
 SOFTEST = 5e-3  # [m/N] of what the tip pulls at
 JUMP = 0.01  # [m] in a sample: no motion
@@ -88,7 +88,7 @@ def push(constants: DynamicConstants, state: DynamicState, T: float, q: float, d
 
     In place. Should numbers run away, the effects are forgotten until the tendon is pulled again.
     """
-    told = not math.isnan(q)
+    has_travel = not math.isnan(q)
     dt += state.refused_time
     state.refused_time = 0.0
     plain, beside = state.plain[:], constants.with_effects[:]
@@ -101,7 +101,7 @@ def push(constants: DynamicConstants, state: DynamicState, T: float, q: float, d
     none = np.empty(0)
     without = lumped_model.advance(constants.plain[:], plain, sample, none, True, ONCE)[0]
     speeds = none
-    if told and beside[lumped_model.STRIBECK] != 0.0:
+    if has_travel and beside[lumped_model.STRIBECK] != 0.0:
         speeds = _speeds(state, plain, q, dt)
     sample[0, lumped_model.OFFSET], sample[0, lumped_model.COMPLIANCE] = (
         state.tip_offset,
@@ -121,7 +121,7 @@ def push(constants: DynamicConstants, state: DynamicState, T: float, q: float, d
         closed = longer + state.tip_compliance * change
         state.travel += -math.expm1(-dt / CLOSED_OVER) * (closed - state.travel)
     state.tension, state.elongation = change, longer
-    _learn(constants, state, T > 0.0 and told, q - elongation, T_out, q_d, dt)
+    _learn(constants, state, T > 0.0 and has_travel, q - elongation, T_out, q_d, dt)
 
 
 @compiled
@@ -166,8 +166,8 @@ def _learn(
         kept = math.exp(-dt / LEARNT_OVER)
         state.sum_travel_tension = kept * state.sum_travel_tension + dq * dT * dt
         state.sum_tension_squared = kept * state.sum_tension_squared + dT * dT * dt
-        learnt = (state.sum_travel_tension + LEAST * constants.bench_compliance) / (
-            state.sum_tension_squared + LEAST
+        learnt = (state.sum_travel_tension + PRIOR_WEIGHT * constants.bench_compliance) / (
+            state.sum_tension_squared + PRIOR_WEIGHT
         )
         state.tip_compliance = min(max(learnt, 0.0), SOFTEST)
         state.tip_offset = at - state.tip_compliance * T

@@ -378,10 +378,10 @@ def _add_dynamics(
         dynamics.tension, estimate.distal_tension, estimate.low, estimate.high,
     )  # fmt: skip
     most = max(state.most_tension, T_out)  # no tip that is only pulled at pulls harder than that
-    felt = min(max(T_out + change, 0.0), most)
-    estimate.distal_tension = felt
-    estimate.low = min(max(min(low, low + change), 0.0), felt)
-    estimate.high = max(high, min(high + change, most), felt)
+    corrected = min(max(T_out + change, 0.0), most)
+    estimate.distal_tension = corrected
+    estimate.low = min(max(min(low, low + change), 0.0), corrected)
+    estimate.high = max(high, min(high + change, most), corrected)
     estimate.elongation += dynamics.elongation
 
 

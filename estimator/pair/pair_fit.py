@@ -26,8 +26,8 @@ from estimator.pair.pair import (
 )
 
 MOST_SAMPLES = 180  # of a record that are fitted: the law does not depend on the rate
-LEAST_SAMPLES = 20
-ROUNDS = 30
+MIN_SAMPLES = 20
+MAX_ITERATIONS = 30
 ENOUGH = 1e-4  # relative change of the cost
 STEP = 3e-3  # of a parameter, for derivatives
 TENSION_WEIGHT = 2.0**-0.5
@@ -37,7 +37,7 @@ class PairError(ValueError):
     """Records that no pair can be fitted to."""
 
 
-class Law(Enum):
+class PairVariant(Enum):
     """What a model may have; each has a name for reports."""
 
     FRICTIONLESS = "no friction"
@@ -52,11 +52,11 @@ LOW = PairModel(1e-3, 0.0, 0.01, 0.0, 0.2, 0.0, -1.5)
 HIGH = PairModel(3.0, 2.0, 5.0, 50.0, 200.0, 10.0, 1.5)
 
 _ABSENT = {
-    Law.FRICTIONLESS: {"friction": 1e-3, "growth": 0.0, "joint_friction": 0.0},
-    Law.ONE_K: {"growth": 0.0},
-    Law.EVEN: {"bedding": 0.0},
-    Law.FULL: {},
-    Law.TENSIONS: {"compliance": START.compliance, "bedding": 0.0},
+    PairVariant.FRICTIONLESS: {"friction": 1e-3, "growth": 0.0, "joint_friction": 0.0},
+    PairVariant.ONE_K: {"growth": 0.0},
+    PairVariant.EVEN: {"bedding": 0.0},
+    PairVariant.FULL: {},
+    PairVariant.TENSIONS: {"compliance": START.compliance, "bedding": 0.0},
 }
 _SHARED = [name for name in PairModel._fields if name != "neutral"]
 
@@ -64,7 +64,7 @@ _SHARED = [name for name in PairModel._fields if name != "neutral"]
 class PairFit(NamedTuple):
     """A fitted pair."""
 
-    law: Law
+    law: PairVariant
     model: PairModel  # for any record: its neutral angle is the mean of theirs
     neutrals: tuple[float, ...]  # of the records fitted [rad]
     frictions: tuple[float, ...]  # K of each
@@ -73,7 +73,7 @@ class PairFit(NamedTuple):
 
 def fit(
     records: Sequence[PairRecord],
-    law: Law = Law.FULL,
+    law: PairVariant = PairVariant.FULL,
     start: PairModel = START,
     *,
     each_friction: bool = False,
@@ -84,7 +84,7 @@ def fit(
     ----------
     records : sequence of PairRecord
         At least two bends among them, unless the law has one K.
-    law : Law
+    law : PairVariant
         What the model has, and from what it predicts.
     start : PairModel
         Where the search begins.
@@ -113,7 +113,7 @@ def fit(
         x_scale=np.maximum(np.abs(layout.begin), 0.02),
         diff_step=STEP,
         ftol=ENOUGH,
-        max_nfev=ROUNDS,
+        max_nfev=MAX_ITERATIONS,
     )
     each = layout.models(found.x)
     frictions = tuple(float(m.friction_at(r.bend)) for m, r in zip(each, records, strict=True))
@@ -131,9 +131,9 @@ def fit(
     )
 
 
-def angle_of(model: PairModel, record: PairRecord, law: Law) -> Array:
+def angle_of(model: PairModel, record: PairRecord, law: PairVariant) -> Array:
     """Return the angle [rad] that a model predicts."""
-    return (by_tensions if law is Law.TENSIONS else by_command)(model, record).angle
+    return (by_tensions if law is PairVariant.TENSIONS else by_command)(model, record).angle
 
 
 def strokes_of(command: Array) -> NDArray[np.intp]:
@@ -158,7 +158,7 @@ class _Layout:
     """
 
     def __init__(
-        self, records: Sequence[PairRecord], law: Law, start: PairModel, each_friction: bool
+        self, records: Sequence[PairRecord], law: PairVariant, start: PairModel, each_friction: bool
     ) -> None:
         own_K = {"growth": 0.0, "friction": start.friction} if each_friction else {}
         absent = _ABSENT[law] | own_K
@@ -187,9 +187,9 @@ class _Layout:
 class _Tendons:
     """The tendons of a record; they are simulated again only where what they depend on changes."""
 
-    def __init__(self, record: PairRecord, law: Law) -> None:
+    def __init__(self, record: PairRecord, law: PairVariant) -> None:
         self._record = record
-        self._by = tendons_by_tensions if law is Law.TENSIONS else tendons_by_command
+        self._by = tendons_by_tensions if law is PairVariant.TENSIONS else tendons_by_command
         self._known: dict[tuple[float, ...], tuple[Motion, Motion]] = {}
 
     def __call__(self, model: PairModel) -> tuple[Motion, Motion]:
@@ -200,10 +200,10 @@ class _Tendons:
         return self._known[key]
 
 
-def _left(model: PairModel, record: PairRecord, law: Law, tendons: _Tendons) -> Array:
+def _left(model: PairModel, record: PairRecord, law: PairVariant, tendons: _Tendons) -> Array:
     made = joined(model, *tendons(model))
     parts = [(made.angle - record.angle) / record.span]
-    if law is Law.TENSIONS:
+    if law is PairVariant.TENSIONS:
         return parts[0]
     for tension, measured in (
         (made.tension_a, record.tension_a),
@@ -218,12 +218,12 @@ def _thinned(record: PairRecord) -> PairRecord:
     return PairRecord(record.bend, *(column[::every] for column in record[1:]))
 
 
-def _strokes(records: Sequence[PairRecord], law: Law) -> NDArray[np.intp]:
+def _strokes(records: Sequence[PairRecord], law: PairVariant) -> NDArray[np.intp]:
     """Return a number for each residual: those of one stroke of one record go together."""
     parts, begun = [], 0
     for record in records:
         strokes = begun + strokes_of(record.command)
-        parts += [strokes] * (1 if law is Law.TENSIONS else 3)
+        parts += [strokes] * (1 if law is PairVariant.TENSIONS else 3)
         begun = int(strokes[-1]) + 1
     return np.concatenate(parts)
 
@@ -245,15 +245,15 @@ def _errors(jacobian: Array, left: Array, groups: NDArray[np.intp]) -> Array:
 def check(records: Sequence[PairRecord]) -> None:
     """Raise `PairError` where a record is too short or does not move."""
     for record in records:
-        if len(record.time) < LEAST_SAMPLES:
-            raise PairError(f"time: {len(record.time)} samples, must be at least {LEAST_SAMPLES}")
+        if len(record.time) < MIN_SAMPLES:
+            raise PairError(f"time: {len(record.time)} samples, must be at least {MIN_SAMPLES}")
         for name in ("command", "angle", "tension_a", "tension_b"):
             if np.ptp(getattr(record, name)) == 0.0:
                 raise PairError(f"{name}: does not change")
 
 
-def _check_bends(records: Sequence[PairRecord], law: Law) -> None:
+def _check_bends(records: Sequence[PairRecord], law: PairVariant) -> None:
     bends = {record.bend for record in records}
-    grows = law not in (Law.FRICTIONLESS, Law.ONE_K)
+    grows = law not in (PairVariant.FRICTIONLESS, PairVariant.ONE_K)
     if len(bends) < (2 if grows else 1):
         raise PairError("records: at least two bends are needed to tell how K grows with the bend")

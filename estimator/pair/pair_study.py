@@ -8,7 +8,7 @@ from scipy.stats import t as student
 
 from estimator.array_types import Array
 from estimator.pair.pair import PairModel, PairRecord
-from estimator.pair.pair_fit import Law, PairError, PairFit, angle_of, check, fit
+from estimator.pair.pair_fit import PairError, PairFit, PairVariant, angle_of, check, fit
 
 LEAST_BENDS = 3
 CONFIDENCE = 0.95
@@ -27,7 +27,7 @@ class Number(NamedTuple):
     high: float
 
 
-class LeftOut(NamedTuple):
+class HeldOutError(NamedTuple):
     """Error of the angle of a record that was not fitted."""
 
     rmse: float  # [rad]
@@ -39,8 +39,8 @@ class Validation(NamedTuple):
     """Errors of a record that was kept apart."""
 
     bend: float  # [rad]
-    ours: LeftOut
-    baseline: LeftOut  # a fixed share of the command, by the records that were fitted
+    ours: HeldOutError
+    baseline: HeldOutError  # a fixed share of the command, by the records that were fitted
 
 
 class PairStudy(NamedTuple):
@@ -51,7 +51,7 @@ class PairStudy(NamedTuple):
     each: tuple[Number, ...]  # K of each record
     friction: Number  # K of the straight sheath
     growth: Number  # mu [1/rad]
-    left_out: dict[str, tuple[LeftOut, ...]]  # by method, for each record
+    left_out: dict[str, tuple[HeldOutError, ...]]  # by method, for each record
     predicted: tuple[Array, ...]  # angle of each record [rad], by the model of the others
 
 
@@ -66,7 +66,7 @@ def study(records: Sequence[PairRecord], report: Report = lambda _what, _share: 
     if len({record.bend for record in records}) < LEAST_BENDS:
         raise PairError(f"records: at least {LEAST_BENDS} bends are needed, to leave one out")
     check(records)
-    steps = len(Law) * (len(records) + 1) + 1
+    steps = len(PairVariant) * (len(records) + 1) + 1
     done = 0
 
     def next_step(what: str) -> None:
@@ -75,9 +75,9 @@ def study(records: Sequence[PairRecord], report: Report = lambda _what, _share: 
         done += 1
 
     left_out = baselines(records)
-    whole: dict[Law, PairFit] = {}
-    others: dict[Law, list[PairFit]] = {}
-    for law in Law:
+    whole: dict[PairVariant, PairFit] = {}
+    others: dict[PairVariant, list[PairFit]] = {}
+    for law in PairVariant:
         next_step(f"fitting: {law.value}")
         whole[law] = fit(records, law)
         others[law] = []
@@ -90,9 +90,9 @@ def study(records: Sequence[PairRecord], report: Report = lambda _what, _share: 
             for one, record in zip(others[law], records, strict=True)
         )
     next_step("fitting a K for each")
-    full = whole[Law.FULL]
-    free = fit(records, Law.FULL, full.model, each_friction=True)
-    models = [one.model for one in others[Law.FULL]]
+    full = whole[PairVariant.FULL]
+    free = fit(records, PairVariant.FULL, full.model, each_friction=True)
+    models = [one.model for one in others[PairVariant.FULL]]
     return PairStudy(
         tuple(records),
         full,
@@ -103,11 +103,11 @@ def study(records: Sequence[PairRecord], report: Report = lambda _what, _share: 
         _jackknife(full.model, models, "friction"),
         _jackknife(full.model, models, "growth"),
         left_out,
-        tuple(angle_of(m, r, Law.FULL) for m, r in zip(models, records, strict=True)),
+        tuple(angle_of(m, r, PairVariant.FULL) for m, r in zip(models, records, strict=True)),
     )
 
 
-def baselines(records: Sequence[PairRecord]) -> dict[str, tuple[LeftOut, ...]]:
+def baselines(records: Sequence[PairRecord]) -> dict[str, tuple[HeldOutError, ...]]:
     """Return the errors of predictions without a model of the pair."""
     shares = [_share([other for other in records if other is not left]) for left in records]
     return {
@@ -126,18 +126,18 @@ def validate(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validatio
     return tuple(
         Validation(
             record.bend,
-            error_of(angle_of(found.fit.model, record, Law.FULL), record),
+            error_of(angle_of(found.fit.model, record, PairVariant.FULL), record),
             error_of(share * record.command, record),
         )
         for record in records
     )
 
 
-def error_of(angle: Array, record: PairRecord) -> LeftOut:
+def error_of(angle: Array, record: PairRecord) -> HeldOutError:
     """Return the error of a predicted angle [rad]."""
     off = angle - record.angle
     rmse = float(np.sqrt(np.mean(off**2)))
-    return LeftOut(rmse, rmse / record.span, float(off.std()) / record.span)
+    return HeldOutError(rmse, rmse / record.span, float(off.std()) / record.span)
 
 
 def _share(records: Sequence[PairRecord]) -> float:

@@ -1,4 +1,4 @@
-"""The haptic devices: one line each. To add one, see docs/devices.md."""
+"""Table of the haptic devices. To add one, see docs/devices.md."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +17,7 @@ DeviceConfig = SingleConfig | CombinedConfig
 
 
 def open_combined(config: CombinedConfig) -> Device:
-    """Open several devices as one; `DeviceFault` if one of them is not there."""
+    """Open several devices as one; `DeviceFault` if one of them is not available."""
     return CombinedDevice(config, _open)
 
 
@@ -33,7 +33,7 @@ DEVICES: dict[type, Callable[[Any], Device]] = {
 
 
 def open_device(config: DeviceConfig) -> Device:
-    """Open the device that `config` describes; `UsageError` if it is not there."""
+    """Open the device that `config` describes; `UsageError` if it is not available."""
     try:
         return _open(config)
     except DeviceFault as fault:

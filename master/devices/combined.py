@@ -1,11 +1,9 @@
 """Several devices as one: two hands, or an arm and a gripper.
 
-Their axes follow one another: those of the first device are the first joints. The devices are read
-one after another in the same call, so their times differ by microseconds.
-
-The operator consents with all engage switches together, and takes it back with any. A clutch, an
-emergency stop or any other button of one device counts for all. A fault of one device is a fault of
-all.
+Their axes are concatenated: those of the first device are the first joints. The devices are read in
+the same call, microseconds apart. All engage switches must be held; releasing any one disengages. A
+clutch, an emergency stop or any other button of one device applies to all. A fault of one device is
+a fault of all.
 """
 
 from collections.abc import Callable
@@ -27,9 +25,11 @@ class CombinedConfig:
     devices: tuple[SingleConfig, ...] = (VirtualConfig(), VirtualConfig())  # in order of joints
 
     def __post_init__(self) -> None:
-        """Refuse a combination of nothing, or of more axes than there can be joints."""
+        """Check the values; raises `ValueError`."""
         if len(self.devices) < 2:
-            raise ValueError("devices: at least 2 are needed; a single one needs no `combined`")
+            raise ValueError(
+                "devices: at least 2 are needed; configure a single device without `combined`"
+            )
         axes = [device.axis_count for device in self.devices]
         if sum(axes) > MAX_JOINTS:
             each = " + ".join(map(str, axes))
@@ -43,7 +43,7 @@ class CombinedDevice:
     ----------
     config : CombinedConfig
     open_single : callable
-        Opens one device. If it fails, what was opened before is closed again.
+        Opens one device. If it fails, those opened before are closed.
 
     Raises
     ------
@@ -73,17 +73,16 @@ class CombinedDevice:
     def read(self, time_s: float) -> HandState:
         """Return all hands as one.
 
-        Engage counts as held by all of them. At the start, and again after one was lost, it counts
-        as held until every switch was seen open: no device may be engaged that has not been let go
-        of since.
+        Engage is the logical AND. At the start, and again after a device was lost, it counts as
+        held until every switch has been open, so no device is engaged without being released first.
 
         Raises
         ------
         DeviceLost
-            Only if nothing is wrong but what mends itself. The others are read all the same, so
-            that each of them can come back.
+            Only if all failures are recoverable. The other devices are still read, so that each of
+            them can come back.
         DeviceFault
-            One of them has failed for good.
+            One of them has failed.
         """
         hands: list[HandState] = []
         faults: list[DeviceFault] = []
@@ -109,7 +108,7 @@ class CombinedDevice:
         )
 
     def write(self, force: Axes) -> None:
-        """Give each device its part of `force` [N]; if one fails, the others get zero."""
+        """Write each device its part of `force` [N]; if one fails, the others get zero."""
         if len(force) != self.axes:
             raise DeviceFault(f"refuses force {force}")
         faults: list[DeviceFault] = []
@@ -125,7 +124,7 @@ class CombinedDevice:
             raise _worst(faults)
 
     def close(self) -> None:
-        """Close all, the last one first; one that fails leaves none of the others open."""
+        """Close all in reverse order, also if one fails."""
         self._opened.close()
 
     def _engage(self, held: list[bool]) -> bool:
@@ -138,13 +137,13 @@ class CombinedDevice:
 
 
 def _numbered(number: int, fault: DeviceFault) -> DeviceFault:
-    """Return a fault with the place of its device in the list in front, lost or failed as it is."""
+    """Return a fault of the same type with the device's index in front of the message."""
     kind = DeviceLost if isinstance(fault, DeviceLost) else DeviceFault
     return kind(f"devices.{number}: {fault}")
 
 
 def _worst(faults: list[DeviceFault]) -> DeviceFault:
-    """Return one fault for several: lost only if all of them are."""
+    """Return one fault for several: `DeviceLost` only if all are."""
     final = [fault for fault in faults if not isinstance(fault, DeviceLost)]
     if final:
         return DeviceFault("; ".join(map(str, final)))

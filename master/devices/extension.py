@@ -1,4 +1,4 @@
-"""A haptic device of another package."""
+"""Base class of the configs of haptic devices in other packages."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,16 +14,16 @@ class DeviceExtension(Extension):
     Attributes
     ----------
     axis_count : int
-        How many axes the device has; 1 unless a subclass says otherwise.
+        Number of axes of the device; 1 by default.
     """
 
     GROUP: ClassVar[str] = "teleop.devices"
 
     @property
     def axis_count(self) -> int:
-        """How many axes the device has."""
+        """Number of axes of the device."""
         return 1
 
     def open(self) -> Device:
-        """Open the device; `master.device.DeviceFault` if that cannot be done."""
+        """Open the device; raises `master.device.DeviceFault` on failure."""
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""Where a scripted hand wants to be: position and velocity as functions of time."""
+"""Reference motions of a scripted hand: position and velocity as functions of time."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ class Hold:
     position: float = 0.0  # [m]
 
     def __post_init__(self) -> None:
-        """Refuse a place that is none."""
+        """Check the values; raises `ValueError`."""
         if not math.isfinite(self.position):
             raise ValueError("position: must be finite [m]")
 
@@ -24,7 +24,7 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """To and fro: x = offset + amplitude * sin(2 pi frequency t)."""
+    """A sine: x = offset + amplitude * sin(2 pi frequency t)."""
 
     type: Literal["sine"] = "sine"
     amplitude: float = 0.02  # [m]
@@ -32,7 +32,7 @@ class Sine:
     offset: float = 0.0  # [m]
 
     def __post_init__(self) -> None:
-        """Refuse motions no hand makes."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 <= self.amplitude <= 1.0:
             raise ValueError("amplitude: must be within 0 ... 1 [m]")
         if not 0.0 <= self.frequency <= 20.0:
@@ -52,7 +52,7 @@ class Sine:
 
 @dataclass(frozen=True, slots=True)
 class Reaches:
-    """From target to target and round again, each reach a minimum-jerk one, then a rest.
+    """Cyclic minimum-jerk reaches from target to target, each followed by a rest.
 
     Over a reach from a to b, with s = t / reach: x = a + (b - a) (10 s^3 - 15 s^4 + 6 s^5)
     (Flash & Hogan 1985). The first reach starts at zero.
@@ -60,11 +60,11 @@ class Reaches:
 
     type: Literal["reaches"] = "reaches"
     targets: tuple[float, ...] = (0.0, 0.05, 0.02, 0.04, 0.01, 0.055)  # [m] nested reversals
-    reach: float = 0.8  # [s] each reach takes
+    reach: float = 0.8  # [s] duration of each reach
     rest: float = 0.3  # [s] at each target
 
     def __post_init__(self) -> None:
-        """Refuse a script that cannot be followed."""
+        """Check the values; raises `ValueError`."""
         if not self.targets or not all(math.isfinite(target) for target in self.targets):
             raise ValueError("targets: at least one, all finite [m]")
         if not 0.0 < self.reach < math.inf:

@@ -1,4 +1,4 @@
-"""The configs of the devices that open one piece of hardware each."""
+"""The configs of single haptic devices."""
 
 from master.devices.extension import DeviceExtension
 from master.devices.hid.config import HidConfig

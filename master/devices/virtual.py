@@ -1,4 +1,4 @@
-"""A hand that is not there: scripted, but with a body that feels the force.
+"""A simulated hand: a scripted reference, and a mass-spring-damper that responds to the force.
 
 The hand and the handle in it are a mass that the arm pulls along a reference through a spring and a
 damper, and that the device pushes:
@@ -6,7 +6,7 @@ damper, and that the device pushes:
     m x'' = k (x_ref - x) + b (x_ref' - x') + F
 
 Second order is the usual model of an arm that holds a haptic handle (Speich, Shao & Goldfarb 2005).
-The defaults are of the order of a relaxed to moderate grip; they are no one's measurement.
+The defaults are of the order of a relaxed to moderate grip, not measured.
 """
 
 import math
@@ -41,7 +41,7 @@ class VirtualConfig:
     )
 
     def __post_init__(self) -> None:
-        """Refuse bodies and scripts that make no sense."""
+        """Check the values; raises `ValueError`."""
         if not 1 <= self.axes <= 8:
             raise ValueError("axes: must be within 1 ... 8")
         if not 0.0 <= self.axis_delay < math.inf:

@@ -1,7 +1,7 @@
-"""From the record of an initialisation to what it says of each joint: pure functions.
+"""Evaluate the record of an initialisation, joint by joint: pure functions.
 
-Each tendon is calibrated by its own pulls and releases (`slave.calibration.direction`); both of a
-joint are then put right by the drags (`slave.calibration.drags`).
+Each tendon is calibrated by its own pulls and releases (`slave.calibration.direction`); the two of
+a joint are then corrected with the drags (`slave.calibration.drags`).
 """
 
 from collections.abc import Sequence
@@ -10,20 +10,20 @@ from typing import NamedTuple
 import numpy as np
 
 from slave.calibration.config import InitialiseConfig, known_sheath
-from slave.calibration.direction import calibrated, described, rounded
-from slave.calibration.drags import put_right
+from slave.calibration.direction import calibrate_tendon, describe_direction, round_significant
+from slave.calibration.drags import combine_with_drags
 from slave.calibration.file import Direction
-from slave.calibration.memory import Phase
+from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon
-from slave.calibration.run import Record, Refused
+from slave.calibration.run import CalibrationRefused, ProcedureData
 from slave.tendon_config import TendonConfig
 
 LEAST_RANGE = 0.001  # [m] of a joint that moves
-RANGES_DIFFER = 0.001  # [m] by which the two tendons may see the joint travel unlike
+RANGES_DIFFER = 0.001  # [m] allowed difference of the joint travel measured by the two tendons
 
 
 class JointResult(NamedTuple):
-    """What was found of one joint."""
+    """Calibration result of one joint."""
 
     joint: int  # counted from 0
     directions: tuple[Direction, ...]  # one a tendon
@@ -32,23 +32,23 @@ class JointResult(NamedTuple):
 
 
 def analyse(
-    record: Record, config: InitialiseConfig, ranges: Sequence[float | None] = ()
+    record: ProcedureData, config: InitialiseConfig, ranges: Sequence[float | None] = ()
 ) -> tuple[JointResult, ...]:
-    """Return what a record says of each joint that went through the procedure.
+    """Evaluate the record of a procedure; return one result per calibrated joint.
 
     Parameters
     ----------
-    record : Record
+    record : ProcedureData
         From `slave.calibration.run.drive`.
     config : InitialiseConfig
-        By which it was made.
+        Settings of the procedure.
     ranges : sequence of float or None
-        How far each joint travelled between its stops [m] by an earlier calibration.
+        Travel of each joint between its stops [m] in an earlier calibration.
 
     Raises
     ------
-    Refused
-        If what was measured cannot be tendons in their sheaths against end stops.
+    CalibrationRefused
+        If the measurement is not that of tendons in sheaths pulled against end stops.
     """
     before = [*ranges, *[None] * len(record.joints)]
     return tuple(
@@ -56,7 +56,9 @@ def analyse(
     )
 
 
-def _joint(record: Record, config: InitialiseConfig, j: int, before: float | None) -> JointResult:
+def _joint(
+    record: ProcedureData, config: InitialiseConfig, j: int, before: float | None
+) -> JointResult:
     pulled = [PulledTendon(record, j, side) for side in range(len(record.joints[j]))]
     directions, tendons = evaluate(pulled, config)
     return JointResult(j, directions, tendons, _range(pulled, directions, config, before))
@@ -65,19 +67,21 @@ def _joint(record: Record, config: InitialiseConfig, j: int, before: float | Non
 def evaluate(
     pulled: Sequence[PulledTendon], config: InitialiseConfig
 ) -> tuple[tuple[Direction, ...], tuple[TendonConfig, ...]]:
-    """Return what was found of all tendons of a joint, and what the estimators use.
+    """Return the calibration and the estimator parameters of each tendon of a joint.
 
     Raises
     ------
-    Refused
-        If what was measured of one cannot be a tendon in its sheath against an end stop.
+    CalibrationRefused
+        If a measurement is not that of a tendon in a sheath pulled against an end stop.
     """
     known = [known_sheath(config, p.tendon) for p in pulled]
-    found = [calibrated(p, k, config.low) for p, k in zip(pulled, known, strict=True)]
+    found = [calibrate_tendon(p, k, config.low) for p, k in zip(pulled, known, strict=True)]
     remark = ""
     if len(pulled) > 1:
-        found, remark = put_right(pulled, found, config.gain_error)
-    both = [described(p, k, f, remark) for p, k, f in zip(pulled, known, found, strict=True)]
+        found, remark = combine_with_drags(pulled, found, config.gain_error)
+    both = [
+        describe_direction(p, k, f, remark) for p, k, f in zip(pulled, known, found, strict=True)
+    ]
     return tuple(d for d, _ in both), tuple(t for _, t in both)
 
 
@@ -89,40 +93,40 @@ def _range(
 ) -> float:
     """Return the travel of a joint between its stops [m], or from its rest with one tendon.
 
-    Each of two tendons has been at its own stop, pulled, and at the other's, drawn out at a small
-    tension; so each says how far the joint went.
+    Each of two tendons was pulled to its own stop and drawn out to the other's at a small tension,
+    so each measures the whole range.
     """
     name = f"joint {pulled[0].joint + 1}"
     if len(pulled) == 1:
         seen = [directions[0].stop - float(pulled[0].travel[pulled[0].rows(Phase.SEEK)][0])]
     else:
         seen = [
-            direction.stop - _drawn_out(mine, other, direction)
-            for mine, other, direction in zip(pulled, pulled[::-1], directions, strict=True)
+            direction.stop - _drawn_out(own, other, direction)
+            for own, other, direction in zip(pulled, pulled[::-1], directions, strict=True)
         ]
     found = sum(seen) / len(seen)
     if found < LEAST_RANGE:
-        raise Refused(
-            f"{name}: it moved {max(found, 0.0) * 1e3:.1f} mm only: it is jammed, or its friction "
-            "takes all the tension; free it, or raise slave.initialise.tension"
+        raise CalibrationRefused(
+            f"{name}: it moved only {max(found, 0.0) * 1e3:.1f} mm: it is jammed or its friction "
+            "is too high; free it, or raise slave.initialise.tension"
         )
     if max(seen) - min(seen) > RANGES_DIFFER + config.range_error * found:
-        raise Refused(
-            f"{name}: tendon a saw it travel {seen[0] * 1e3:.1f} mm between its stops, tendon b "
-            f"{seen[1] * 1e3:.1f} mm: a tendon has slipped, or hangs on something"
+        raise CalibrationRefused(
+            f"{name}: tendon a measured {seen[0] * 1e3:.1f} mm of travel between the stops, "
+            f"tendon b {seen[1] * 1e3:.1f} mm: a tendon slipped or is caught; check both"
         )
     expected = before if config.range is None else config.range
     if expected is not None and abs(found - expected) > config.range_error * expected:
         why = "by the earlier calibration" if config.range is None else "slave.initialise.range"
-        raise Refused(
-            f"{name}: it travels {found * 1e3:.1f} mm between its stops, {expected * 1e3:.1f} mm "
-            f"were expected ({why}): the tip touches something early, or a stop has moved; free "
-            "it, or set slave.initialise.range"
+        raise CalibrationRefused(
+            f"{name}: it travels {found * 1e3:.1f} mm between its stops, expected "
+            f"{expected * 1e3:.1f} mm ({why}): the tip touches something or a stop has moved; "
+            "free the tip, or set slave.initialise.range"
         )
-    return rounded(found)
+    return round_significant(found)
 
 
-def _drawn_out(mine: PulledTendon, other: PulledTendon, direction: Direction) -> float:
+def _drawn_out(own: PulledTendon, other: PulledTendon, direction: Direction) -> float:
     """Return the travel [m] of the unstretched tendon with the joint at the other tendon's stop."""
     rows = np.flatnonzero(other.rows(Phase.SEEK))[-5:]
-    return float(np.median(mine.travel[rows] - direction.M_rel.value * mine.tension[rows]))
+    return float(np.median(own.travel[rows] - direction.M_rel.value * own.tension[rows]))

@@ -1,8 +1,8 @@
-"""Whether a load cell has reached the end of its range: the one thing it cannot say itself.
+"""Detect a saturated load cell.
 
-Its reading stands still while the motor pulls on; but so it may, without noise or by a coarse
-converter, while the joint moves freely. The motor then goes back a few micrometres: the tension
-falls at once, and a cell that does not see it is saturated.
+Its reading stays constant while the motor pulls on. Without noise or with a coarse converter that
+also happens while the joint moves freely, so the motor then goes back a few micrometres: the
+tension falls at once, and a cell that does not measure it is saturated.
 """
 
 import math
@@ -13,20 +13,20 @@ TRAVEL = 2e-4  # [m] that the motor has pulled meanwhile
 
 
 class Cell(NamedTuple):
-    """What is remembered of one load cell's readings."""
+    """State of one load cell: the newest reading and how often it was repeated."""
 
     reading: float = math.nan  # [N] newest
-    alike: int = 0  # times that it has come again since
-    since: float = math.nan  # [m] motor travel when it came first
+    alike: int = 0  # how often it was repeated
+    since: float = math.nan  # [m] motor travel at its first occurrence
 
 
-def step(cell: Cell, reading: float, travel: float) -> Cell:
-    """Take in a new reading [N], at a motor travel [m]."""
+def update(cell: Cell, reading: float, travel: float) -> Cell:
+    """Return the state after a new reading [N] at a motor travel [m]."""
     if reading == cell.reading:
         return cell._replace(alike=cell.alike + 1)
     return Cell(reading, 0, travel)
 
 
-def stands_still(cell: Cell, travel: float) -> bool:
-    """Return whether it reads the very same although the motor has pulled on, to `travel` [m]."""
+def is_stuck(cell: Cell, travel: float) -> bool:
+    """Return whether the reading stayed constant although the motor pulled on to `travel` [m]."""
     return cell.alike >= READINGS and travel - cell.since > TRAVEL

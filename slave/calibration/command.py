@@ -1,16 +1,15 @@
-"""Calibrate a rig: pull each joint against its stops, and read friction and stiffness off that.
+"""Calibrate a rig: pull each joint against its stops and identify friction and stiffness.
 
   teleop calibrate --config configs/paper-joint.yaml            writes paper-joint-calibration.yaml
   teleop calibrate --config configs/paper-joint.yaml --quick --figure loops.png
   teleop calibrate --config my-arm.yaml --joint 3 --out my-arm-calibration.yaml
 
-Keep the tips free: each joint is pulled to both of its stops, up to slave.initialise.tension. Give
+Keep the tips free: each joint is pulled to both of its stops, up to slave.initialise.tension. Set
 length and stiffness of the sheaths (slave.initialise.sheaths) and the joints' range
-(slave.initialise.range) where you know them; then something in the way of a tip is found out.
+(slave.initialise.range) if they are known; then an obstacle at a tip is detected.
 
-Give the file to `teleop run --calibration`, or name it in the config (slave.calibration).
-Calibrate again when the sheaths have been moved.
-How it works, and what each refusal means: docs/calibration.md.
+Pass the file to `teleop run --calibration`, or set slave.calibration in the config. Calibrate again
+when the sheaths have been moved. Method and error messages: docs/calibration.md.
 """
 
 import argparse
@@ -21,7 +20,7 @@ from pathlib import Path
 
 from slave.calibration import file
 from slave.calibration.file import Calibration, Direction, Value
-from slave.calibration.initialise import Initialised, initialise
+from slave.calibration.initialise import InitialiseResult, initialise
 from slave.calibration.refusals import tendon_name
 from slave.calibration.run import Progress, fast_ticks
 from slave.config import SlaveConfig
@@ -39,7 +38,7 @@ from teleop.run_config import RunConfig
 
 BAR = 24  # characters
 SHOWN_EVERY_S = 0.1  # [s] of the rig's time
-NOTED_EVERY_S = 10.0  # [s] likewise, where the output is no terminal
+NOTED_EVERY_S = 10.0  # [s] likewise, if the output is not a terminal
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,12 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="N",
-        help="only this joint, counted from 1; needs an earlier file for the others",
+        help="calibrate only this joint, counted from 1; the others are taken from an earlier file",
     )
     parser.add_argument(
         "--together",
         action="store_true",
-        help="all joints at once; only where they cannot touch each other or anything else",
+        help="all joints at once; only if they cannot touch each other or anything else",
     )
     parser.add_argument(
         "--out",
@@ -79,15 +78,15 @@ def main(args: argparse.Namespace) -> int:
     config = load(args.config, SlaveConfig, "slave", args.overrides)
     if isinstance(config.rig, ReplayedRigConfig):
         raise UsageError(
-            "slave.rig.type: replayed data cannot be moved; fit them instead: "
-            "teleop estimate DATA --fit --save FILE"
+            "slave.rig.type: a replayed rig cannot be calibrated; fit the data instead: teleop "
+            "estimate DATA --fit --save FILE"
         )
     stop = Stop()
     with ExitStack() as stack:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         out = args.out or destination(f"{rig.name}-calibration.yaml")
-        joints = chosen(args.joint, len(rig.joints))
+        joints = selected_joints(args.joint, len(rig.joints))
         replaced = replaceable(out, args.config)
         require_other(args.figure, (out, args.config))
         earlier = replaced or earlier_file(config, needed=bool(joints))
@@ -101,8 +100,8 @@ def main(args: argparse.Namespace) -> int:
             joints=joints,
             together=args.together,
             earlier=earlier,
-            stopped=lambda: f"{stop.reason}: stopped, nothing is written" if stop() else "",
-            progress=shown(rig) if sys.stderr.isatty() else noted(rig),
+            stopped=lambda: f"{stop.reason}: stopped, no file written" if stop() else "",
+            progress=show_bar(rig) if sys.stderr.isatty() else print_lines(rig),
         )
         if sys.stderr.isatty():
             print(file=sys.stderr)
@@ -113,8 +112,8 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def chosen(numbers: list[int], count: int) -> tuple[int, ...]:
-    """Return the joints asked for, counted from 0."""
+def selected_joints(numbers: list[int], count: int) -> tuple[int, ...]:
+    """Return the joints of `--joint`, counted from 0."""
     for number in numbers:
         if not 1 <= number <= count:
             raise UsageError(f"--joint {number}: the rig has joints 1 to {count}")
@@ -122,33 +121,35 @@ def chosen(numbers: list[int], count: int) -> tuple[int, ...]:
 
 
 def replaceable(out: Path, config: Path | None) -> Calibration | None:
-    """Return the calibration that `out` holds, which is to be replaced; None if there is no file.
+    """Return the calibration in `out` that will be replaced; None if there is no file.
 
-    Anything else that stands there is a `UsageError`, before the work and not after it.
+    Raises `UsageError` before the procedure starts if `out` is any other file.
     """
     if config is not None and out.resolve() == config.resolve():
-        raise UsageError(f"{out}: is the config; name another file with --out")
+        raise UsageError(f"{out}: this is the config file; choose another file with --out")
     if not out.is_file():
         return None
     try:
         return file.load(out)
     except UsageError as error:
         raise UsageError(
-            f"{out}: is there already and is no calibration, which alone is replaced; name another "
-            "file with --out, or move this one away"
+            f"{out}: exists and is not a calibration; choose another file with --out, or move "
+            "this one"
         ) from error
 
 
 def require_other(figure: Path | None, used: tuple[Path | None, ...]) -> None:
-    """Refuse to draw over the config or the calibration."""
+    """Raise `UsageError` if the figure would overwrite the config or the calibration."""
     if figure is not None and figure.resolve() in [one.resolve() for one in used if one]:
-        raise UsageError(f"{figure}: is the config or the calibration; name another by --figure")
+        raise UsageError(
+            f"{figure}: this is the config or the calibration; choose another file with --figure"
+        )
 
 
 def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
-    """Return the calibration that the config names, if there is one that can be read.
+    """Return the calibration that the config names, None if it cannot be read.
 
-    Where it is `needed`, for what is not renewed, one that cannot be read is a `UsageError`.
+    Raises `UsageError` instead if it is `needed`, for the joints that are not calibrated now.
     """
     path = config.calibration
     if not isinstance(path, Path) or not (needed or path.is_file()):
@@ -162,15 +163,15 @@ def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
 
 
 def pace(config: SlaveConfig, shared: RunConfig) -> tuple[int, Iterator[Tick]]:
-    """Return where session time begins [ns] and the ticks: real time, but for simulated rigs."""
+    """Return the start of session time [ns] and the ticks: real time except for simulated rigs."""
     if isinstance(config.rig, SimulatedRigConfig):
         return 0, fast_ticks(shared.rate_hz)
     go_realtime(shared.realtime)
     return now_ns(), iter(Grid(shared.rate_hz, lambda: False))
 
 
-def shown(rig: Rig) -> Callable[[Progress], None]:
-    """Return what keeps a line on the terminal up to date."""
+def show_bar(rig: Rig) -> Callable[[Progress], None]:
+    """Return a callback that updates a progress bar on the terminal."""
     next_s = 0.0
 
     def show(progress: Progress) -> None:
@@ -189,8 +190,8 @@ def shown(rig: Rig) -> Callable[[Progress], None]:
     return show
 
 
-def noted(rig: Rig) -> Callable[[Progress], None]:
-    """Return what prints a line for each tendon, and one every few seconds: for a log."""
+def print_lines(rig: Rig) -> Callable[[Progress], None]:
+    """Return a callback that prints a line per tendon and every few seconds, for a log."""
     next_s, at = 0.0, (0, 0)
 
     def note(progress: Progress) -> None:
@@ -214,8 +215,8 @@ def _name(rig: Rig, progress: Progress) -> str:
     return tendon_name(progress.joint, count, progress.side % count)
 
 
-def draw(path: Path, found: Initialised) -> None:
-    """Draw what was measured."""
+def draw(path: Path, found: InitialiseResult) -> None:
+    """Draw the measured loops."""
     try:
         from slave.calibration.figure import figure
     except ImportError as error:
@@ -223,8 +224,10 @@ def draw(path: Path, found: Initialised) -> None:
     figure(found.record, found.calibration).savefig(path, dpi=150)
 
 
-def format_report(found: Initialised, out: Path, replaced: Calibration | None = None) -> list[str]:
-    """Return the result as lines to read; `replaced` is the calibration that was in `out`."""
+def format_report(
+    found: InitialiseResult, out: Path, replaced: Calibration | None = None
+) -> list[str]:
+    """Return the report as lines; `replaced` is the calibration that was in `out`."""
     calibration = found.calibration
     took = float(found.record.time[-1] - found.record.time[0])
     lines = [

@@ -1,18 +1,18 @@
-"""How a calibration is done: tensions, speeds and limits."""
+"""Settings of the calibration procedure: tensions, speeds and limits."""
 
 from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)
 class KnownSheathConfig:
-    """What is known of a sheath beforehand, from its supplier or a stiffness test."""
+    """Known parameters of a sheath, from its supplier or a stiffness test."""
 
     length: float = 1.5  # [m]
     axial_stiffness: float | None = None  # EA [N] of tendon and sheath in series
     stiffness_error: float = 0.02  # relative standard uncertainty of EA/L
 
     def __post_init__(self) -> None:
-        """Refuse what no sheath is like."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 < self.length <= 100.0:
             raise ValueError("length: must be above 0 and at most 100 m")
         if self.axial_stiffness is not None and not 1.0 <= self.axial_stiffness <= 1e9:
@@ -23,33 +23,33 @@ class KnownSheathConfig:
 
 @dataclass(frozen=True, slots=True)
 class InitialiseConfig:
-    """Tensions at the housing, speeds of the motors' tendons, and when to give up."""
+    """Tensions at the housing, tendon speeds at the motors, and abort limits."""
 
-    at_start: bool = False  # do the quick form whenever the slave starts
+    at_start: bool = False  # run the quick procedure whenever the slave starts
     sheaths: tuple[KnownSheathConfig, ...] = ()  # one for each tendon, or one for all
     range: float | None = None  # [m] travel of every joint between its stops, where it is known
-    range_error: float = 0.05  # of it, by which the travel found may differ
-    tension: float = 20.0  # [N] pulled to against the stop
-    low: float = 0.2  # [N] released to
-    take_up: float = 0.5  # [N] in each tendon before it begins, and when it is over
-    keep: float = 0.2  # [N] in a tendon that is drawn out by the other
+    range_error: float = 0.05  # allowed relative deviation of the measured range
+    tension: float = 20.0  # [N] upper end of each loop, against the stop
+    low: float = 0.2  # [N] lower end of each loop
+    take_up: float = 0.5  # [N] in each tendon before and after the procedure
+    keep: float = 0.2  # [N] in a tendon that the other one draws out
     seek_speed: float = 0.020  # [m/s] while the joint moves freely
-    stretch_speed: float = 0.002  # [m/s] once it does not, for the first time
-    stretch_time: float = 3.0  # [s] that each pull and release behind that takes
-    loops: int = 3  # of pull and release behind the first
-    drags: int = 2  # behind the loops: tendon a draws b out, then b draws a; 1 or 2
-    drag_time: float = 3.0  # [s] that each takes at least
+    stretch_speed: float = 0.002  # [m/s] after first contact with the stop
+    stretch_time: float = 3.0  # [s] of each later pull and release
+    loops: int = 3  # pull-release loops after the first pull
+    drags: int = 2  # drags after the loops: a draws b out, then b draws a; 1 or 2
+    drag_time: float = 3.0  # [s] least duration of each
     gain_error: float = 0.002  # relative standard uncertainty of each load cell's gain
-    pay_out: float = 0.0015  # [m] of the loose tendon behind the stop, so that it cannot pull
-    slack_max: float = 0.005  # [m] to be wound in before the tendons of a joint are taut
-    travel_max: float = 0.10  # [m] of a motor in search of the stop
-    compliance_max: float = 0.0005  # [m/N] softer is no sheath; of one with known EA, L/EA
-    lag_max: float = 0.003  # [m] of a motor behind its command
-    phase_max: float = 30.0  # [s] in which each phase must end
-    relax_max: float = 5.0  # [s] for bringing the tensions down after a refusal
+    pay_out: float = 0.0015  # [m] of the other tendon at the stop, so that it cannot pull
+    slack_max: float = 0.005  # [m] wound in at most until the tendons of a joint are taut
+    travel_max: float = 0.10  # [m] of a motor while seeking the stop
+    compliance_max: float = 0.0005  # [m/N] largest compliance of a sheath; L/EA if EA is known
+    lag_max: float = 0.003  # [m] largest tracking error of a motor
+    phase_max: float = 30.0  # [s] timeout of each phase
+    relax_max: float = 5.0  # [s] timeout for lowering the tensions after an abort
 
     def __post_init__(self) -> None:
-        """Refuse what cannot end, or cannot be told from noise."""
+        """Check the values; raises `ValueError`."""
         for name, least, most, unit in (
             ("tension", 2.0, 1000.0, "N"),
             ("low", 0.01, 10.0, "N"),
@@ -81,7 +81,7 @@ class InitialiseConfig:
             raise ValueError("tension: must be four times low, take_up and keep, or more")
 
     def quick(self) -> "InitialiseConfig":
-        """Return the form that takes less than 20 s a joint: one loop, twice as fast."""
+        """Return the settings of the quick procedure: one loop, less than 20 s per joint."""
         return replace(
             self,
             loops=1,
@@ -93,16 +93,16 @@ class InitialiseConfig:
 
 
 def known_sheath(config: InitialiseConfig, tendon: int) -> KnownSheathConfig:
-    """Return what is known of one tendon's sheath; the count was checked before."""
+    """Return the known parameters of one tendon's sheath; the count was checked before."""
     if not config.sheaths:
         return KnownSheathConfig()
     return config.sheaths[tendon if len(config.sheaths) > 1 else 0]
 
 
 def compliance_limit(config: InitialiseConfig, tendon: int) -> float:
-    """Return the largest e/T_in [m/N] that pulling against a stop can show: L/EA, without friction.
+    """Return the largest possible e/T_in [m/N] at a stop: the frictionless L/EA.
 
-    With half as much again where L and EA are known, lest a stop be missed for a wrong EA.
+    With a margin of 50 % if L and EA are known, so that a wrong EA does not hide a stop.
     """
     known = known_sheath(config, tendon)
     if known.axial_stiffness is None:

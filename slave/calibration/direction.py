@@ -1,8 +1,8 @@
-"""What the pulls and releases of one tendon against its stop say: pure functions.
+"""Identify one tendon from its pulls and releases against its stop: pure functions.
 
-While the joint rests against its stop, what the motor travels is elongation, and
-`estimator.calibration` reads K, M_pull, M_rel and EA/L off the pulls and releases (docs/theory.md
-(T6), (T7)). What does not look like a tendon in a sheath against a stop is refused.
+While the joint rests against its stop, motor travel is elongation, and `estimator.calibration`
+identifies K, M_pull, M_rel and EA/L from the loop (docs/theory.md (T6), (T7)). Data inconsistent
+with a tendon in a sheath against a stop raise `CalibrationRefused`.
 """
 
 import math
@@ -16,40 +16,40 @@ from estimator.law.sheath import Sheath
 from slave.calibration import refusals
 from slave.calibration.config import KnownSheathConfig
 from slave.calibration.file import Direction, Value
-from slave.calibration.memory import Phase
+from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon, Rows, loops, slope_of
 from slave.calibration.refusals import TENDON_NAMES
-from slave.calibration.run import Refused
+from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.tendon_config import TendonConfig
 
-BEYOND = 0.15  # of the rise of tension behind the contact: there the tip surely rests at the stop
+BEYOND = 0.15  # of the rise of tension after contact: from there on the tip rests at the stop
 SURE = 3.0  # standard uncertainties
-CURVED = 0.06  # of the slope of a pull against a stop, by which its two halves may differ
-SOFTER = 0.15  # of L/EA as it is known, by which the loop may show more
-UNDECIDED = 0.2  # of K before the end of what a loop's range of tensions reaches; it may go on
-BIASED = 0.1  # [N] that a load cell may read while its tendon is slack
-TARE = 0.15  # [N] with which no small tension can be kept
+CURVED = 0.06  # allowed relative difference of the slopes of the two halves of a pull
+SOFTER = 0.15  # of the known L/EA: allowed excess of the measured compliance
+UNDECIDED = 0.2  # relative distance of K to the end of the range that the loop can resolve
+BIASED = 0.1  # [N] allowed zero offset of a load cell
+TARE = 0.15  # [N] zero offset above which a small tension cannot be controlled
 COVER = 1.96  # standard uncertainties on each side of 95 %
-LEAST_ERROR = 0.02  # of K, that the estimator's interval allows for
-QUICK_RELEASES = 2  # of the quick form, with the one behind the first pull
+LEAST_ERROR = 0.02  # relative error of K, the least that the estimator's interval allows for
+QUICK_RELEASES = 2  # in the quick procedure, including the one after the first pull
 DIGITS = 6
 
 
-def calibrated(
+def calibrate_tendon(
     pulled: PulledTendon, known: KnownSheathConfig, low: float
 ) -> blocked_tip.Calibration:
-    """Return what one tendon's pulls and releases say; `low` [N] is what it was released to.
+    """Identify one tendon from its pulls and releases down to `low` [N].
 
     Raises
     ------
-    Refused
-        If they cannot be a tendon in its sheath against an end stop.
+    CalibrationRefused
+        If the data are not those of a tendon in a sheath against an end stop.
     """
     zero = pulled.zero
     if zero is not None and abs(zero) > TARE:
-        raise Refused(
-            f"{pulled.name}: its load cell reads {zero:.2f} N while the tendon is slack; tare it"
+        raise CalibrationRefused(
+            f"{pulled.name}: the load cell reads {zero:.2f} N while the tendon is slack; tare it"
         )
     _require_straight(pulled, known)
     found = _fitted(pulled, known, low)
@@ -58,12 +58,12 @@ def calibrated(
     return found
 
 
-def described(
+def describe_direction(
     pulled: PulledTendon, known: KnownSheathConfig, found: blocked_tip.Calibration, remark: str = ""
 ) -> tuple[Direction, TendonConfig]:
-    """Return what was found of a tendon for the file, and what the estimator uses.
+    """Return the file entry and the estimator parameters of a tendon.
 
-    `remark` is what is to be said of it already.
+    `remark` is a note from an earlier step.
     """
     zero = pulled.zero
     remarks = [remark, _disagreement(found, known)]
@@ -82,9 +82,9 @@ def described(
         M_rel=_value(found.M_rel),
         stiffness_per_length=_value(found.stiffness_per_length),
         uniform=found.uniform,
-        stop=rounded(float(np.mean(unstretched))),
-        free_tension=rounded(pulled.free_tension),
-        zero=None if zero is None else rounded(zero),
+        stop=round_significant(float(np.mean(unstretched))),
+        free_tension=round_significant(pulled.free_tension),
+        zero=None if zero is None else round_significant(zero),
         remark="; ".join(filter(None, remarks)),
     )
     return direction, _tendon_config(pulled, found, known)
@@ -93,27 +93,29 @@ def described(
 def _tendon_config(
     pulled: PulledTendon, found: blocked_tip.Calibration, known: KnownSheathConfig
 ) -> TendonConfig:
-    """Return what the estimator uses; sections where curvature is uneven."""
+    """Return the estimator parameters; several sections if the curvature is uneven."""
     model = found.sheath(known.length)
     even = len(model.sections) == 1
     moving = pulled.rows(Phase.PULL, Phase.RELEASE)
     return TendonConfig(
-        effective_friction=rounded(found.K.value) if even else None,
+        effective_friction=round_significant(found.K.value) if even else None,
         length=known.length,
         friction=None if even else model.friction,
         sections=() if even else _sections(model, found.K.value),
-        axial_stiffness=rounded(model.axial_stiffness),
-        tension_noise=rounded(signals.noise_sigma(pulled.tension[moving])),
-        displacement_noise=rounded(signals.noise_sigma(pulled.travel[moving])),
-        friction_error=rounded(max(LEAST_ERROR, COVER * found.K.uncertainty / found.K.value)),
+        axial_stiffness=round_significant(model.axial_stiffness),
+        tension_noise=round_significant(signals.noise_sigma(pulled.tension[moving])),
+        displacement_noise=round_significant(signals.noise_sigma(pulled.travel[moving])),
+        friction_error=round_significant(
+            max(LEAST_ERROR, COVER * found.K.uncertainty / found.K.value)
+        ),
     )
 
 
 def _sections(model: Sheath, K: float) -> tuple[SectionConfig, ...]:
-    """Return the sections of a model, their bends such that K is the one to use."""
+    """Return the sections of a model, bends scaled to the identified K."""
     scale = model.K / K
     return tuple(
-        SectionConfig(rounded(section.length), rounded(section.radius * scale))
+        SectionConfig(round_significant(section.length), round_significant(section.radius * scale))
         for section in model.sections
     )
 
@@ -133,12 +135,12 @@ def _fitted(pulled: PulledTendon, known: KnownSheathConfig, low: float) -> block
             for loop in there
         ]
     except CalibrationError as error:
-        raise Refused(refusals.no_loop(pulled.name, str(error))) from error
+        raise CalibrationRefused(refusals.no_loop(pulled.name, str(error))) from error
     best, loop = min(zip(found, there, strict=True), key=lambda one: one[0].K.uncertainty)
     lowest = max(float(np.quantile(loop.tension, 0.01)), 1e-3 * best.T_peak.value)
     reach = 0.5 * math.log(best.T_peak.value / lowest)
     if best.K.value > reach - UNDECIDED:
-        raise Refused(
+        raise CalibrationRefused(
             refusals.undecided(pulled.name, best.K.value, best.T_peak.value, lowest, reach, again)
         )
     return best
@@ -152,7 +154,7 @@ def _surely_beyond(pulled: PulledTendon) -> Rows:
 
 
 def _require_straight(pulled: PulledTendon, known: KnownSheathConfig) -> None:
-    """Refuse a pull that is no tendon's: one that is bent, or softer than without friction.
+    """Refuse a pull that is curved, or softer than a tendon without friction.
 
     Tissue grows stiffer as it is pressed, a tendon does not; and m = M_pull EA/L is below 1.
     """
@@ -164,37 +166,36 @@ def _require_straight(pulled: PulledTendon, known: KnownSheathConfig) -> None:
     doubt = SURE * math.hypot(halves[0].uncertainty, halves[1].uncertainty)
     if abs(change) > CURVED * abs(halves[1].value) + doubt:
         first, second = (half.value * 1e3 for half in halves)
-        raise Refused(
+        raise CalibrationRefused(
             f"{pulled.name}: the pull against the stop is not straight ({first:.3f} mm/N, then "
-            f"{second:.3f} mm/N): the tip presses on something soft, or the sheath moves; free the "
-            "one, fix the other"
+            f"{second:.3f} mm/N): the tip presses on something soft, or the sheath moves; free "
+            "the tip and fix the sheath"
         )
     slope = slope_of(T, q)
     m = slope.value * (known.axial_stiffness or 0.0) / known.length
     if m >= 1.0:
-        raise Refused(
-            f"{pulled.name}: M_pull EA/L is {m:.2f}, of a tendon it is below 1: the tip gives way, "
-            "as against something soft, or length and axial_stiffness of slave.initialise.sheaths "
-            "are wrong"
+        raise CalibrationRefused(
+            f"{pulled.name}: M_pull EA/L is {m:.2f}, must be below 1: the tip yields, as against "
+            "something soft, or length and axial_stiffness of slave.initialise.sheaths are wrong"
         )
 
 
 def _require_stiff(
     pulled: PulledTendon, found: blocked_tip.Calibration, known: float, error: float
 ) -> None:
-    """Refuse a loop that is softer than the tendon is without friction, L/EA `known` in m/N."""
+    """Refuse a loop softer than the frictionless tendon, L/EA `known` in m/N."""
     stiffness = found.stiffness_per_length
     doubt = SURE * math.hypot(stiffness.uncertainty / stiffness.value, error)
     if 1.0 / stiffness.value > known * (1.0 + SOFTER + doubt):
-        raise Refused(
-            f"{pulled.name}: tendon and sheath stretch by {1e3 / stiffness.value:.3f} mm/N without "
-            f"friction, by their L/EA it is {known * 1e3:.3f} mm/N: the tip gives way, as against "
+        raise CalibrationRefused(
+            f"{pulled.name}: the measured compliance is {1e3 / stiffness.value:.3f} mm/N "
+            f"without friction, L/EA is {known * 1e3:.3f} mm/N: the tip yields, as against "
             "something soft, or length and axial_stiffness of slave.initialise.sheaths are wrong"
         )
 
 
 def _disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> str:
-    """Return what it means where the methods do not agree; empty where they do."""
+    """Return a remark if the methods for K disagree, else an empty text."""
     if found.agree:
         return ""
     K, paper = found.K.value, found.K_paper
@@ -214,9 +215,9 @@ def _disagreement(found: blocked_tip.Calibration, known: KnownSheathConfig) -> s
 
 
 def _value(measured: Measured) -> Value:
-    return Value(rounded(measured.value), rounded(measured.uncertainty))
+    return Value(round_significant(measured.value), round_significant(measured.uncertainty))
 
 
-def rounded(value: float) -> float:
-    """Return a number as short as a file for people should have it."""
+def round_significant(value: float) -> float:
+    """Return a number rounded to `DIGITS` significant digits."""
     return float(f"{value:.{DIGITS}g}")

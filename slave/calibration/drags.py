@@ -1,9 +1,9 @@
-"""What drags add to the loops of a joint's two tendons: the friction of both together.
+"""Combine the loops of a joint's two tendons with the drags, which measure K_a + K_b.
 
-A blocked loop tells little of what has little compliance behind it, as at the tip. In a drag one
-tendon draws the other one out, and both slide all along: their K add up, wherever the friction is
-(docs/theory.md (T20)). Load cells whose gains differ by a share g make that sum wrong by g, and by
-as much the other way in the other drag: their mean does not depend on it.
+A loop with the tip blocked hardly depends on friction near the tip. In a drag one tendon draws the
+other out and both slide along their whole length: their K add up, wherever the friction is
+(docs/theory.md (T20)). A relative gain difference g of the load cells biases the sum by g, with
+opposite sign in the opposite drag, so the mean is unbiased.
 """
 
 import math
@@ -20,19 +20,19 @@ from estimator.calibration.drag import friction_of_both
 from slave.calibration.pulled import PulledTendon
 
 
-def put_right(
+def combine_with_drags(
     pulled: Sequence[PulledTendon], found: Sequence[Calibration], gain_error: float
 ) -> tuple[list[Calibration], str]:
-    """Return the calibrations of two antagonists by loops and drags, and what is to be said.
+    """Return the calibrations of two antagonists from loops and drags, and a remark.
 
-    Where drags and loops contradict each other the loops stand, and it is said.
+    If drags and loops contradict each other, the loops are used and the remark says so.
 
     Parameters
     ----------
     pulled : sequence of PulledTendon
         Tendon a, tendon b.
     found : sequence of Calibration
-        By their loops.
+        From their loops.
     gain_error : float
         Relative standard uncertainty of each load cell's gain.
     """
@@ -42,22 +42,22 @@ def put_right(
         return list(together(a, b, total)), ""
     except CalibrationError as error:
         return [a, b], (
-            f"the drags are not used, K is by the loops alone: {error}; the joint's own friction "
-            "may grow with its load, or load cells or friction differ with direction"
+            f"drags not used, K is from the loops alone: {error}; the joint's own friction may "
+            "grow with its load, or load cells or friction differ with direction"
         )
 
 
 def _sum(
     pulled: Sequence[PulledTendon], found: Sequence[Calibration], gain_error: float
 ) -> Measured:
-    """Return K_a + K_b by all drags there are."""
+    """Return K_a + K_b from all drags."""
     sums = [
-        _of_drag(mine, other, calibration.M_pull.value)
-        for mine, other, calibration in zip(pulled, reversed(pulled), found, strict=True)
-        if mine.dragging.any()
+        _of_drag(own, other, calibration.M_pull.value)
+        for own, other, calibration in zip(pulled, reversed(pulled), found, strict=True)
+        if own.dragging.any()
     ]
     if not sums:
-        raise CalibrationError("there is none")
+        raise CalibrationError("no drag was recorded")
     gains = math.sqrt(2.0) * gain_error
     if len(sums) == 1:
         return Measured(sums[0].value, math.hypot(sums[0].uncertainty, gains))
@@ -70,9 +70,9 @@ def _sum(
     return Measured(0.5 * (first.value + second.value), 0.5 * noise)
 
 
-def _of_drag(mine: PulledTendon, other: PulledTendon, M_pull: float) -> Measured:
-    """Return K_a + K_b by one drag; `M_pull` [m/N] is of the tendon that is pulled."""
-    rows = mine.dragging
-    tension = mine.tension[rows]
-    travel = mine.travel[rows] - M_pull * tension
+def _of_drag(own: PulledTendon, other: PulledTendon, M_pull: float) -> Measured:
+    """Return K_a + K_b from one drag; `M_pull` [m/N] is of the pulled tendon."""
+    rows = own.dragging
+    tension = own.tension[rows]
+    travel = own.travel[rows] - M_pull * tension
     return friction_of_both(tension, other.tension[rows], travel)

@@ -5,14 +5,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slave.calibration.file import Calibration, Direction
-from slave.calibration.memory import Phase
+from slave.calibration.procedure_state import Phase
 from slave.calibration.refusals import TENDON_NAMES
-from slave.calibration.run import Record
+from slave.calibration.run import ProcedureData
 
 PULLED, OTHER, LINE = "#b2182b", "#2166ac", "#444444"
 
 
-def figure(record: Record, calibration: Calibration) -> Figure:
+def figure(record: ProcedureData, calibration: Calibration) -> Figure:
     """Return a row of panels for each joint done, one panel a tendon."""
     done = [j for j, stops in enumerate(record.stops) if stops]
     across = max(len(record.joints[j]) for j in done)
@@ -28,7 +28,7 @@ def figure(record: Record, calibration: Calibration) -> Figure:
     return page
 
 
-def _panel(panel: Axes, record: Record, j: int, side: int, direction: Direction) -> None:
+def _panel(panel: Axes, record: ProcedureData, j: int, side: int, direction: Direction) -> None:
     tendons = record.joints[j]
     phases = [Phase.SEEK, Phase.SLACKEN, Phase.RELEASE, Phase.PULL]
     rows = (record.side[:, j] == side) & np.isin(record.phase[:, j], phases)

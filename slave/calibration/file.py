@@ -25,14 +25,14 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """What pulling one tendon against its stop has shown; the methods are in docs/calibration.md.
+    """Calibration of one tendon against its stop; docs/calibration.md has the methods.
 
-    K by the paper is there where EA and L were known beforehand.
+    The paper's K needs EA and L.
     """
 
     joint: int  # from 1
     tendon: str  # a or b
-    K: Value  # by the whole loop, and by the drags if there are two tendons: the one to use
+    K: Value  # from the whole loop, and from the drags if there are two tendons: the one to use
     K_slopes: Value  # ln(M_rel / M_pull)
     M_pull: Value  # [m/N]
     M_rel: Value  # [m/N]
@@ -40,9 +40,9 @@ class Direction:
     uniform: bool  # whether these two K agree: the curvature is even
     stop: float  # [m] travel of the unstretched tendon at its stop, as the encoder counts
     free_tension: float  # [N] at the housing, of the joint moving freely just before its stop
-    K_paper: Value | None = None  # by Phee et al. 2009, eq. (13), from the slope M_pull
-    K_paper_ratio: Value | None = None  # from elongation over tension, as it was done there
-    zero: float | None = None  # [N] that the other tendon's load cell reads while that is slack
+    K_paper: Value | None = None  # from Phee et al. 2009, eq. (13), with the slope M_pull
+    K_paper_ratio: Value | None = None  # from elongation over tension, as in the paper
+    zero: float | None = None  # [N] reading of the other tendon's load cell while that is slack
     remark: str = ""
 
 
@@ -50,32 +50,32 @@ class Direction:
 class Calibration:
     """A calibration file: the models of all tendons of a rig, and where they come from."""
 
-    rig: str = ""  # its name; empty = of no rig in particular
-    joints: JointTendons = ()  # the tendons of each joint, counted from 0; empty = not said
+    rig: str = ""  # its name; empty = any rig
+    joints: JointTendons = ()  # the tendons of each joint, counted from 0; empty = unknown
     time: str = ""  # ISO 8601, UTC
     method: str = ""
-    source: str = ""  # where it was not measured on the rig itself
+    source: str = ""  # origin, if not measured on the rig itself
     accepted: bool = True  # whether the method accepts its own result
     remark: str = ""
-    tendons: tuple[TendonConfig, ...]  # numbered as the rig numbers them; one alone is for all
+    tendons: tuple[TendonConfig, ...]  # in the order of the rig; a single one is used for all
     directions: tuple[Direction, ...] = ()
     ranges: tuple[float | None, ...] = ()  # [m] travel of each joint between its stops
 
     def __post_init__(self) -> None:
-        """Refuse an empty one, and one that contradicts itself."""
+        """Check the values; raises `ValueError`."""
         if not 1 <= len(self.tendons) <= MAX_TENDONS:
             raise ValueError(f"tendons: 1 to {MAX_TENDONS} are needed")
         numbered = sorted(k for joint in self.joints for k in joint)
         if self.joints and numbered != list(range(len(self.tendons))):
-            raise ValueError("joints: must name each of the tendons once, counted from 0")
+            raise ValueError("joints: must name each tendon once, counted from 0")
 
 
-class Named(Protocol):
-    """Of a rig, what a calibration must fit."""
+class RigDescription(Protocol):
+    """The properties of a rig that a calibration must match."""
 
     @property
     def name(self) -> str:
-        """By which calibration files know it."""
+        """Name of the rig in calibration files."""
 
     @property
     def joints(self) -> JointTendons:
@@ -83,26 +83,26 @@ class Named(Protocol):
 
 
 def load(path: Path) -> Calibration:
-    """Read a calibration file; `UsageError` if it is none."""
-    strange = set(strict_yaml.read(path, "calibration")) & {*config.SHARED, *config.SECTIONS}
-    if strange:
+    """Read a calibration file; `UsageError` if it is not one."""
+    session_keys = set(strict_yaml.read(path, "calibration")) & {*config.SHARED, *config.SECTIONS}
+    if session_keys:
         raise UsageError(
-            f"{path}: is no calibration but a session's config (it has {min(strange)!r}); give the "
-            "file that `teleop calibrate`, or `teleop estimate --fit --save`, has written"
+            f"{path}: is a session config (it has {min(session_keys)!r}), not a calibration; give "
+            "the file written by `teleop calibrate` or `teleop estimate --fit --save`"
         )
     return config.load(path, Calibration, None)
 
 
 def save(path: Path, calibration: Calibration) -> None:
-    """Write a calibration file, whole or not at all."""
+    """Write a calibration file atomically."""
     text = yaml.safe_dump(config.as_tree(calibration), sort_keys=False, allow_unicode=True)
     write_whole(path, text, "the calibration")
 
 
-def fits(calibration: Calibration, rig: Named, by_name: bool = True) -> str | None:
+def fits(calibration: Calibration, rig: RigDescription, by_name: bool = True) -> str | None:
     """Return why a calibration must not be used on a rig, None if it may.
 
-    Without `by_name` only the number of tendons counts: what is not driven can do no harm.
+    Without `by_name` only the number of tendons is checked, for rigs that are not driven.
     """
     tendons = sum(len(joint) for joint in rig.joints)
     if calibration.joints and calibration.joints != rig.joints:
@@ -112,14 +112,14 @@ def fits(calibration: Calibration, rig: Named, by_name: bool = True) -> str | No
     if not by_name:
         return None
     if calibration.rig != rig.name:
-        of = f"of the rig {calibration.rig!r}" if calibration.rig else "of no rig that it names"
+        of = f"for the rig {calibration.rig!r}" if calibration.rig else "for no named rig"
         return f"it is {of}, this one is {rig.name!r}"
     if not calibration.accepted:
         return f"it is not accepted: {calibration.remark}"
     return None
 
 
-def _its(rig: Named) -> str:
+def _its(rig: RigDescription) -> str:
     return f"the rig has {_shown(rig.joints)}"
 
 

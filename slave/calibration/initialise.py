@@ -1,4 +1,4 @@
-"""From a rig to its calibration: the procedure, its analysis, and the file's content."""
+"""Calibrate a rig: run the procedure, evaluate it, assemble the calibration file."""
 
 from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
@@ -6,19 +6,21 @@ from typing import NamedTuple
 
 from slave.calibration.analysis import JointResult, analyse
 from slave.calibration.file import Calibration, fits
-from slave.calibration.run import Limits, Progress, Record, drive
+from slave.calibration.run import Limits, ProcedureData, Progress, drive
 from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
 from teleop.clock import Tick
 from teleop.errors import UsageError
 
 
-class Initialised(NamedTuple):
-    """A calibration just made, and what it was made from."""
+class InitialiseResult(NamedTuple):
+    """A new calibration and the data it was made from."""
 
     calibration: Calibration
-    record: Record
-    samples: tuple[RigSample, ...]  # all, oldest first: estimators fed with them know the profile
+    record: ProcedureData
+    samples: tuple[
+        RigSample, ...
+    ]  # all, oldest first, to initialise the estimators' tension profiles
 
 
 def initialise(
@@ -33,8 +35,8 @@ def initialise(
     earlier: Calibration | None = None,
     stopped: Callable[[], str] = lambda: "",
     progress: Callable[[Progress], None] = lambda _: None,
-) -> Initialised:
-    """Calibrate a rig; the joints then stand in the middle, their tendons just taut.
+) -> InitialiseResult:
+    """Calibrate a rig; the joints end in mid-range, their tendons just taut.
 
     Parameters
     ----------
@@ -45,16 +47,17 @@ def initialise(
     ticks, start_ns, together, stopped, progress
         See `slave.calibration.run.drive`.
     quick : bool
-        Whether to do the short form.
+        Whether to run the short procedure.
     joints : sequence of int
-        Which joints, counted from 0; all if none are named.
+        Joints to calibrate, counted from 0; empty = all.
     earlier : Calibration, optional
-        Of this rig: it knows the joints that are not done now, and how far the others went.
+        Of this rig, for the joints that are not calibrated now and the ranges of the others.
 
     Raises
     ------
     TeleopError
-        `UsageError` if the config forbids it, `slave.calibration.run.Refused` if it was given up.
+        `UsageError` if the config forbids it, `slave.calibration.run.CalibrationRefused` if the
+        procedure was aborted.
     """
     chosen = tuple(joints) or tuple(range(len(rig.joints)))
     in_part = len(chosen) < len(rig.joints)
@@ -67,18 +70,18 @@ def initialise(
     results = analyse(driven.record, procedure, ranges)
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    calibration = assembled(results, rig, method, now, earlier if in_part else None)
-    return Initialised(calibration, driven.record, driven.samples)
+    calibration = assemble_calibration(results, rig, method, now, earlier if in_part else None)
+    return InitialiseResult(calibration, driven.record, driven.samples)
 
 
-def assembled(
+def assemble_calibration(
     results: Sequence[JointResult],
     rig: Rig,
     method: str,
     time: str,
     earlier: Calibration | None = None,
 ) -> Calibration:
-    """Return what is known of a whole rig: the results, and what was known of its other joints."""
+    """Return the calibration of a whole rig from new results and an earlier calibration."""
     tendons = dict(enumerate(earlier.tendons)) if earlier else {}
     done = {result.joint for result in results}
     directions = [d for d in (earlier.directions if earlier else ()) if d.joint - 1 not in done]
@@ -106,14 +109,16 @@ def assembled(
 
 
 def _require_rest(rig: Rig, earlier: Calibration | None) -> None:
-    """Refuse to calibrate some joints where nothing is known of the others."""
+    """Raise `UsageError` if there is no earlier calibration for the other joints."""
     if earlier is None:
         raise UsageError(
-            "some joints alone need an earlier calibration of the others: calibrate all, or name "
-            "the file of the earlier one by --out or slave.calibration"
+            "--joint needs an earlier calibration of the other joints: calibrate all joints, or "
+            "give the earlier file by --out or slave.calibration"
         )
     misfit = fits(earlier, rig)
     if misfit is None and earlier.joints != rig.joints:
-        misfit = "it does not say which joint has which tendons"
+        misfit = "it does not assign tendons to joints"
     if misfit is not None:
-        raise UsageError(f"the earlier calibration does not fit: {misfit}; calibrate all joints")
+        raise UsageError(
+            f"the earlier calibration does not fit this rig: {misfit}; calibrate all joints"
+        )

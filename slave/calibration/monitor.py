@@ -1,22 +1,20 @@
-"""Whether a sheath still has the shape it was calibrated in, watched while the joint is used.
+"""Monitor whether a sheath still has the shape in which it was calibrated.
 
-Whenever a motor that has pulled goes back, the tip rests until the front of the change has come
-through the sheath. So what the motor travels meanwhile is elongation, whatever the joint and its
-environment do, and it must be what the model predicts from the tension (docs/theory.md (T19)). If
-all friction has changed by a factor f, the travel is another share of what is predicted, 1/f on an
-evenly bent sheath, and T_out is wrong by a factor e^(K(f - 1)). What the other tendon has drawn
-out may be in another state than the model has it, so only a pull that went on well beyond where
-it should have reached the tip counts.
+When a motor reverses after a pull, the tip rests until the sliding front has passed the sheath.
+Until then motor travel is elongation, whatever joint and environment do, and must equal the model's
+prediction from the tension (docs/theory.md (T19)). If all friction has changed by a factor f, the
+travel is a fraction of the prediction, 1/f on an evenly bent sheath, and T_out is wrong by a factor
+e^(K(f - 1)). A tendon drawn out by the other may be in a state unknown to the model, so only a
+transition after a pull well beyond tip motion is used.
 
-The tip rests only while nothing else moves the joint. A joint that comes to rest by itself lets
-both tendons relax while the motor still goes on, and one that is let go by the other tendon gives
-way: T_out is then not what it was at the end of the pull, and 20 % of it look like 10 % of K. So a
-transition must begin where the motor turns, and is followed no further than what the other tendon
-holds against it stays the same. One in which the environment moved the tip is no straight line of
-travel over elongation, and is left out too.
+The tip rests only while nothing else moves the joint. If the joint comes to rest by itself, both
+tendons relax while the motor still moves; if the other tendon is released, the joint yields: T_out
+then differs from that at the end of the pull, and 20 % of it look like 10 % of K. So a transition
+must begin at a motor reversal and ends when the other tendon's force changes. If the environment
+moved the tip, travel over elongation is not a straight line, and the transition is discarded.
 
-A change at the tip alone does not show in the travel, and on a sheath bent there alone nothing is
-watched. One transition is measured to a few percent; the median of the latest ones decides.
+A change at the tip alone does not affect the travel; a sheath bent only there is not monitored. One
+transition is accurate to a few percent; the median of the latest ones decides.
 """
 
 import math
@@ -38,26 +36,28 @@ from estimator.records import F64, I64, Field, Flag, Record, Records, one
 from slave.tendons import EstimatedTendon, RigLayout
 
 MOBILISED = 0.999  # of the length: the front has reached the tip
-DEPTH = 0.7  # of K, up to which the front is surely inside even where friction has fallen
-FURTHER = 1.8  # times the tension at which the model has the tip move: there it surely does
-LEAST = 3  # transitions before anything is said
-APART, APART_SHARE = 0.04, 0.2  # by which they may contradict each other; the share of the error
-SPACING = 2e-6  # [m] of elongation between points of a line
-POINTS = 5  # that a line needs
-SPAN = 3e-5  # [m] of elongation that it needs
-SLOWLY = 5.0  # times the lag that it must last; an average of what is curved would tilt the line
+DEPTH = 0.7  # of K, up to which the front is inside the sheath even if friction has fallen
+FURTHER = 1.8  # times the tension at which the tip moves in the model: there it moves in any case
+MIN_TRANSITIONS = 3  # transitions before the first advice
+APART, APART_SHARE = 0.04, 0.2  # allowed scatter of the errors: absolute, and relative to the error
+SPACING = 2e-6  # [m] of elongation between points of the line
+POINTS = 5  # that the line needs
+SPAN = 3e-5  # [m] of elongation that the line needs
+SLOWLY = 5.0  # times the lag: least duration; averaging a curved signal would tilt the line
 CROOKED = 0.03  # of the span: scatter about the line, above which the tip has moved
-CURVED = 0.06  # of what the line is tilted by, and so much more: uneven friction curves it, too
-AHEAD = 0.05  # of the span that the motor may still go on once the tension falls
-STEADY = 0.04  # of T_out, by which what holds against it may change meanwhile
+CURVED = 0.06  # of the tilt of the line, allowed in addition: uneven friction also curves it
+AHEAD = 0.05  # of the span: allowed forward motion of the motor after the tension falls
+STEADY = 0.04  # of T_out: allowed change of the antagonist's force during a transition
 
-RESOLVED = 0.02  # of the travel, to which one transition is measured: the tip gives way so much
-APART_IN_TIME = 0.5  # of the lag, by which tension and travel may be apart: a motor speeds up
-SURE = 2.0  # times the doubt, from where an error counts
-BLIND = 8.0 / 3.0  # of T_out by one of the travel: the most that an error may be amplified
-MOST = 99  # transitions that can be asked to decide
+RESOLVED = 0.02  # of the travel: accuracy of one transition, as the tip yields a little
+APART_IN_TIME = (
+    0.5  # of the lag: possible delay between tension and travel while the motor accelerates
+)
+SURE = 2.0  # times its uncertainty, above which an error counts
+BLIND = 8.0 / 3.0  # largest ratio of the relative errors of T_out and of travel
+MOST = 99  # largest value of `transitions`
 PIECES = 200  # of each section, for its integrals
-FACTORS = np.linspace(0.5, 2.0, 61)  # of all friction, that are told apart
+FACTORS = np.linspace(0.5, 2.0, 61)  # of all friction: the grid of hypotheses
 
 
 _UNUSABLE = (
@@ -71,18 +71,18 @@ _PULL = int(Phase.PULL)
 
 @dataclass(frozen=True, slots=True)
 class MonitorConfig:
-    """When to speak up; errors are those of T_out, relative."""
+    """Thresholds of the monitor, relative errors of T_out."""
 
     advise: float = 0.07
     demand: float = 0.15
-    transitions: int = 5  # the latest, whose median decides
+    transitions: int = 5  # number of latest transitions whose median decides
 
     def __post_init__(self) -> None:
-        """Refuse thresholds that mean nothing."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 < self.advise <= self.demand <= 10.0:
             raise ValueError("advise: must be above 0 and at most demand, which is at most 10")
-        if not LEAST <= self.transitions <= MOST:
-            raise ValueError(f"transitions: must be {LEAST} to {MOST}")
+        if not MIN_TRANSITIONS <= self.transitions <= MOST:
+            raise ValueError(f"transitions: must be {MIN_TRANSITIONS} to {MOST}")
 
 
 class Advice(IntEnum):
@@ -94,16 +94,18 @@ class Advice(IntEnum):
 
 
 class MonitorConstants(Record):
-    """A tendon's model, and what a transition would look like if its friction had changed."""
+    """Constants of a tendon's model, and the effect of a friction change on a transition."""
 
     K: F64 = 0.0
     mobilised: F64 = math.inf  # [m] where the front is when the tip moves
-    depth: F64 = 0.0  # [m] up to where a transition is followed
+    depth: F64 = 0.0  # [m] front position at which a transition ends
     lag: F64 = 0.0  # [s] by which the estimator averages the tension
-    shares: Annotated[Array, Field("f8", len(FACTORS))]  # of the travel predicted, rising
-    factors: Annotated[Array, Field("f8", len(FACTORS))]  # of all friction that belong to them
-    amplified: F64 = math.inf  # relative error of T_out for one of the travel
-    blind: Flag = True  # whether such changes hardly show, as where all bends are at the tip
+    shares: Annotated[Array, Field("f8", len(FACTORS))]  # measured over predicted travel, ascending
+    factors: Annotated[
+        Array, Field("f8", len(FACTORS))
+    ]  # of all friction, corresponding to `shares`
+    amplified: F64 = math.inf  # ratio of the relative errors of T_out and of travel
+    blind: Flag = True  # whether such changes are not observable, as if all bends are at the tip
 
 
 class Transition(Record):
@@ -118,36 +120,36 @@ class Transition(Record):
     first: F64 = math.nan  # [m] elongation
     last: F64 = math.nan  # [m]
     lasted: F64 = 0.0  # [s] since the second point
-    ahead: F64 = 0.0  # [m] furthest that the motor has gone on from the first point
+    ahead: F64 = 0.0  # [m] largest forward motion of the motor from the first point
     tip: F64 = 0.0  # [N] T_out at the first point
     against: F64 = 0.0  # [N] T_out of the other tendon then
     begun: F64 = math.nan  # [m] travel then
 
 
 class TendonMonitor(Record):
-    """What is remembered of one tendon."""
+    """State of the monitor of one tendon."""
 
-    reached: F64 = math.nan  # [N] tension at which the front came to the tip, of this pull
-    pulled: Flag = False  # so much further that the next transition begins from a known profile
+    reached: F64 = math.nan  # [N] tension at which the front reached the tip in this pull
+    pulled: Flag = False  # whether far enough beyond that the profile is known
     travel: F64 = math.nan  # [m] averaged as the estimator averages the tension
     transition: Transition
-    force_error: F64 = 0.0  # of T_out, relative, by all of `errors`: see `force_error`
-    count: I64 = 0  # of the latest transitions that are kept, oldest first
-    errors: Annotated[Array, Field("f8", MOST)]  # of T_out, relative, by each of them
-    doubts: Annotated[Array, Field("f8", MOST)]  # how far off each of them may be
+    force_error: F64 = 0.0  # of T_out, relative, from all `errors`: see `force_error`
+    count: I64 = 0  # number of stored transitions, oldest first
+    errors: Annotated[Array, Field("f8", MOST)]  # of T_out, relative, from each of them
+    uncertainties: Annotated[Array, Field("f8", MOST)]  # standard uncertainty of each
 
 
-def prepare(models: Sequence[TendonModel]) -> Records:
+def monitor_constants(models: Sequence[TendonModel]) -> Records:
     """Return the constants of tendons with these models, shape (n,)."""
     constants = MonitorConstants.array(len(models))
     for k, model in enumerate(models):
-        _prepare(one(constants, k), model)
+        _fill_constants(one(constants, k), model)
     return constants
 
 
-def _prepare(constants: MonitorConstants, model: TendonModel) -> None:
+def _fill_constants(constants: MonitorConstants, model: TendonModel) -> None:
     sheath = model.sheath
-    if sheath.K == 0.0:  # no friction: no transition, by which a change could be told
+    if sheath.K == 0.0:  # no friction: no transition to observe
         return
     dx = np.concatenate([np.full(PIECES, section.length / PIECES) for section in sheath.sections])
     radius = np.concatenate([np.full(PIECES, section.radius) for section in sheath.sections])
@@ -169,7 +171,7 @@ def _prepare(constants: MonitorConstants, model: TendonModel) -> None:
 
 
 def _travel(dx: Array, ds: Array, factors: Array, front: float) -> Array:
-    """Return the motor's travel per tension before, from a full pull to a front at depth `front`.
+    """Return motor travel over initial tension, from a full pull to a front at depth `front`.
 
     By (T5), pull to release, for friction `factors` times as large; in units of 1/EA.
     """
@@ -188,16 +190,16 @@ def step_rig(
     tendons: Sequence[EstimatedTendon],
     dt: float,
 ) -> Advice:
-    """Take in one sample of all tendons of a rig; return what is to be done about its calibration.
+    """Process one sample of all tendons of a rig; return the advice on its calibration.
 
     Parameters
     ----------
     constants : array of MonitorConstants
-        From `prepare`, of the models by which the estimates were made.
+        From `monitor_constants`, of the estimators' models.
     monitors : array of TendonMonitor
         `TendonMonitor.array(n)` to begin with; changed in place.
     tendons : array of EstimatedTendon
-        The sample; it is judged by the readings that are corrected.
+        The sample; the corrected readings are used.
     dt : float
         Time since the last one [s].
     """
@@ -225,12 +227,12 @@ def step(
     against: float,
     dt: float,
 ) -> None:
-    """Take in one sample of one tendon.
+    """Process one sample of one tendon.
 
     Parameters
     ----------
     constants : MonitorConstants
-        From `prepare`, of the model by which `estimate` was made.
+        From `monitor_constants`, of the model behind `estimate`.
     monitor : TendonMonitor
         Changed in place.
     estimate : TendonEstimate
@@ -238,7 +240,7 @@ def step(
     tension, travel : float
         T_in [N] and q_p [m] of this sample.
     against : float
-        T_out [N] of the tendon that pulls the joint the other way; 0 where a spring does.
+        T_out [N] of the antagonist; 0 if it is a spring.
     dt : float
         Time since the last one [s].
     """
@@ -265,19 +267,18 @@ def step(
 
 @compiled
 def force_error(monitor: TendonMonitor) -> float:
-    """Return by how much T_out is wrong while pulling, relative; 0 while too little is known.
+    """Return the relative error of T_out while pulling; 0 while it is not known.
 
-    Positive where the estimate is too high. An error within its doubt says nothing, nor do
-    transitions that contradict each other: an environment that moves the tip by itself has many
-    ways to do so, a sheath has one shape. `monitor.force_error` keeps it from one transition to
-    the next.
+    Positive if the estimate is too high. It is 0 if the median is within its uncertainty or the
+    transitions scatter too much: an environment that moves the tip gives varying errors, a changed
+    sheath a constant one. `monitor.force_error` holds the value between transitions.
     """
-    if monitor.count < LEAST:
+    if monitor.count < MIN_TRANSITIONS:
         return 0.0
     values = np.empty(monitor.count)
     copy(monitor.errors[: monitor.count], values)
     middle = median(values)
-    copy(monitor.doubts[: monitor.count], values)
+    copy(monitor.uncertainties[: monitor.count], values)
     if abs(middle) < SURE * median(values):
         return 0.0
     for k in range(monitor.count):
@@ -288,7 +289,7 @@ def force_error(monitor: TendonMonitor) -> float:
 
 @compiled
 def advice(config: MonitorConfig, monitors: Sequence[TendonMonitor], count: int) -> Advice:
-    """Return what is to be done about the calibration of a rig of `count` tendons."""
+    """Return the advice for a rig of `count` tendons."""
     worst = 0.0
     for i in range(count):
         worst = max(worst, abs(monitors[i].force_error))
@@ -301,7 +302,7 @@ def advice(config: MonitorConfig, monitors: Sequence[TendonMonitor], count: int)
 def _add_point(
     line: Transition, estimate: TendonEstimate, travel: float, against: float, dt: float
 ) -> None:
-    """Add a point, unless it is too near to the last one."""
+    """Add a point unless it is too close to the last one."""
     elongation = estimate.elongation
     if line.points == 0:
         _clear(line)
@@ -332,7 +333,7 @@ def _clear(line: Transition) -> None:
 
 @compiled
 def _await_pull(monitor: TendonMonitor) -> None:
-    """Forget the pull and the transition; what earlier ones said stays."""
+    """Reset the pull and the transition; results of earlier ones are kept."""
     monitor.reached, monitor.pulled, monitor.travel = math.nan, False, math.nan
     _clear(monitor.transition)
 
@@ -341,31 +342,31 @@ def _await_pull(monitor: TendonMonitor) -> None:
 def _finish_transition(
     config: MonitorConfig, constants: MonitorConstants, monitor: TendonMonitor
 ) -> None:
-    """Take what the transition says, if it says anything, and wait for the next."""
+    """Store the result of the transition, if valid, and wait for the next pull."""
     lasted = monitor.transition.lasted
     error = _transition_error(constants, monitor.transition)
     if not math.isnan(error):
-        doubt = RESOLVED + APART_IN_TIME * constants.lag / max(lasted, constants.lag)
-        _append(monitor, error, constants.amplified * doubt, config.transitions)
+        uncertainty = RESOLVED + APART_IN_TIME * constants.lag / max(lasted, constants.lag)
+        _append(monitor, error, constants.amplified * uncertainty, config.transitions)
         monitor.force_error = force_error(monitor)
     _await_pull(monitor)
 
 
 @compiled
-def _append(monitor: TendonMonitor, error: float, doubt: float, most: int) -> None:
-    """Add what a transition said; the oldest go where there are more than `most`."""
+def _append(monitor: TendonMonitor, error: float, uncertainty: float, most: int) -> None:
+    """Append the result of a transition; drop the oldest beyond `most`."""
     kept = min(monitor.count, most - 1)
     dropped = monitor.count - kept
     for k in range(kept):
         monitor.errors[k] = monitor.errors[k + dropped]
-        monitor.doubts[k] = monitor.doubts[k + dropped]
-    monitor.errors[kept], monitor.doubts[kept] = error, doubt
+        monitor.uncertainties[k] = monitor.uncertainties[k + dropped]
+    monitor.errors[kept], monitor.uncertainties[kept] = error, uncertainty
     monitor.count = kept + 1
 
 
 @compiled
 def _transition_error(constants: MonitorConstants, line: Transition) -> float:
-    """Return the relative error of T_out by one transition, NaN if it does not show one."""
+    """Return the relative error of T_out from one transition, NaN if it is not valid."""
     span = line.first - line.last
     if line.points < POINTS or not span > SPAN or line.lasted < SLOWLY * constants.lag:
         return math.nan

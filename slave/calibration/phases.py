@@ -1,7 +1,7 @@
-"""What each phase of the initialisation asks of the motors, and when it is over.
+"""The phases of the initialisation: motor speeds and end condition of each.
 
-Every handler returns the speeds [m/s] of the joint's motors and the memory, perhaps at the
-beginning of another phase.
+Every handler returns the speeds [m/s] of the joint's motors and the new state, which may be at the
+start of another phase.
 """
 
 import math
@@ -9,35 +9,46 @@ from collections.abc import Callable
 
 from slave.calibration import cell, refusals, trend
 from slave.calibration.config import InitialiseConfig
-from slave.calibration.memory import Contact, Joint, Memory, Phase, Seen, Tendons, begin, refuse
+from slave.calibration.procedure_state import (
+    Contact,
+    Joint,
+    JointReadings,
+    Phase,
+    ProcedureState,
+    Tendons,
+    begin,
+    refuse,
+)
 from slave.calibration.refusals import tendon_name
 from slave.calibration.trend import Trend
 
-WINDOW = 2e-4  # [m] of motor travel that says how stiff the tendon is
-GAIN = 0.004  # [m/s] of winding per [N] that a tendon is too loose
-LOOSE, TIGHT = 0.7, 1.3  # times the tension to be kept: between them a motor rests
-TIGHT_ENOUGH = 3.0  # times the tension to be taken up to; friction near the motor allows no finer
-SLACK_SPEED = 0.25  # of the seek speed: a slack tendon is wound in
-STEADY_S = 0.05  # [s] for which tensions must be as they shall before it goes on
-TAUT = 0.2  # of the tension wanted; below it a tendon counts as slack
-LEAST_RISE = 0.25  # of the tension to go to: the share that must be beyond the stop
-LEFT_STOP = 20.0  # times as soft as the pull: while releasing, the joint has left its stop
-LOST = 0.3  # of the highest tension of a pull; a tendon that falls below it has slipped or broken
-RETRY = 5e-4  # [m] of travel before a cell that was alive is tried again
-PROBE = 1e-5  # [m] to go back for that
-PROBE_S = 0.2  # [s] in which the cell must see it
-OVER = 1.5  # times the travel expected of a pull or release
-RUN_ON = 5e-4  # [m] and so much more
-BEYOND = 0.4  # of the range behind the middle, to where the first of two drags goes
-LEAD = 0.15  # of a drag, until both tendons surely slide
-PEAK = 0.9  # of the tension pulled to: where a drag eases
-STRETCH = 1.5  # times the stretch of the pulled tendon at the peak: about what both together take
-MOST_SHARE = 0.8  # of the speed by which a tendon is paid out more slowly or faster than drawn
+WINDOW = 2e-4  # [m] of motor travel for the stiffness estimate
+GAIN = 0.004  # [m/s] of winding per [N] of missing tension
+LOOSE, TIGHT = 0.7, 1.3  # times the wanted tension: between them the motor rests
+TIGHT_ENOUGH = 3.0  # times the take-up tension; friction near the motor allows nothing finer
+SLACK_SPEED = 0.25  # of the seek speed: winding speed of a slack tendon
+STEADY_S = 0.05  # [s] for which tensions must stay in their range before the next phase
+TAUT = 0.2  # of the wanted tension; below it a tendon counts as slack
+LEAST_RISE = 0.25  # of the target tension: least rise after contact with the stop
+LEFT_STOP = 20.0  # times the compliance of the pull: the joint has left its stop
+LOST = 0.3  # of the highest tension of a pull; below it the tendon has slipped or broken
+RETRY = 5e-4  # [m] of travel before a working load cell is tested again
+PROBE = 1e-5  # [m] to go back for the test
+PROBE_S = 0.2  # [s] in which the cell must respond
+OVER = 1.5  # times the expected travel of a pull or release
+RUN_ON = 5e-4  # [m] added to that
+BEYOND = 0.4  # of the range beyond the middle: end of the first of two drags
+LEAD = 0.15  # of a drag, until both tendons slide
+PEAK = 0.9  # of the target tension: where the tension of a drag turns
+STRETCH = 1.5  # times the stretch of the pulled tendon at the peak: about that of both together
+MOST_SHARE = 0.8  # of the speed: largest difference between paying out and drawing
 
-Step = tuple[Tendons, Memory]
+Step = tuple[Tendons, ProcedureState]
 
 
-def _take_up(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+def _take_up(
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
     """Wind in every tendon until it is just taut."""
     count = len(seen.tension)
     if memory.steady >= STEADY_S:
@@ -65,12 +76,14 @@ def _take_up(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen)
     ), memory
 
 
-def _after_take_up(memory: Memory, count: int) -> Phase:
+def _after_take_up(memory: ProcedureState, count: int) -> Phase:
     return Phase.SEEK if memory.side < count else Phase.DRAG
 
 
-def _seek(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
-    """Pull one tendon until the joint stands at its stop and the tension is reached."""
+def _seek(
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
+    """Pull one tendon until the joint is at its stop and the tension is reached."""
     k, count = memory.side, len(seen.tension)
     name = tendon_name(joint.number, count, k)
     tension, travel = memory.tension[k], seen.travel[k]
@@ -88,14 +101,16 @@ def _seek(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) ->
         return _refused(memory, seen, refusals.no_stop(name, tension, unchanged, config))
     if tension < LOST * memory.highest and memory.highest > LEAST_RISE * config.tension:
         return _refused(memory, seen, refusals.lost(name, memory.highest, tension))
-    if travel > memory.tried + RETRY and cell.stands_still(memory.cells[k], travel):
+    if travel > memory.tried + RETRY and cell.is_stuck(memory.cells[k], travel):
         return _still(seen), begin(memory, Phase.PROBE, seen)
     speed = config.stretch_speed if stretching else config.seek_speed
     return _drawn(config, joint, memory, seen, k, speed)
 
 
-def _found(config: InitialiseConfig, softest: float, name: str, memory: Memory, seen: Seen) -> Step:
-    """Take what the search ended at for a stop, unless it cannot be one."""
+def _found(
+    config: InitialiseConfig, softest: float, name: str, memory: ProcedureState, seen: JointReadings
+) -> Step:
+    """Accept the end of the search as a stop, unless it is implausible."""
     k, contact = memory.side, memory.contact
     assert contact is not None  # noqa: S101 - set by the caller
     rise = memory.tension[k] - contact.tension
@@ -111,8 +126,10 @@ def _found(config: InitialiseConfig, softest: float, name: str, memory: Memory, 
     return _still(seen), begin(memory._replace(stops=stops, releases=0), after, seen)
 
 
-def _probe(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
-    """Go back a little, to see whether the load cell sees it."""
+def _probe(
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
+    """Go back a little to test whether the load cell responds."""
     k = memory.side
     if memory.cells[k].alike == 0:
         memory = memory._replace(tried=seen.travel[k])
@@ -124,16 +141,20 @@ def _probe(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -
     return _only(seen, k, -config.stretch_speed if back else 0.0), memory
 
 
-def _slacken(config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen) -> Step:
-    """Pay out the other tendon so far that it cannot pull the joint off its stop."""
+def _slacken(
+    config: InitialiseConfig, _joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
+    """Pay out the other tendon until it cannot pull the joint off its stop."""
     other = 1 - memory.side
     if memory.origin[other] - seen.travel[other] >= config.pay_out:
         return _still(seen), begin(memory, Phase.RELEASE, seen)
     return _only(seen, other, -config.seek_speed), memory
 
 
-def _release(config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen) -> Step:
-    """Let one tendon go, until its tension is low or the joint leaves the stop."""
+def _release(
+    config: InitialiseConfig, _joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
+    """Release one tendon until its tension is low or the joint leaves the stop."""
     k = memory.side
     line = _line(memory, seen, k, -1.0)
     memory = memory._replace(trend=line)
@@ -151,29 +172,33 @@ def _release(config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen
     return _still(seen), begin(memory, Phase.TAKE_UP, seen)
 
 
-def _pull(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+def _pull(
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
     """Pull one tendon against the stop again."""
     k = memory.side
     tension, gone = memory.tension[k], seen.travel[k] - memory.origin[k]
     if tension >= config.tension:
         return _still(seen), begin(memory, Phase.RELEASE, seen)
     name = tendon_name(joint.number, len(seen.tension), k)
-    if cell.stands_still(memory.cells[k], seen.travel[k]):
+    if cell.is_stuck(memory.cells[k], seen.travel[k]):
         return _refused(memory, seen, refusals.saturated(name, tension))
     if tension < LOST * memory.highest and memory.highest > LEAST_RISE * config.tension:
         return _refused(memory, seen, refusals.lost(name, memory.highest, tension))
     if gone > _expected(config, memory):
         if tension < TAUT * config.take_up:
             return _refused(memory, seen, refusals.lost(name, config.tension, tension))
-        return _refused(memory, seen, refusals.not_again(name, tension, config))
+        return _refused(memory, seen, refusals.pull_not_repeated(name, tension, config))
     return _only(seen, k, _stretch_speed(config, memory)), memory
 
 
-def _drag(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
+def _drag(
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
     """Pull one tendon at one speed while the tension of the other one rises, and falls again.
 
-    It is paid out more slowly than it is drawn, then faster: both slide towards the same end all
-    along, and what the joint itself takes is the same on the way up and on the way down.
+    The other tendon is paid out more slowly than it is drawn, then faster: both keep sliding in one
+    direction, and the joint's own resistance is the same with rising and falling tension.
     """
     k = memory.side % 2
     tension, gone = memory.tension[k], seen.travel[k] - memory.origin[k]
@@ -197,43 +222,49 @@ def _drag(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) ->
     return ((speed, -drawn) if k == 0 else (-drawn, speed)), memory
 
 
-def _lane(config: InitialiseConfig, memory: Memory, seen: Seen) -> float:
-    """Return how far [m] the first drag goes: to the middle, or so far that the next ends there."""
+def _lane(config: InitialiseConfig, memory: ProcedureState, seen: JointReadings) -> float:
+    """Return the length [m] of the first drag: to the middle, or such that the next ends there."""
     reach = memory.stops[0].travel - seen.travel[0]
     return reach * (0.5 + (BEYOND if config.drags > 1 else 0.0))
 
 
-def _return(config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen) -> Step:
+def _return(
+    config: InitialiseConfig, _joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
     """Let a return spring take the joint back to where it came from."""
     if seen.travel[0] <= memory.home[0]:
         return _still(seen), begin(memory, Phase.SETTLE, seen)
     return _only(seen, 0, -config.seek_speed), memory
 
 
-def _relax(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> Step:
-    """Let all tensions down, slowly, winding in nothing and paying out no more than that takes."""
+def _relax(
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
+    """Lower all tensions slowly; wind in nothing and pay out no more than needed."""
     if memory.steady >= STEADY_S or memory.elapsed > config.relax_max:
         return _still(seen), begin(memory, Phase.REFUSED, seen)
     speeds = []
     for k, tension in enumerate(memory.tension):
         most = OVER * joint.compliance[k] * config.tension + RUN_ON
-        tight = tension > relaxed(config) and memory.origin[k] - seen.motor[k] < most
+        tight = tension > relaxed_tension(config) and memory.origin[k] - seen.motor[k] < most
         speeds.append(-0.5 * config.seek_speed if tight else 0.0)
     return tuple(speeds), memory
 
 
-def _rest(_config: InitialiseConfig, _joint: Joint, memory: Memory, seen: Seen) -> Step:
+def _rest(
+    _config: InitialiseConfig, _joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> Step:
     return _still(seen), memory
 
 
-def _refused(memory: Memory, seen: Seen, why: str) -> Step:
+def _refused(memory: ProcedureState, seen: JointReadings, why: str) -> Step:
     return _still(seen), refuse(memory, seen, why)
 
 
 def _slack(
     config: InitialiseConfig,
-    memory: Memory,
-    seen: Seen,
+    memory: ProcedureState,
+    seen: JointReadings,
     name: str,
     k: int,
     wound: float,
@@ -243,27 +274,27 @@ def _slack(
     return _refused(memory, seen, why)
 
 
-def _still(seen: Seen) -> Tendons:
+def _still(seen: JointReadings) -> Tendons:
     return (0.0,) * len(seen.motor)
 
 
-def _only(seen: Seen, tendon: int, speed: float) -> Tendons:
+def _only(seen: JointReadings, tendon: int, speed: float) -> Tendons:
     return tuple(speed if k == tendon else 0.0 for k in range(len(seen.motor)))
 
 
-def _line(memory: Memory, seen: Seen, k: int, direction: float) -> Trend:
+def _line(memory: ProcedureState, seen: JointReadings, k: int, direction: float) -> Trend:
     if memory.trend is None:
         return trend.start(seen.travel[k], seen.tension[k])
-    return trend.step(memory.trend, seen.travel[k], seen.tension[k], direction, WINDOW)
+    return trend.update(memory.trend, seen.travel[k], seen.tension[k], direction, WINDOW)
 
 
-def _expected(config: InitialiseConfig, memory: Memory) -> float:
-    """Return the motor travel [m] within which a whole pull or release must be over."""
+def _expected(config: InitialiseConfig, memory: ProcedureState) -> float:
+    """Return the largest motor travel [m] of a whole pull or release."""
     return OVER * memory.stops[memory.side].compliance * config.tension + RUN_ON
 
 
-def _stretch_speed(config: InitialiseConfig, memory: Memory) -> float:
-    """Return the speed [m/s] at which a whole pull or release takes the time it shall."""
+def _stretch_speed(config: InitialiseConfig, memory: ProcedureState) -> float:
+    """Return the speed [m/s] for a pull or release of duration `stretch_time`."""
     return memory.stops[memory.side].compliance * config.tension / config.stretch_time
 
 
@@ -272,7 +303,7 @@ def _held(
 ) -> float:
     """Return the speed [m/s] that keeps a tendon near `wanted` [N] while its end moves by `along`.
 
-    From `LOOSE` to `tight` times that it is left alone.
+    No control between `LOOSE` and `tight` times that tension.
     """
     if tension < TAUT * wanted:
         return along + SLACK_SPEED * config.seek_speed
@@ -282,12 +313,17 @@ def _held(
 
 
 def _drawn(
-    config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen, k: int, speed: float
+    config: InitialiseConfig,
+    joint: Joint,
+    memory: ProcedureState,
+    seen: JointReadings,
+    k: int,
+    speed: float,
 ) -> Step:
-    """Pull tendon `k` at `speed`, the other one paid out as fast and kept just taut.
+    """Pull tendon `k` at `speed`; pay the other one out as fast and keep it just taut.
 
-    As fast even while the joint rests: friction makes much of a tendon that lags behind, as the
-    joint has to draw it out with e^K times its tension at the housing.
+    As fast even while the joint rests: if it lagged, the joint would have to draw it out with e^K
+    times its tension at the housing.
     """
     if len(seen.tension) == 1:
         return (speed,), memory
@@ -300,22 +336,22 @@ def _drawn(
     return ((speed, kept) if k == 0 else (kept, speed)), memory
 
 
-def settled(config: InitialiseConfig, phase: Phase, tension: Tendons) -> bool:
-    """Return whether all tendons have the tension that this phase brings them to."""
+def is_settled(config: InitialiseConfig, phase: Phase, tension: Tendons) -> bool:
+    """Return whether all tendons have the target tension of this phase."""
     if phase is Phase.RELAX:
-        return max(tension) <= relaxed(config)
+        return max(tension) <= relaxed_tension(config)
     if phase not in (Phase.TAKE_UP, Phase.SETTLE):
         return False
     least, most = 0.9 * LOOSE * config.take_up, 1.1 * TIGHT_ENOUGH * config.take_up
     return all(least <= t <= most for t in tension)
 
 
-def relaxed(config: InitialiseConfig) -> float:
-    """Return the tension [N] that tendons are let down to."""
+def relaxed_tension(config: InitialiseConfig) -> float:
+    """Return the tension [N] to which tendons are released after an abort."""
     return 2.0 * max(config.low, config.take_up)
 
 
-HANDLERS: dict[Phase, Callable[[InitialiseConfig, Joint, Memory, Seen], Step]] = {
+HANDLERS: dict[Phase, Callable[[InitialiseConfig, Joint, ProcedureState, JointReadings], Step]] = {
     Phase.TAKE_UP: _take_up,
     Phase.SEEK: _seek,
     Phase.PROBE: _probe,

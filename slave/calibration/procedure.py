@@ -1,16 +1,14 @@
-"""The initialisation of one joint, as a pure function of what the housing measures.
+"""The initialisation of one joint, as a pure function of the measurements at the housing.
 
 After Phee et al. 2009, section III, for each tendon of the joint in turn: take up all tendons, pull
-one at constant speed while the other is paid out at a small tension of its own, feel the end stop
-by the slope of the tension, go on to a chosen tension, make the other tendon loose, release to a
-low tension, and pull and release again. The joint rests against its stop all the while, so what
-the motor travels is elongation. Then the other tendon. On the way back to the middle of the
-range comes what the paper does not have, the drags: one tendon draws the other one out while both
-tensions rise and fall.
+one at constant speed while the other is paid out at a small tension, detect the end stop by the
+slope of the tension, pull on to a chosen tension, slacken the other tendon, release to a low
+tension, and pull and release again. The joint rests against its stop throughout, so motor travel is
+elongation. Then the other tendon. On the way back to mid-range follow the drags, which the paper
+does not have: one tendon draws the other out while both tensions rise and fall.
 
-`step` says where the motors shall be next. It measures by tension and motor travel alone, and
-whatever it does not understand it refuses: the tendons are then let down to a low tension, and
-nothing is pulled any more.
+`step` returns the next motor positions. It uses tension and motor travel only, and aborts on any
+inconsistency: the tendons are then released to a low tension, and nothing is pulled any more.
 """
 
 import math
@@ -18,30 +16,38 @@ import math
 from slave.calibration import cell, refusals
 from slave.calibration.cell import Cell
 from slave.calibration.config import InitialiseConfig
-from slave.calibration.memory import Joint, Memory, Phase, Seen, Tendons, begin, refuse
-from slave.calibration.phases import HANDLERS, settled
+from slave.calibration.phases import HANDLERS, is_settled
+from slave.calibration.procedure_state import (
+    Joint,
+    JointReadings,
+    Phase,
+    ProcedureState,
+    Tendons,
+    begin,
+    refuse,
+)
 from slave.calibration.refusals import tendon_name
 
-SMOOTH_S = 0.005  # [s] of averaging where a single tension decides
-BLOCKED_S = 0.2  # [s] for which the gate may withhold all motion
+SMOOTH_S = 0.005  # [s] time constant of the averaged tension used for decisions
+BLOCKED_S = 0.2  # [s] for which the gate may block all motion
 
 _ENDS = (Phase.DONE, Phase.RELAX, Phase.REFUSED)
 
 
 def step(
-    config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen, dt: float
-) -> tuple[Tendons, Memory]:
-    """Return where the motors of the joint shall be [m], and the new memory.
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings, dt: float
+) -> tuple[Tendons, ProcedureState]:
+    """Return the motor targets of the joint [m] and the new state.
 
     Parameters
     ----------
     config : InitialiseConfig
         Tensions, speeds and limits.
     joint : Joint
-        Its number, and how soft its sheaths can be.
-    memory : Memory
-        `Memory()` to begin with.
-    seen : Seen
+        Its number and the largest compliance of its sheaths.
+    memory : ProcedureState
+        `ProcedureState()` to begin with.
+    seen : JointReadings
         Newest readings, all finite.
     dt : float
         Time since the last tick [s].
@@ -57,8 +63,10 @@ def step(
     return targets, memory._replace(moved=moves, before=seen.motor)
 
 
-def _observe(config: InitialiseConfig, memory: Memory, seen: Seen, dt: float) -> Memory:
-    """Take in the readings of a tick."""
+def _observe(
+    config: InitialiseConfig, memory: ProcedureState, seen: JointReadings, dt: float
+) -> ProcedureState:
+    """Update the state with the readings of a tick."""
     if not memory.origin:
         cells = tuple(Cell() for _ in seen.tension)
         memory = begin(memory._replace(tension=seen.tension, cells=cells), memory.phase, seen)
@@ -70,35 +78,37 @@ def _observe(config: InitialiseConfig, memory: Memory, seen: Seen, dt: float) ->
     return memory._replace(
         tension=tension,
         elapsed=memory.elapsed + dt,
-        steady=memory.steady + dt if settled(config, memory.phase, tension) else 0.0,
+        steady=memory.steady + dt if is_settled(config, memory.phase, tension) else 0.0,
         highest=max(memory.highest, tension[k]),
         lowest=min(memory.lowest, seen.travel[1 - k]) if len(tension) > 1 else math.inf,
-        cells=tuple(map(cell.step, memory.cells, seen.tension, seen.travel))
+        cells=tuple(map(cell.update, memory.cells, seen.tension, seen.travel))
         if seen.fresh
         else memory.cells,
         blocked=_blocked(memory, seen, dt),
     )
 
 
-def _blocked(memory: Memory, seen: Seen, dt: float) -> Tendons:
-    """Return for how long each motor has been asked to move and stayed where it was."""
+def _blocked(memory: ProcedureState, seen: JointReadings, dt: float) -> Tendons:
+    """Return for how long [s] each motor was commanded to move but did not."""
     if not memory.moved:
         return memory.blocked
     return tuple(
-        time + dt if asked != 0.0 and now == was else 0.0
-        for time, asked, now, was in zip(
+        time + dt if requested != 0.0 and now == was else 0.0
+        for time, requested, now, was in zip(
             memory.blocked, memory.moved, seen.motor, memory.before, strict=True
         )
     )
 
 
-def _pulled(memory: Memory, seen: Seen) -> int:
-    """Return the tendon that is pulled."""
+def _pulled(memory: ProcedureState, seen: JointReadings) -> int:
+    """Return the index of the pulled tendon."""
     return memory.side % len(seen.tension)
 
 
-def _common_refusal(config: InitialiseConfig, joint: Joint, memory: Memory, seen: Seen) -> str:
-    """Return what is wrong whatever the phase; empty if nothing is."""
+def _common_refusal(
+    config: InitialiseConfig, joint: Joint, memory: ProcedureState, seen: JointReadings
+) -> str:
+    """Return the reason to abort that applies in any phase; empty if none."""
     count = len(seen.tension)
     if memory.elapsed > config.phase_max:
         return refusals.too_slow(joint.number, memory.phase.text, config)

@@ -1,4 +1,4 @@
-"""What was measured of one tendon while it was pulled against its stop."""
+"""Measurements of one tendon pulled against its stop."""
 
 import math
 from itertools import pairwise
@@ -9,22 +9,24 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.calibration.calibration import Measured
-from slave.calibration.memory import Contact, Phase
+from slave.calibration.procedure_state import Contact, Phase
 from slave.calibration.refusals import tendon_name
-from slave.calibration.run import Record
+from slave.calibration.run import ProcedureData
 
 Rows = NDArray[np.bool_]
 
-BEFORE = (2e-3, 3e-4)  # [m] of travel before the contact, from and to: there the joint surely moved
-RELEASED = 1.5  # times the low tension; a release that ends above it ended as the joint left
-STILL_THERE = 1.15  # times the tension at which it left
-NEAR = 2.5  # counts of the encoder from a turn
+BEFORE = (2e-3, 3e-4)  # [m] of travel before the contact, from and to: the joint moves freely there
+RELEASED = (
+    1.5  # times the low tension; a release that ends above it ended as the joint left its stop
+)
+STILL_THERE = 1.15  # times the tension at which the joint left its stop
+NEAR = 2.5  # encoder counts from a reversal
 FINEST, COARSEST = 5e-7, 5e-6  # [m] of a count
-LEAST_PULL = 100  # samples of a first pull that is worth evaluating
+LEAST_PULL = 100  # least samples of a first pull to be evaluated
 
 
 class Loop(NamedTuple):
-    """What a motor did against a stop, the tip resting: pulls and releases in turn."""
+    """Alternating pulls and releases against a stop, the tip at rest."""
 
     tension: Array  # [N]
     travel: Array  # [m]
@@ -33,7 +35,7 @@ class Loop(NamedTuple):
 class PulledTendon(NamedTuple):
     """One tendon of one joint in a record."""
 
-    record: Record
+    record: ProcedureData
     joint: int  # counted from 0
     side: int  # which of its tendons
 
@@ -49,17 +51,17 @@ class PulledTendon(NamedTuple):
 
     @property
     def contact(self) -> Contact:
-        """Where its stop was felt."""
+        """The contact with its stop."""
         return self.record.stops[self.joint][self.side]
 
     @property
     def tension(self) -> Array:
-        """Its tension at the housing [N], all through the record, less what it read when slack."""
+        """Tension at the housing [N] in the whole record, zero offset removed."""
         return self.record.tension[:, self.tendon] - (self.zero or 0.0)
 
     @property
     def zero(self) -> float | None:
-        """What its load cell read [N] while the other tendon was pulled against its stop."""
+        """Zero offset of its load cell [N]: the reading while the other tendon was pulled."""
         if len(self.record.joints[self.joint]) == 1:
             return None
         slack = PulledTendon(self.record, self.joint, 1 - self.side).rows(Phase.RELEASE, Phase.PULL)
@@ -67,26 +69,26 @@ class PulledTendon(NamedTuple):
 
     @property
     def travel(self) -> Array:
-        """Its motor's travel [m], all through the record."""
+        """Motor travel [m] in the whole record."""
         return self.record.travel[:, self.tendon]
 
     def rows(self, *phases: Phase) -> Rows:
-        """Return where the procedure pulled this tendon and was in one of these phases."""
+        """Return the mask of samples in which this tendon was pulled in one of these phases."""
         codes = [int(phase) for phase in phases]
-        mine = np.equal(self.record.side[:, self.joint], self.side)
-        return np.asarray(mine & np.isin(self.record.phase[:, self.joint], codes))
+        own = np.equal(self.record.side[:, self.joint], self.side)
+        return np.asarray(own & np.isin(self.record.phase[:, self.joint], codes))
 
     @property
     def dragging(self) -> Rows:
-        """Where it drew out the other tendon of its joint."""
+        """Mask of samples in which it drew out the other tendon of its joint."""
         codes = self.record.phase[:, self.joint], self.record.side[:, self.joint]
         return np.asarray((codes[0] == Phase.DRAG) & (codes[1] == 2 + self.side))
 
     @property
     def first_pull(self) -> Rows:
-        """Where it was pulled on when it had met its stop.
+        """Mask of the samples of the first pull after contact with the stop.
 
-        The stop is felt a little late; it was met where the line of the pull comes down to the
+        The stop is detected a little late; contact is where the line of the pull crosses the
         tension of the free joint.
         """
         late = self.rows(Phase.SEEK) & (self.travel >= self.contact.travel)
@@ -104,11 +106,11 @@ class PulledTendon(NamedTuple):
 
 
 def loops(pulled: PulledTendon, low: float) -> list[Loop]:
-    """Return what was pulled and released against the stop while the tip rested, in turn.
+    """Return the alternating pulls and releases against the stop while the tip rested.
 
-    As a whole, unless the joint left its stop on the way down, as a return spring makes it: then
-    each pull and release by itself, without what the tip's own travel was in. A first pull that
-    met the stop near its end is left out, and the release behind it.
+    As one loop, unless a return spring pulled the joint off its stop during the releases: then one
+    loop per pull and release, without the samples in which the tip moved. A first pull that met the
+    stop near its end is left out with its release.
     """
     of_release = pulled.record.releases[:, pulled.joint]
     count = int(of_release[pulled.rows(Phase.RELEASE)].max()) + 1
@@ -129,10 +131,9 @@ def loops(pulled: PulledTendon, low: float) -> list[Loop]:
 
 
 def _loop(pulled: PulledTendon, pulls: list[Rows], releases: list[Rows]) -> Loop:
-    """Return branches in turn, without the samples at their turns.
+    """Return the branches in order, without the samples at the reversals.
 
-    There one count of the encoder is worth much tension, and samples on either side of the turn
-    cannot be told apart.
+    There one encoder count corresponds to much tension, and the two branches cannot be separated.
     """
     branches = [branch for pair in zip(pulls, releases, strict=True) for branch in pair]
     rows = np.logical_or.reduce(branches)
@@ -148,12 +149,12 @@ def _loop(pulled: PulledTendon, pulls: list[Rows], releases: list[Rows]) -> Loop
 
 
 def _count(travel: Array) -> float:
-    """Return the travel of one count of the encoder [m], or some such for one without."""
+    """Return the travel per encoder count [m], or a small value if there is no quantisation."""
     steps = np.diff(np.unique(travel))
     return float(min(max(steps.min(), FINEST), COARSEST))
 
 
 def slope_of(T: Array, q: Array) -> Measured:
-    """Return dq/dT [m/N] of tension and travel, by least squares."""
+    """Return dq/dT [m/N] from tension and travel by least squares."""
     (slope, _), covariance = np.polyfit(T, q, 1, cov=True)
     return Measured(float(slope), math.sqrt(float(covariance[0, 0])))

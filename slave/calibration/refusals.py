@@ -1,34 +1,30 @@
-"""Why a calibration is given up: one line each, with the tendon, what was seen and a remedy."""
+"""Messages of an aborted calibration: one line with the tendon, the observation and a remedy."""
 
 from slave.calibration.config import InitialiseConfig
-from slave.gate import Verdict
+from slave.gate import GateFlags
 
 TENDON_NAMES = ("a", "b")
 
 
 def tendon_name(joint: int, tendons: int, tendon: int) -> str:
-    """Return how messages call a tendon: joints count from 1, tendons are a and b."""
+    """Return the name of a tendon in messages: joints count from 1, tendons are a and b."""
     return f"joint {joint}, tendon {TENDON_NAMES[tendon]}" if tendons > 1 else f"joint {joint}"
 
 
 def too_slow(joint: int, what: str, config: InitialiseConfig) -> str:
-    """Return what is said of a phase that does not end."""
+    """Message: a phase did not end."""
     return (
-        f"joint {joint}: {what} took longer than {config.phase_max:g} s; look for what keeps it, "
-        "or raise slave.initialise.phase_max"
+        f"joint {joint}: {what} took longer than {config.phase_max:g} s; check what blocks it, or "
+        "raise slave.initialise.phase_max"
     )
 
 
-def withheld(name: str, verdict: Verdict, asked: float, seeking: bool) -> str:
-    """Return which limit of the gate lets a motor go no further; `asked` [m] says which way."""
-    if Verdict.TENSION in verdict:
-        return (
-            f"{name}: slave.gate.tension_max allows no further pull; lower slave.initialise.tension"
-        )
-    if Verdict.STALE in verdict:
-        return (
-            f"{name}: its tension is older than slave.gate.tension_age_max; is the load cell alive?"
-        )
+def withheld(name: str, verdict: GateFlags, asked: float, seeking: bool) -> str:
+    """Message: a limit of the gate blocks a motor; the sign of `asked` [m] is the direction."""
+    if GateFlags.TENSION in verdict:
+        return f"{name}: the tension is at slave.gate.tension_max; lower slave.initialise.tension"
+    if GateFlags.STALE in verdict:
+        return f"{name}: its tension is older than slave.gate.tension_age_max; check the load cell"
     limit = "displacement_min" if asked < 0.0 else "displacement_max"
     if seeking:
         return (
@@ -39,108 +35,109 @@ def withheld(name: str, verdict: Verdict, asked: float, seeking: bool) -> str:
 
 
 def weak_motor(name: str, behind: float, tension: float, config: InitialiseConfig) -> str:
-    """Return what is said of a motor `behind` [m] its command, at a tension [N]."""
+    """Message: a motor is `behind` [m] its command at a tension [N]."""
     return (
-        f"{name}: the motor is {behind * 1e3:.1f} mm behind its command at {tension:.1f} N; is it "
-        f"strong enough for {config.tension:g} N? Lower slave.initialise.tension"
+        f"{name}: the motor is {behind * 1e3:.1f} mm behind its command at {tension:.1f} N; check "
+        f"that it can pull {config.tension:g} N, or lower slave.initialise.tension"
     )
 
 
 def slack(name: str, wound: float, tension: float, taut: float, config: InitialiseConfig) -> str:
-    """Return what is said after winding in `wound` [m]; a tendon is taut from `taut` [N] on."""
+    """Message: slack after winding in `wound` [m]; a tendon is taut from `taut` [N] on."""
     if tension > taut:
         return (
             f"{name}: {wound * 1e3:.1f} mm had to be wound in before it was taut, more than "
             f"slave.initialise.slack_max ({config.slack_max * 1e3:g} mm); shorten the tendon"
         )
     return (
-        f"{name}: {tension:.2f} N after winding in {wound * 1e3:.1f} mm; the tendon is broken, far "
-        "too slack or not attached, or its load cell is stuck"
+        f"{name}: {tension:.2f} N after winding in {wound * 1e3:.1f} mm; the tendon is broken, "
+        "too slack or not attached, or its load cell is stuck; check both"
     )
 
 
 def no_loop(name: str, why: str) -> str:
-    """Return what is said of pulls and releases that are none of a tendon against its stop."""
+    """Message: the pulls and releases are not those of a tendon against its stop."""
     return (
-        f"{name}: {why}; does the joint rest against its stop? Its tip may press on something "
-        "soft, or another tendon that is jammed in its sheath may have held it"
+        f"{name}: {why}; check that the joint rests against its stop, that the tip does not press "
+        "on something soft, and that the other tendon is not jammed"
     )
 
 
 def undecided(name: str, K: float, peak: float, lowest: float, reach: float, again: bool) -> str:
-    """Return what is said of friction at the end of what a loop between two tensions [N] shows.
+    """Message: K is at the end of the range that a loop between two tensions [N] resolves.
 
-    `again`, if more than one loop was pulled.
+    `again` if more than one loop was pulled.
     """
-    more = "" if again else ", or do the full form"
+    more = "" if again else ", or run the full procedure"
     return (
-        f"{name}: K = {K:.2f} is at the end of what a loop from {peak:.1f} N to {lowest:.2f} N "
-        f"reaches ({reach:.2f}), and it may be more; is the tendon jammed in its sheath? "
-        f"Else raise slave.initialise.tension, lower slave.initialise.low{more}"
+        f"{name}: K = {K:.2f} is at the limit of what a loop from {peak:.1f} N to {lowest:.2f} N "
+        f"resolves ({reach:.2f}) and may be higher; check that the tendon is not jammed, raise "
+        f"slave.initialise.tension, lower slave.initialise.low{more}"
     )
 
 
 def tight(name: str, paid_out: float, tension: float) -> str:
-    """Return what is said of a tension [N] that stays after paying out so much [m]."""
+    """Message: a tension [N] remains after paying out `paid_out` [m]."""
     return (
         f"{name}: still {tension:.2f} N after paying out {paid_out * 1e3:.1f} mm; something pulls "
-        "on the joint, or a load cell of the joint is stuck or not tared"
+        "on the joint, or one of its load cells is stuck or not tared; check both"
     )
 
 
 def no_stop(name: str, tension: float, unchanged: bool, config: InitialiseConfig) -> str:
-    """Return what is said where no stop came; `unchanged`, if the reading never changed."""
+    """Message: no stop found; `unchanged` if the reading never changed."""
     what = f"{name}: no stop within {config.travel_max * 1e3:g} mm, the tension is {tension:.2f} N"
     if unchanged:
-        return f"{what}, and the reading never changes; is the load cell stuck?"
-    return f"{what}; is the tendon attached? Else raise slave.initialise.travel_max"
+        return f"{what}, and the reading never changes; check the load cell"
+    return f"{what}; check that the tendon is attached, or raise slave.initialise.travel_max"
 
 
 def late_stop(name: str, contact: float, tension: float) -> str:
-    """Return what is said where the joint moved up to `contact` [N], next to the end [N]."""
+    """Message: the joint moved freely up to `contact` [N], close to the target tension [N]."""
     return (
-        f"{name}: {tension:.1f} N were reached while the joint still moved, or hardly after "
-        f"({contact:.1f} N): the tip presses on something soft, or friction, spring and the other "
-        "tendon take all the tension; free the tip, or raise slave.initialise.tension"
+        f"{name}: {tension:.1f} N were reached before or just after the stop ({contact:.1f} N): "
+        "the tip presses on something soft, or friction, spring and the other tendon take all "
+        "the tension; free the tip, or raise slave.initialise.tension"
     )
 
 
 def soft_stop(name: str, contact: float, compliance: float, softest: float) -> str:
-    """Return what is said of a stop that gives way, compliances in m/N."""
+    """Message: the stop yields; compliances in m/N."""
     return (
-        f"{name}: beyond {contact:.1f} N it gives way by {compliance * 1e3:.3f} mm/N, more than "
-        f"any sheath here ({softest * 1e3:.3f} mm/N): the tip presses on something soft; free it"
+        f"{name}: beyond {contact:.1f} N it yields by {compliance * 1e3:.3f} mm/N, more than any "
+        f"sheath of this rig ({softest * 1e3:.3f} mm/N): the tip presses on something soft; free "
+        "it"
     )
 
 
 def saturated(name: str, tension: float) -> str:
-    """Return what is said of a load cell that does not see the motor pull; it says not why."""
+    """Message: a load cell does not respond to the motor."""
     return (
-        f"{name}: the load cell reads {tension:.2f} N and not the least bit else while the motor "
-        "pulls on: it is stuck, or saturated; look at its cable and amplifier, or lower "
+        f"{name}: the load cell reads {tension:.2f} N without any change while the motor pulls: "
+        "it is stuck or saturated; check its cable and amplifier, or lower "
         "slave.initialise.tension"
     )
 
 
 def lost(name: str, highest: float, tension: float) -> str:
-    """Return what is said of a tension that is gone."""
+    """Message: the tension was lost."""
     return (
-        f"{name}: the tension was {highest:.1f} N and is {tension:.1f} N although the motor pulls: "
-        "the tendon has slipped or broken"
+        f"{name}: the tension was {highest:.1f} N and is {tension:.1f} N although the motor "
+        "pulls: the tendon slipped or broke"
     )
 
 
-def not_again(name: str, tension: float, config: InitialiseConfig) -> str:
-    """Return what is said where a tension is not reached for a second time."""
+def pull_not_repeated(name: str, tension: float, config: InitialiseConfig) -> str:
+    """Message: the tension is not reached in a later pull."""
     return (
-        f"{name}: pulled again it came to {tension:.1f} N only, not {config.tension:g} N: the stop "
-        "gives way or the tendon slips; look at both"
+        f"{name}: the later pull reached only {tension:.1f} N, not {config.tension:g} N: the stop "
+        "yields or the tendon slips; check both"
     )
 
 
 def in_the_way(joint: int, tension: float) -> str:
-    """Return what is said of a tension that no joint takes that moves freely."""
+    """Message: the tension on the way back is too high for a free joint."""
     return (
-        f"joint {joint}: {tension:.1f} N on the way back from the stop, where it moved freely "
-        "before: something is in its way"
+        f"joint {joint}: {tension:.1f} N on the way back from the stop, where the joint moved "
+        "freely before: remove the obstacle"
     )

@@ -1,7 +1,7 @@
-"""Drive a rig through the initialisation: joint after joint, or all at once.
+"""Run the initialisation on a rig: joint after joint, or all at once.
 
-Every position written has been through `slave.gate`, with the limits of the slave's own config.
-However it ends but for a fault of the rig, the tensions have been let down and the motors hold.
+Every position written has passed `slave.gate`, with the limits of the slave's config. At the end,
+unless the rig failed, the tensions are low and the motors hold.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.records import as_record
 from slave import gate, initial_position
-from slave.calibration import memory, procedure
+from slave.calibration import procedure, procedure_state
 from slave.calibration.config import InitialiseConfig, compliance_limit
-from slave.calibration.memory import Contact, Joint, Memory, Phase, Seen
-from slave.gate import GateConfig, Verdict
+from slave.calibration.procedure_state import Contact, Joint, JointReadings, Phase, ProcedureState
+from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from teleop.clock import Tick
@@ -27,44 +27,44 @@ from teleop.process import INTERRUPTED
 
 Codes = NDArray[np.int64]
 
-SILENCE_MAX_S = 0.5  # [s] without a sample that can be used
+SILENCE_MAX_S = 0.5  # [s] without a usable sample
 UNREADABLE = (
-    "no tension and travel of every tendon for half a second, and nothing can be calibrated "
-    "without: is a load cell or an encoder missing?"
+    "no tension and travel of every tendon for 0.5 s: check that every tendon has a load cell "
+    "and an encoder"
 )
 
 
-class Refused(TeleopError):
-    """A joint that could not be calibrated: exit code 1, one line that says why and what to do."""
+class CalibrationRefused(TeleopError):
+    """A joint could not be calibrated; exit code 1, the message gives reason and remedy."""
 
 
-class Interrupted(Refused):
-    """The operator ended it."""
+class CalibrationInterrupted(CalibrationRefused):
+    """The operator ended the procedure."""
 
     exit_code = INTERRUPTED
 
 
 class Limits(NamedTuple):
-    """What the procedure is done within."""
+    """Limits of the procedure and of the gate."""
 
     initialise: InitialiseConfig
     gate: GateConfig
 
 
 class Progress(NamedTuple):
-    """Where the procedure is."""
+    """Progress of the procedure."""
 
     time_s: float  # [s] since it began
     joint: int  # from 1
     phase: Phase
     side: int  # the tendon that is pulled
-    done: float  # of the whole, 0 to 1
+    done: float  # fraction of the whole, 0 to 1
     tension: tuple[float, ...]  # [N] of the joint's tendons
 
 
 @dataclass(frozen=True)
-class Record:
-    """What was measured, and what the procedure was doing: n samples, t tendons, j joints.
+class ProcedureData:
+    """Measurements and phases of a procedure: n samples, t tendons, j joints.
 
     A joint that was not calibrated has no stops.
     """
@@ -79,30 +79,32 @@ class Record:
     stops: tuple[tuple[Contact, ...], ...]  # of each joint, one a tendon
 
 
-class Driven(NamedTuple):
-    """How a run ended."""
+class ProcedureResult(NamedTuple):
+    """Result of a completed procedure."""
 
-    record: Record
-    samples: tuple[RigSample, ...]  # all of them, for estimators that shall know the profile
+    record: ProcedureData
+    samples: tuple[RigSample, ...]  # all of them, to initialise the estimators' tension profiles
 
 
 @dataclass
 class _Log:
-    """Samples as they come, with the state of each joint's procedure."""
+    """Samples with the state of each joint's procedure."""
 
     samples: list[RigSample] = field(default_factory=list)
     codes: list[tuple[tuple[int, int, int], ...]] = field(default_factory=list)
 
-    def add(self, samples: Sequence[RigSample], memories: Sequence[Memory]) -> None:
-        """Keep the samples of a tick."""
+    def add(self, samples: Sequence[RigSample], memories: Sequence[ProcedureState]) -> None:
+        """Append the samples of a tick."""
         now = tuple((int(m.phase), m.side, m.releases) for m in memories)
         self.samples += samples
         self.codes += [now] * len(samples)
 
-    def record(self, joints: tuple[tuple[int, ...], ...], memories: Sequence[Memory]) -> Record:
-        """Return it as arrays."""
+    def record(
+        self, joints: tuple[tuple[int, ...], ...], memories: Sequence[ProcedureState]
+    ) -> ProcedureData:
+        """Return the log as arrays."""
         codes = np.array(self.codes, dtype=np.int64)
-        return Record(
+        return ProcedureData(
             joints=joints,
             time=np.array([s.time_s for s in self.samples]),
             tension=np.array([s.proximal_tension for s in self.samples]),
@@ -123,18 +125,17 @@ def drive(
     together: bool = False,
     stopped: Callable[[], str] = lambda: "",
     progress: Callable[[Progress], None] = lambda _: None,
-) -> Driven:
-    """Do the procedure on some joints of a rig; return what was measured.
+) -> ProcedureResult:
+    """Run the procedure on some joints of a rig; return the measurements.
 
     Parameters
     ----------
     rig : Rig
         Open; nothing else may read or write it.
     limits : Limits
-        The procedure's own, and those of the gate before the motors.
+        Of the procedure, and of the gate before the motors.
     ticks : iterable of Tick
-        The pace, without an end: of a real rig a `teleop.clock.Grid` that never stops, else
-        `fast_ticks`.
+        Endless: a `teleop.clock.Grid` that never stops for a real rig, else `fast_ticks`.
     start_ns : int
         Stamp [ns] from which the rig's session time counts.
     joints : sequence of int
@@ -142,14 +143,14 @@ def drive(
     together : bool
         Whether to move them all at once; else the others hold while one moves.
     stopped : callable
-        Asked at every tick; a reason ends the procedure, the tensions let down.
+        Called at every tick; a non-empty reason ends the procedure and lowers the tensions.
     progress : callable
-        Told at every tick.
+        Called at every tick.
 
     Raises
     ------
-    Refused
-        If it was given up, with the tensions let down.
+    CalibrationRefused
+        If the procedure was aborted; the tensions are low.
     TeleopError
         If the rig failed.
     """
@@ -167,34 +168,40 @@ def drive(
 
 
 class _Drive:
-    """A rig under way through the procedure."""
+    """A rig while the procedure runs."""
 
     def __init__(self, rig: Rig, limits: Limits, joints: Sequence[int], together: bool) -> None:
         self.newest: RigSample | None = None
         self.over = False
         self._rig, self._limits, self._joints = rig, limits, joints
-        self._told = [_told(limits.initialise, j, tendons) for j, tendons in enumerate(rig.joints)]
-        self._memories = [Memory() for _ in rig.joints]
-        self._verdicts = [Verdict.PASSED for _ in rig.joints]
+        self._joint_constants = [
+            _joint_constants(limits.initialise, j, tendons) for j, tendons in enumerate(rig.joints)
+        ]
+        self._memories = [ProcedureState() for _ in rig.joints]
+        self._verdicts = [GateFlags.PASSED for _ in rig.joints]
         self._groups = [tuple(joints)] if together else [(j,) for j in joints]
         self._log = _Log()
         self._position = InitialPosition.new()
         initial_position.start(self._position, rig.tendons, rig.starts_at_zero)
         self._motor: tuple[float, ...] = ()
         self._gate = as_record(limits.gate)
-        self._no_reach = gate.Reach.array(0)  # the joints' ends are what is looked for
+        self._no_reach = gate.Reach.array(0)  # the range of the joints is not known yet
         self._silence = 0.0
         self._interrupted = False
 
     def tick(self, time_s: float, dt: float, order: str) -> None:
-        """Read, step every joint of the group under way, and write; `order` ends it."""
+        """Read, step every joint of the current group, and write; a non-empty `order` ends it."""
         self._read(time_s, dt)
         self._interrupted = self._interrupted or bool(order)
         if self._silence > SILENCE_MAX_S:
             order = order or UNREADABLE
         if self.newest is None or not self._motor:
             if order:
-                raise Interrupted(order) if self._interrupted else Refused(order)
+                raise (
+                    CalibrationInterrupted(order)
+                    if self._interrupted
+                    else CalibrationRefused(order)
+                )
             return
         group = self._groups[0]
         wanted = list(self._motor)
@@ -203,41 +210,47 @@ class _Drive:
             for k, target in zip(self._rig.joints[j], self._step(j, order, dt), strict=True):
                 wanted[k] = target
         self._write(wanted, dt)
-        if all(memory.ended(self._memories[j]) for j in group):
+        if all(procedure_state.is_ended(self._memories[j]) for j in group):
             del self._groups[0]
             self.over = not self._groups or any(m.refusal for m in self._memories)
 
     def progress(self, time_s: float) -> Progress:
-        """Return where it is, `time_s` [s] after it began."""
-        done = [memory.progress(self._limits.initialise, m) for m in self._memories]
+        """Return the progress `time_s` [s] after the start."""
+        done = [procedure_state.progress(self._limits.initialise, m) for m in self._memories]
         group = self._groups[0] if self._groups else self._joints[-1:]
         j = min(group, key=lambda j: done[j])
         now = self._memories[j]
         share = sum(done[i] for i in self._joints) / len(self._joints)
         return Progress(time_s, j + 1, now.phase, now.side, share, now.tension)
 
-    def result(self) -> Driven:
-        """Return what was measured, or raise why there is nothing to go by."""
+    def result(self) -> ProcedureResult:
+        """Return the measurements, or raise the reason of the abort."""
         refusal = next((m.refusal for m in self._memories if m.refusal), "")
         if refusal:
-            raise Interrupted(refusal) if self._interrupted else Refused(refusal)
-        return Driven(self._log.record(self._rig.joints, self._memories), tuple(self._log.samples))
+            raise (
+                CalibrationInterrupted(refusal)
+                if self._interrupted
+                else CalibrationRefused(refusal)
+            )
+        return ProcedureResult(
+            self._log.record(self._rig.joints, self._memories), tuple(self._log.samples)
+        )
 
     def _read(self, time_s: float, dt: float) -> None:
         try:
             samples = self._rig.read(time_s)
         except RigFinished as error:
-            raise Refused("these are measured data: there is no rig to calibrate") from error
+            raise CalibrationRefused("replayed data: there is no rig to calibrate") from error
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
-        useful = [sample for sample in samples if usable(sample)]
+        useful = [sample for sample in samples if is_complete(sample)]
         self._log.add(useful, self._memories)
         self._locate(samples, dt)
         self._silence = 0.0 if useful else self._silence + dt
         self.newest = useful[-1] if useful else self.newest
 
     def _locate(self, samples: Sequence[RigSample], dt: float) -> None:
-        """Find out where the motors stand, until that is known."""
+        """Determine the initial motor positions."""
         if self._motor:
             return
         tendons = self._rig.tendons
@@ -250,10 +263,10 @@ class _Drive:
             self._motor = tuple(self._position.position[:tendons].tolist())
 
     def _step(self, j: int, order: str, dt: float) -> tuple[float, ...]:
-        """Step one joint; return where its motors shall be [m]."""
-        assert self.newest is not None and self.newest.proximal_displacement is not None  # noqa: S101, PT018 - `usable`
+        """Step one joint; return its motor targets [m]."""
+        assert self.newest is not None and self.newest.proximal_displacement is not None  # noqa: S101, PT018 - `is_complete`
         tendons = list(self._rig.joints[j])
-        seen = Seen(
+        seen = JointReadings(
             tuple(self.newest.proximal_tension[tendons].tolist()),
             tuple(self.newest.proximal_displacement[tendons].tolist()),
             tuple(self._motor[k] for k in tendons),
@@ -262,14 +275,14 @@ class _Drive:
         )
         before = self._memories[j]
         if order and not before.refusal:
-            before = memory.refuse(before, seen, order)
+            before = procedure_state.refuse(before, seen, order)
         targets, self._memories[j] = procedure.step(
-            self._limits.initialise, self._told[j], before, seen, dt
+            self._limits.initialise, self._joint_constants[j], before, seen, dt
         )
         return targets
 
     def _write(self, wanted: Sequence[float], dt: float) -> None:
-        """Let through what each joint may do, and write it."""
+        """Pass the targets through the gate and write them."""
         assert self.newest is not None  # noqa: S101 - asked by the caller
         tension = self.newest.proximal_tension
         motor = np.array(self._motor)
@@ -286,24 +299,24 @@ class _Drive:
 
     def _gated(
         self, last: Array, wanted: Array, tension: Array, dt: float
-    ) -> tuple[Array, Verdict]:
-        """Return what the gate lets through of the motions of a joint [m], and its verdict."""
+    ) -> tuple[Array, GateFlags]:
+        """Return the output of the gate for a joint [m], and its flags."""
         passed = np.empty_like(last)
         verdict = gate.step(
             self._gate, len(last), last, wanted, tension, self._silence, True, dt,
             self._no_reach, False, False, passed,
         )  # fmt: skip
-        return passed, Verdict(verdict)
+        return passed, GateFlags(verdict)
 
 
 def fast_ticks(rate_hz: float) -> Iterator[Tick]:
-    """Yield ticks of a simulated rig's own time, as fast as they are asked for."""
+    """Yield ticks of a simulated rig's own time, as fast as they are consumed."""
     dt = 1.0 / rate_hz
     return (Tick(k, round(k * dt * 1e9), dt) for k in count())
 
 
-def usable(sample: RigSample) -> bool:
-    """Return whether every tendon's tension and travel are there."""
+def is_complete(sample: RigSample) -> bool:
+    """Return whether the sample has finite tension and travel of every tendon."""
     travel = sample.proximal_displacement
     return travel is not None and bool(
         np.isfinite(sample.proximal_tension).all() and np.isfinite(travel).all()
@@ -311,11 +324,12 @@ def usable(sample: RigSample) -> bool:
 
 
 def require_possible(rig: Rig, limits: Limits) -> None:
-    """Refuse a config that the procedure cannot be done with, before anything moves."""
+    """Raise `UsageError` if the procedure cannot run with this config."""
     config, most = limits.initialise, limits.gate
     if len(config.sheaths) not in (0, 1, rig.tendons):
         raise UsageError(
-            f"slave.initialise.sheaths: {len(config.sheaths)} described, the rig has {rig.tendons}"
+            f"slave.initialise.sheaths: {len(config.sheaths)} sheaths, but the rig has "
+            f"{rig.tendons} tendons"
         )
     if config.tension > most.tension_max:
         raise UsageError(
@@ -329,5 +343,5 @@ def require_possible(rig: Rig, limits: Limits) -> None:
         )
 
 
-def _told(config: InitialiseConfig, j: int, tendons: tuple[int, ...]) -> Joint:
+def _joint_constants(config: InitialiseConfig, j: int, tendons: tuple[int, ...]) -> Joint:
     return Joint(j + 1, tuple(compliance_limit(config, k) for k in tendons))

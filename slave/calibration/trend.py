@@ -1,25 +1,25 @@
-"""How stiff the housing's tension says a tendon is: the way an end stop is felt.
+"""Local stiffness of a tendon from tension over motor travel, to detect an end stop.
 
-A joint that moves freely lets the motor go far for little tension; against its stop every further
-millimetre stretches the tendon. What tells them apart is the slope of tension over motor travel, so
-it is the one thing remembered: a straight line through the latest `window` of travel, older travel
-forgotten exponentially. No single sample decides, and a motor that rests changes nothing.
+While the joint moves freely the tension hardly rises with motor travel; at the stop every
+millimetre stretches the tendon. The slope is that of a straight line fitted to the latest `window`
+of travel, older travel with exponentially decaying weight. No single sample decides, and a resting
+motor changes nothing.
 """
 
 import math
 from typing import NamedTuple
 
-_FULL = 0.1  # of the window's own spread: with less travel behind it a slope says nothing
+_FULL = 0.1  # of the window's own spread: with less travel the slope is not defined
 
 
 class Trend(NamedTuple):
-    """Weighted means and moments of travel [m] and tension [N]; weights fade over `window`."""
+    """Weighted means and moments of travel [m] and tension [N]; weights decay over `window`."""
 
     travel: float
     tension: float
     variance: float = 0.0  # [m^2] of travel
     covariance: float = 0.0  # [m N]
-    newest: float = math.nan  # [m] travel of the newest sample taken in
+    newest: float = math.nan  # [m] travel of the newest sample used
 
 
 def start(travel: float, tension: float) -> Trend:
@@ -27,11 +27,11 @@ def start(travel: float, tension: float) -> Trend:
     return Trend(travel, tension, newest=travel)
 
 
-def step(trend: Trend, travel: float, tension: float, direction: float, window: float) -> Trend:
-    """Take one sample in; `direction` is +1 while pulling and -1 while releasing.
+def update(trend: Trend, travel: float, tension: float, direction: float, window: float) -> Trend:
+    """Return the trend after a sample; `direction` is +1 while pulling and -1 while releasing.
 
-    It weighs as much as the travel since the newest one, so neither speed nor rate count; one that
-    went nowhere, or back, is left out.
+    Its weight is the travel since the last one, so speed and rate do not matter; samples without
+    forward travel are ignored.
     """
     gone = direction * (travel - trend.newest)
     if not gone > 0.0:
@@ -48,7 +48,7 @@ def step(trend: Trend, travel: float, tension: float, direction: float, window: 
 
 
 def stiffness(trend: Trend, window: float) -> float:
-    """Return dT/dq [N/m], infinite while there is too little travel to tell."""
+    """Return dT/dq [N/m], infinite while there is too little travel."""
     if trend.variance < (_FULL * window) ** 2:
         return math.inf
     return trend.covariance / trend.variance

@@ -1,6 +1,6 @@
-"""Tendon control: from the travel asked of a joint to the positions of the motors that pull it.
+"""Tendon control: from the commanded travel of a joint to motor positions.
 
-`step` is the controller, `joint_estimate` what is known of a joint from its tendons.
+`step` is the controller, `joint_estimate` estimates a joint from its tendons.
 docs/control.md explains both.
 """
 
@@ -13,17 +13,14 @@ from slave.control.joint import (
     offset,
 )
 from slave.control.law import Control, step
-from slave.control.seen import TendonSeen, seen
 
 __all__ = [
     "Control",
     "ControlConfig",
     "JointEstimate",
-    "TendonSeen",
     "joint_estimate",
     "joint_estimates",
     "joint_offsets",
     "offset",
-    "seen",
     "step",
 ]

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ControlConfig:
-    """How the joints of one rig are driven, the same for each of its tendons."""
+    """Controller gains and limits, the same for each tendon of a rig."""
 
-    compensation: float = 0.95  # g, share of the elongation that the motor makes up for; 0 = none
-    slack_side_tension: float = 0.3  # [N] at the housing, kept on the tendon that does not drive
-    slack_side_band: float = 0.05  # [N] to either side of it, within which nothing is done
-    slack_side_gain: float = 0.020  # [m/s/N] with which it is paid out, or reeled in
+    compensation: float = 0.95  # g, fraction of the elongation that is compensated; 0 = none
+    slack_side_tension: float = 0.3  # [N] at the housing, setpoint of the slack-side tendon
+    slack_side_band: float = 0.05  # [N] dead band on either side of it
+    slack_side_gain: float = 0.020  # [m/s/N] gain of the slack-side tension control
     tension_max: float = 20.0  # [N] at the housing; set it below the gate's
-    limit_gain: float = 0.004  # [m/s/N] with which that is approached, and given way to
+    limit_gain: float = 0.004  # [m/s/N] gain of the tension limit
     speed_max: float = 0.050  # [m/s] of a motor's tendon
-    lead: float = 0.0125  # [s] by which a moving command is led: how far the servos lag
+    lead: float = 0.0125  # [s] velocity feedforward: lag of the servos
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be stable, or slackens a tendon."""
+        """Check the values; raises `ValueError`."""
         for name, least, most, unit in (
             ("compensation", 0.0, 1.0, ""),
             ("slack_side_tension", 0.0, 50.0, "N"),

@@ -1,9 +1,9 @@
-"""What is known of a joint from the one or two tendons that move it.
+"""Estimate of a joint from its one or two tendons.
 
-A joint's travel q [m] is positive where its first tendon, `a`, pulls it; the tip of a second one,
-`b`, travels by -q. Each tendon measures the joint's travel, q_p less its elongation, with an error
-that grows with its elongation: the slack-side tendon, which has hardly any, is the better sensor
-of the two as long as it is taut.
+A joint's travel q [m] is positive in the pulling direction of its first tendon, `a`; the tip of the
+second one, `b`, travels by -q. Each tendon measures the joint's travel as q_p less its elongation,
+with an error that grows with the elongation: the slack-side tendon is the better sensor as long as
+it is taut.
 """
 
 from collections.abc import Sequence
@@ -15,18 +15,18 @@ from estimator.compiled import compiled
 from estimator.records import F64, I64, Record, Records
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
 
-SLACK = 0.05  # [N] at the housing: below, a tendon tells nothing of its joint
-TAUT = 0.15  # [N] from here on it counts in full
+SLACK = 0.05  # [N] at the housing: below, a tendon does not measure its joint
+TAUT = 0.15  # [N] full weight from here on
 
-FLOOR = 1e-5  # [m] added to an elongation before it weighs: no tendon is a perfect sensor
+FLOOR = 1e-5  # [m] added to the elongation in the weight: no tendon is a perfect sensor
 
 
 class JointEstimate(Record):
-    """One joint at one instant."""
+    """Estimate of one joint at one instant."""
 
     position: F64 = nan  # [m] travel, up to a constant; NaN without encoders
     force: F64 = nan  # [N] of the environment on the tendons, positive against pulling by `a`
-    low: F64 = nan  # [N] ends of the interval that is certain for the force
+    low: F64 = nan  # [N] ends of the certified interval of the force
     high: F64 = nan  # [N]
     status: I64 = 0  # bits of estimator.online.tendon_estimate.Status, of all its tendons
 
@@ -39,8 +39,8 @@ JointEstimates: TypeAlias = Sequence[JointEstimate] | Records
 def weight(tendon: EstimatedTendon) -> float:
     """Return the weight of a tendon's measurement of its joint's travel [1/m^2].
 
-    It is 1/e^2, with e the elongation, less where the tendon is nearly slack, and none where its
-    estimate is invalid.
+    1/e^2 with e the elongation; reduced if the tendon is nearly slack, zero if its estimate is
+    invalid.
     """
     if not (tendon.valid and tendon.tension > SLACK):
         return 0.0
@@ -49,13 +49,12 @@ def weight(tendon: EstimatedTendon) -> float:
 
 
 @compiled
-def fused(
+def fuse_travel(
     joint: JointTendons, tendons: EstimatedTendons, travel_a: float, travel_b: float
 ) -> float:
-    """Return a joint's travel [m], the weighted mean of what its tendons measure.
+    """Return a joint's travel [m], the weighted mean of its tendons' measurements.
 
-    With no weight left the tendons count alike. `travel_b` is of no account in a joint of one
-    tendon.
+    Equal weights if both are zero. `travel_b` is ignored for a joint of one tendon.
     """
     if joint.count == 1:
         return travel_a
@@ -69,9 +68,9 @@ def fused(
 
 @compiled
 def offset(joint: JointTendons, tendons: EstimatedTendons) -> float:
-    """Return by how much each tendon of a joint measures too much travel [m], taken symmetric.
+    """Return the common offset [m] of the travel measured by the tendons of a joint.
 
-    The travels q_p - e of both tips cancel but for a constant; this is half of it, as it is now.
+    The travels q_p - e of both tips sum to a constant; this is half its present value.
     """
     if joint.count == 1:
         return 0.0
@@ -106,9 +105,9 @@ def joint_estimate(
     tendons : EstimatedTendons
         All of the rig in one sample, shape (tendons,) or longer.
     offset : float
-        Of its tendons [m], `offset` at an earlier time: that at which its position is right.
+        Of its tendons [m], from `offset` at the time that defines the position.
     out : JointEstimate
-        Is overwritten.
+        Overwritten.
     """
     a = tendons[joint.tendon[0]].estimate
     travel_a, travel_b = a.distal_displacement - offset, nan
@@ -118,7 +117,7 @@ def joint_estimate(
         travel_b = SIGNS[1] * (b.distal_displacement - offset)
         force, low, high = force - b.distal_tension, low - b.high, high - b.low
         status |= b.status
-    out.position = fused(joint, tendons, travel_a, travel_b)
+    out.position = fuse_travel(joint, tendons, travel_a, travel_b)
     out.force, out.low, out.high, out.status = force, low, high, status
 
 

@@ -1,21 +1,20 @@
-"""The control law of a joint: position, between a slack-side and a largest tension.
+"""The control law of a joint: position control between a slack-side and a maximum tension.
 
-Each tendon's motor is wanted where the joint's travel and the tendon's stretch ask for it,
+The motor target of each tendon follows the joint's travel and the tendon's stretch,
 
-    motor = origin +- (q_asked - q_asked,0) + g (e - e_0),        the position law
+    motor = origin +- (q_cmd - q_cmd,0) + g (e - e_0),        the position law
 
-but never so far out that the tendon goes slack, nor so far in that its tension passes the limit:
+limited so that the tendon neither goes slack nor exceeds the tension limit:
 
     motor_last - dx_other + k_slack (T_slack - T) dt  <=  motor
     motor <= motor_last + k_limit (T_max - T) dt
 
-Of a pair, the tendon that the position law pulls drives; the position law of the other asks for
-less than the least tension, so it follows: fed forward by the travel dx_other of the other's tip,
-corrected by its own load cell. As everything is counted from where the motors were last let go to,
-nothing winds up while a limit holds.
+Of a pair, the tendon that the position law pulls drives; the position law of the other would make
+it slack, so it follows: feedforward of the travel dx_other of the other's tip, corrected by its own
+load cell. All targets are relative to the last gated motor positions, so there is no windup while a
+limit is active.
 
-e is the motor's travel less the joint's, and that is measured by both tendons
-(slave.control.joint).
+e is the motor's travel less the joint's, which both tendons measure (slave.control.joint).
 """
 
 from collections.abc import Sequence
@@ -26,11 +25,11 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, Field, Flag, Record
 from slave.control.config import ControlConfig
-from slave.control.joint import fused
+from slave.control.joint import fuse_travel
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
 from teleop.messages import MAX_JOINTS
 
-DT_MAX = 0.005  # [s] however long a tick was skipped, a motor may go no further than this allows
+DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
 
 class DrivenTendon(Record):
@@ -39,21 +38,21 @@ class DrivenTendon(Record):
     origin: F64 = 0.0  # [m] motor position for no travel and no stretch
     tip: F64 = 0.0  # [m] motor position less elongation, at engagement
     stretch: F64 = 0.0  # [m] motor's travel less the joint's: elongation, by all its tendons
-    elongation: F64 = 0.0  # [m] newest estimate that could be relied upon
-    motor: F64 = 0.0  # [m] where the motor was let go at the tick before
+    elongation: F64 = 0.0  # [m] newest valid estimate
+    motor: F64 = 0.0  # [m] gated motor position of the last tick
 
 
 class EngagedJoint(Record):
     """A joint since it engaged."""
 
-    command: F64 = 0.0  # [m] travel asked for at engagement
+    command: F64 = 0.0  # [m] commanded travel at engagement
     tendon: Annotated[Sequence[DrivenTendon], Field(DrivenTendon, 2)]
 
 
 class Control(Record):
     """State of the controller."""
 
-    engaged: Flag = False  # whether `joint` is known: since the tick at which the session engaged
+    engaged: Flag = False  # whether `joint` is initialised, from the first engaged tick on
     joint: Annotated[Sequence[EngagedJoint], Field(EngagedJoint, MAX_JOINTS)]
 
 
@@ -70,7 +69,7 @@ def step(
     dt: float,
     out_wanted: Array,
 ) -> None:
-    """Advance the controller by one tick: change `memory`, write the motor positions wanted.
+    """Advance the controller by one tick: update `memory`, write the motor targets.
 
     Parameters
     ----------
@@ -81,21 +80,20 @@ def step(
     memory : Control
         State, changed in place.
     command : array, shape (MAX_JOINTS,)
-        Travel asked of each joint [m]; what counts is how it changes from engagement on.
+        Commanded travel of each joint [m]; used relative to its value at engagement.
     velocity : array, shape (MAX_JOINTS,)
-        Of `command` [m/s], to make up for the servos' lag; with zeros, they lag.
+        Of `command` [m/s], for the feedforward; zeros if unknown.
     motor : array, shape (MAX_TENDONS,)
-        Motor position the gate last let through [m], for each tendon.
+        Last gated motor position of each tendon [m].
     tendons : EstimatedTendons
         The newest sample, shape (tendons,) or longer.
     engaged : bool
-        Whether commands count. While they do not, and at the tick at which they begin to, the
-        motors are wanted where they are.
+        Whether commands are followed. If not, and at the first engaged tick, the targets are the
+        present positions.
     dt : float
         Time since the last tick [s].
     out_wanted : array, shape (MAX_TENDONS,)
-        Motor positions wanted [m], finite whatever comes in; those of the rig's tendons are
-        written.
+        Motor targets [m], finite for any input; only those of the rig's tendons are written.
     """
     for i in range(layout.tendons):
         out_wanted[i] = motor[i]
@@ -109,9 +107,9 @@ def step(
         return
     dt = min(dt, DT_MAX) if dt > 0.0 else 0.0
     for k in range(layout.joints):
-        asked = command[k] - memory.joint[k].command
-        asked += config.lead * min(max(velocity[k], -config.speed_max), config.speed_max)
-        _drive(config, layout.joint[k], memory.joint[k], asked, motor, tendons, dt, out_wanted)
+        requested = command[k] - memory.joint[k].command
+        requested += config.lead * min(max(velocity[k], -config.speed_max), config.speed_max)
+        _drive(config, layout.joint[k], memory.joint[k], requested, motor, tendons, dt, out_wanted)
 
 
 @compiled
@@ -123,10 +121,10 @@ def _engage(
     motor: Array,
     tendons: EstimatedTendons,
 ) -> None:
-    """Start the state of a joint that stays where it is.
+    """Initialise the state of a joint at its present position.
 
-    Without load both position laws would keep the stretch that their tendons have now. That of the
-    tendon with less tension is set back by what lets both be slack then.
+    Without load both position laws would keep the present stretch of their tendons. The origin of
+    the tendon with less tension is set back so that both can then be slack.
     """
     memory.command = command
     excess, least = 0.0, 0
@@ -151,13 +149,13 @@ def _drive(
     config: ControlConfig,
     joint: JointTendons,
     memory: EngagedJoint,
-    asked: float,
+    requested: float,
     motor: Array,
     tendons: EstimatedTendons,
     dt: float,
     out_wanted: Array,
 ) -> None:
-    """Write where the motors of a joint are wanted that is asked to travel by `asked` [m]."""
+    """Write the motor targets of a joint with a commanded travel of `requested` [m]."""
     a, b = memory.tendon[0], memory.tendon[1]  # of a joint of one tendon, b stays zero
     e_a, m_a, e_b, m_b = a.elongation, a.motor, b.elongation, b.motor
     _update(joint, memory, motor, tendons)
@@ -165,10 +163,10 @@ def _drive(
     follow_b = (a.elongation - e_a) - (a.motor - m_a)
     follow_a = (b.elongation - e_b) - (b.motor - m_b)
     i = joint.tendon[0]
-    out_wanted[i] = _target(config, a, SIGNS[0] * asked, follow_a, tendons[i], dt)
+    out_wanted[i] = _target(config, a, SIGNS[0] * requested, follow_a, tendons[i], dt)
     if joint.count > 1:
         i = joint.tendon[1]
-        out_wanted[i] = _target(config, b, SIGNS[1] * asked, follow_b, tendons[i], dt)
+        out_wanted[i] = _target(config, b, SIGNS[1] * requested, follow_b, tendons[i], dt)
 
 
 @compiled
@@ -193,7 +191,7 @@ def _update(
         b.elongation = tendons[i].estimate.elongation
         wound_b = _position(motor[i], tendons[i]) - b.tip
         travel_b = SIGNS[1] * (wound_b - b.elongation)
-    travel = fused(joint, tendons, travel_a, travel_b)
+    travel = fuse_travel(joint, tendons, travel_a, travel_b)
     a.stretch = wound_a - SIGNS[0] * travel
     if joint.count > 1:
         b.stretch = wound_b - SIGNS[1] * travel
@@ -203,18 +201,18 @@ def _update(
 def _target(
     config: ControlConfig,
     driven: DrivenTendon,
-    asked: float,
+    requested: float,
     follow: float,
     tendon: EstimatedTendon,
     dt: float,
 ) -> float:
-    """Return where a motor is wanted [m].
+    """Return the target of a motor [m].
 
-    `asked` [m] is the travel asked of the tendon's tip since engagement, `follow` [m] how far the
-    tip has been moved by the other tendon's motor since the last tick.
+    `requested` [m] is the commanded travel of the tendon's tip since engagement, `follow` [m] how
+    far the other tendon's motor has moved the tip since the last tick.
     """
     motor = driven.motor
-    wanted = driven.origin + asked + config.compensation * driven.stretch
+    wanted = driven.origin + requested + config.compensation * driven.stretch
     least, most = motor + follow, motor
     if tendon.valid:
         error = config.slack_side_tension - tendon.tension
@@ -229,5 +227,5 @@ def _target(
 
 @compiled
 def _position(motor: float, tendon: EstimatedTendon) -> float:
-    """Return where a motor is [m]: as measured, or as it was let go where nothing measures it."""
+    """Return the motor position [m]: measured, or the gated one if there is no encoder."""
     return tendon.displacement if isfinite(tendon.displacement) else motor

@@ -1,4 +1,4 @@
-"""A tendon's tension and travel, averaged over a few samples: noise must not decide."""
+"""Low-pass filtered tension and travel of a tendon, against noise."""
 
 from math import isfinite, nan
 
@@ -18,7 +18,7 @@ class AveragedTendon(Record):
 
 @compiled
 def update_average(average: AveragedTendon, tension: float, displacement: float, dt: float) -> None:
-    """Take a sample `dt` [s] after the last; averages begin anew where there were none."""
+    """Update the averages with a sample `dt` [s] after the last; NaN averages are initialised."""
     if not isfinite(average.displacement):
         average.tension, average.displacement, average.speed = tension, displacement, 0.0
         return

@@ -1,12 +1,12 @@
-"""Whether a load cell still measures: readings that stay the same to the last bit.
+"""Detect a stuck or saturated load cell: readings identical to the last bit.
 
-A cell with noise repeats itself with a probability p that its noise and its steps tell; n readings
-alike come about with p^n. Where the model has no noise, the readings tell whether there is: one
-that differs from the last more often than a cell's steps alone allow, and as often as not turns
-back, is noisy. The cell is stuck when p^n is out of the question, the motor moved meanwhile, and
-nothing like it was seen before. If the motor pulled and no reading was ever higher, it is more
-likely saturated than stuck there by chance; at its known range it surely is. One that has never
-shown a second reading is stuck once the motor has gone further than a taut tendon's backlash.
+A cell with noise repeats a reading with a probability p given by noise and resolution; n identical
+readings have probability p^n. If the model has no noise, it is detected from the readings: changes
+more frequent than the resolution alone explains, with frequent sign changes. The cell is stuck if
+p^n is negligible, the motor moved meanwhile, and the run is longer than any before. If the motor
+pulled and no reading was ever higher, it is reported as saturated; so is a constant reading at the
+known range. A cell that has only ever shown one reading is stuck once the motor has moved further
+than a taut tendon's backlash.
 """
 
 from math import erf, inf, log, sqrt
@@ -18,22 +18,26 @@ from teleop.session import Reason
 
 SURE = log(1e-12)  # of p^n: once in thirty years at 1 kHz
 SUSPECT = log(1e-4)
-LONGER = 5  # times the longest run of like readings before
+LONGER = 5  # times the longest earlier run of identical readings
 AT_RANGE = 0.99  # of the cell's range
 AT_RANGE_TIME = 0.010  # [s]
 
-# where the model has no noise
-REPEATS = 0.4  # of readings at most in a cell with noise; one that hovers at a step has a half
-TURNS = 0.3  # of readings at least; noise has a half, a load that changes hardly any
-ENOUGH = 100  # readings to tell
+# if the model has no noise
+REPEATS = 0.4  # fraction of repeated readings in a noisy cell, at most; one half between two steps
+TURNS = (
+    0.3  # fraction of sign changes, at least; one half for noise, hardly any for a changing load
+)
+ENOUGH = 100  # least readings for the noise test
 
-TAUT_TRAVEL = 0.002  # [m] of motor in which a taut tendon changes its tension: above its backlash
+TAUT_TRAVEL = (
+    0.002  # [m] of motor travel that changes the tension of a taut tendon: above its backlash
+)
 
 
 class LikeReadings(Record):
-    """A run of readings that are alike; the rest means nothing unless it is `lasting`."""
+    """A run of identical readings; the other fields are valid only if `lasting`."""
 
-    lasting: Flag = False  # not while the newest reading differs from the one before
+    lasting: Flag = False  # False if the newest reading differs from the one before
     readings: I64 = 0
     time: F64 = 0.0  # [s] since the first
     begin: F64 = 0.0  # [m] of the motor at the first
@@ -42,18 +46,18 @@ class LikeReadings(Record):
 
 
 class LoadCell(Record):
-    """What is remembered of a load cell."""
+    """State of a load cell's check."""
 
     reading: F64 = -inf  # [N] newest
     displacement: F64 = 0.0  # [m] of the motor then
-    peak: F64 = -inf  # [N] highest reading that was left again
+    peak: F64 = -inf  # [N] highest reading followed by another one
     step: F64 = inf  # [N] least difference of two readings
     longest: I64 = 1  # readings in the longest run that ended
     run: LikeReadings
     at_range: F64 = 0.0  # [s] for which the reading stands at the cell's range
     readings: I64 = 0  # until the newest that differs
     changes: I64 = 0  # of them that differ from the one before
-    turns: I64 = 0  # of them that do so the other way than the one before that
+    turns: I64 = 0  # of them with a sign opposite to the change before
     rise: F64 = 0.0  # [N] newest difference
 
 
@@ -66,12 +70,12 @@ def check_cell(
     displacement: float,
     dt: float,
 ) -> Reason:
-    """Take one reading; return what is wrong with the load cell, if anything.
+    """Process one reading; return the fault of the load cell, or `Reason.NONE`.
 
     Parameters
     ----------
     noise : float
-        Its standard deviation [N], steps included; 0 where the model has none.
+        Standard deviation [N], quantisation included; 0 if the model has none.
     cell : LoadCell
         Changed in place.
     tension : float
@@ -104,15 +108,15 @@ def check_cell(
 
 @compiled
 def is_suspect(cell: LoadCell, noise: float) -> bool:
-    """Return whether the readings have been alike for longer than noise usually lets them be."""
+    """Return whether the readings have been identical for longer than noise explains."""
     return cell.run.lasting and run_log_probability(cell, noise) < SUSPECT
 
 
 @compiled
 def run_log_probability(cell: LoadCell, noise: float) -> float:
-    """Return the logarithm of p^n for the run that lasts; 0 for a cell without noise.
+    """Return ln p^n of the current run; 0 for a cell without noise.
 
-    `noise` [N] is that of the model; 0 where it has none.
+    `noise` [N] is that of the model, 0 if none.
     """
     if not cell.run.lasting or cell.step == inf:
         return 0.0
@@ -127,7 +131,7 @@ def run_log_probability(cell: LoadCell, noise: float) -> float:
 
 @compiled
 def is_noisy(cell: LoadCell) -> bool:
-    """Return whether the readings up to the run that lasts show noise of their own."""
+    """Return whether the readings before the current run show noise."""
     return (
         cell.readings >= ENOUGH
         and cell.changes >= (1.0 - REPEATS) * cell.readings
@@ -137,7 +141,7 @@ def is_noisy(cell: LoadCell) -> bool:
 
 @compiled
 def _take_other_reading(cell: LoadCell, tension: float, displacement: float) -> None:
-    """Take a reading that differs from the last: a run has ended, of one reading at least."""
+    """Process a reading that differs from the last: a run has ended."""
     rise = tension - cell.reading
     alike = cell.run.readings if cell.run.lasting else 1
     cell.peak = max(cell.peak, cell.reading)
@@ -153,7 +157,7 @@ def _take_other_reading(cell: LoadCell, tension: float, displacement: float) -> 
 
 @compiled
 def _take_like_reading(cell: LoadCell, displacement: float, dt: float) -> None:
-    """Take a reading that is the last one again."""
+    """Process a reading identical to the last one."""
     run = cell.run
     if not run.lasting:
         run.lasting, run.readings, run.time = True, 1, 0.0

@@ -1,7 +1,7 @@
-"""How far a tension stretches a tendon, whatever moved it before.
+"""Bounds of the elongation of a tendon at a tension, for any earlier motion.
 
-Friction lets the elongation of a tendon of housing tension T be anything from e(T) of a pull to
-e(T) of a release and nothing else (docs/theory.md (T2), (T4)),
+With friction the elongation at housing tension T lies between e(T) of a pull and e(T) of a release
+(docs/theory.md (T2), (T4)),
 
     M_pull (T + tau) - tau L/EA  <=  e  <=  M_rel (T + tau) - tau L/EA.
 """
@@ -13,7 +13,7 @@ from estimator.records import F64, Record
 
 
 class Compliance(Record):
-    """How far a tension stretches a tendon, least and most."""
+    """Bounds of the compliance of a tendon."""
 
     pull: F64 = 0.0  # M_pull [m/N]
     release: F64 = 0.0  # M_rel [m/N]

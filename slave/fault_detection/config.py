@@ -8,21 +8,25 @@ from teleop.config import MAY_BE_INFINITE
 
 @dataclass(frozen=True, slots=True)
 class FaultDetectionConfig:
-    """What counts as a fault, the same for each tendon of one rig."""
+    """Thresholds of the fault detection, the same for each tendon of a rig."""
 
     slack: float = 0.1  # [N] at the housing: no tension; above the load cells' zero offset
-    take_up: float = 0.020  # [m] reeled in without tension, where no other tendon tells more
-    misfit: float = 0.0003  # [m] of winding that no tensions explain, in a joint of two tendons
-    misfit_share: float = 0.03  # of elongation and joint travel; what EA, K, pulleys are wrong by
-    lag: float = 0.010  # [s] by which a load cell may lag its encoder
+    take_up: float = 0.020  # [m] wound in without tension, for a joint of a single tendon
+    misfit: float = (
+        0.0003  # [m] of winding not explained by the tensions, in a joint of two tendons
+    )
+    misfit_share: float = (
+        0.03  # of elongation and joint travel: relative error of EA, K and pulleys
+    )
+    lag: float = 0.010  # [s] largest lag of a load cell behind its encoder
     cell_range: float = field(default=inf, metadata=MAY_BE_INFINITE)  # [N] of the load cells
     stuck_time: float = 0.1  # [s] of identical readings; well above the period of a slow cell
-    stuck_travel: float = 1e-4  # [m] that the motor went, or was sent, meanwhile
-    motor_lag: float = 0.003  # [m] from where a motor was sent to where its encoder has it
-    motor_lag_time: float = 0.1  # [s] for which it may be further
+    stuck_travel: float = 1e-4  # [m] motor motion, measured or commanded, meanwhile
+    motor_lag: float = 0.003  # [m] largest tracking error of a motor
+    motor_lag_time: float = 0.1  # [s] for which it may be exceeded
 
     def __post_init__(self) -> None:
-        """Refuse what would never, or always, be a fault."""
+        """Check the values; raises `ValueError`."""
         for name, least, most, unit in (
             ("slack", 0.0, 10.0, "N"),
             ("take_up", 1e-4, 1.0, "m"),

@@ -1,4 +1,4 @@
-"""One sample of all tendons against all that counts as a fault."""
+"""The fault detector: checks one sample of all tendons."""
 
 from collections.abc import Sequence
 from math import isfinite
@@ -20,10 +20,10 @@ from teleop.session import Reason
 
 
 class FaultDetector(Record):
-    """What is known and remembered of a rig's tendons."""
+    """Constants and state of the fault detection of a rig."""
 
     tendon: Annotated[Sequence[CheckedTendon], Field(CheckedTendon, MAX_TENDONS)]
-    # of each joint; of a single tendon, it stays as it is
+    # of each joint; unused for a single tendon
     winding: Annotated[Sequence[Winding], Field(Winding, MAX_JOINTS)]
 
 
@@ -45,17 +45,17 @@ def step(
     tendons: Sequence[EstimatedTendon],
     dt: float,
 ) -> tuple[Reason, int]:
-    """Take one sample of the rig; return what is found wrong now, and with which tendon.
+    """Check one sample of the rig; return the fault found and its tendon.
 
-    The tendon is counted over the whole rig from 0; `Reason.NONE` and -1 if nothing is wrong. Of
-    several findings it is the first: load cells by tendon, then joint by joint.
+    The tendon is counted over the whole rig from 0; `Reason.NONE` and -1 without a fault. Of
+    several faults the first is returned: load cells by tendon, then joint by joint.
 
     Parameters
     ----------
     detector : FaultDetector
         From `start`, changed in place.
     tendons : array of EstimatedTendon
-        The sample, as measured. One that the estimator refused tells nothing.
+        The sample, as measured. Tendons that are not valid are skipped.
     dt : float
         Time since the sample before [s].
     """
@@ -79,7 +79,7 @@ def step(
 def _check_tendon(
     config: FaultDetectionConfig, checked: CheckedTendon, tendon: EstimatedTendon, dt: float
 ) -> Reason:
-    """Take in what one tendon's sensors measure; return what is wrong with its load cell."""
+    """Process the readings of one tendon; return the fault of its load cell."""
     T, q = tendon.tension, tendon.displacement
     reason = check_cell(config, checked.noise, checked.cell, T, q, dt)
     update_average(checked.average, T, q, dt)
@@ -90,7 +90,7 @@ def _check_tendon(
 def _can_be_judged(
     joint: JointTendons, detector: FaultDetector, tendons: Sequence[EstimatedTendon]
 ) -> bool:
-    """Return whether all tendons of a joint tell where and how tight they are."""
+    """Return whether position and tension of all tendons of a joint are known."""
     for m in range(joint.count):
         i = joint.tendon[m]
         checked = detector.tendon[i]
@@ -109,7 +109,7 @@ def _check_joint(
     tendons: Sequence[EstimatedTendon],
     dt: float,
 ) -> tuple[Reason, int]:
-    """Return what is wrong with the tendons of a joint, and with which of the rig's."""
+    """Return the fault found in the tendons of a joint, and the index of the tendon."""
     wound = 0.0
     for m in range(joint.count):
         wound += detector.tendon[joint.tendon[m]].average.displacement

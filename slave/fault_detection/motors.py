@@ -1,8 +1,8 @@
-"""Whether motors go where they are sent, and whether what is measured goes with them.
+"""Detect motors that do not follow commands, and frozen samples.
 
-A driver that gives its last frame again and again looks like a rig at rest: no tension limit would
-ever be reached. So readings of a tendon that are alike to the bit, tension and travel, count as
-none once its motor has been sent on.
+A driver that repeats its last frame looks like a rig at rest: no tension limit would ever be
+reached. So bit-identical tension and travel of a tendon count as no sample once its motor has been
+commanded to move.
 """
 
 from collections.abc import Sequence
@@ -23,16 +23,16 @@ class MotorReading(Record):
 
     tension: F64 = nan  # [N]
     displacement: F64 = nan  # [m]
-    sent: F64 = nan  # [m] where the motor had been sent when it came for the first time
+    sent: F64 = nan  # [m] motor command at the first occurrence of this reading
 
 
 class MotorChecks(Record):
-    """What is remembered of the motors."""
+    """State of the motor checks."""
 
-    has_readings: Flag = False  # not before a motor was sent anywhere
+    has_readings: Flag = False  # False before the first motor command
     readings: Annotated[Sequence[MotorReading], Field(MotorReading, MAX_TENDONS)]
-    repeated: Flag = False  # whether the newest reading of a motor sent on is what it was before
-    late: F64 = 0.0  # [s] for which a motor has been far from where it was sent
+    repeated: Flag = False  # whether the reading of a commanded motor has not changed
+    late: F64 = 0.0  # [s] for which the tracking error of a motor has been too large
 
 
 @compiled
@@ -42,10 +42,10 @@ def take_motor_readings(
     tendons: Sequence[EstimatedTendon],
     sent: Array,
 ) -> None:
-    """Take one sample: where each motor had been sent when its reading came for the first time.
+    """Process one sample: note the motor command at the first occurrence of each reading.
 
-    A reading that is the one before, to the bit, keeps what was noted then; one without an encoder
-    never is. While nothing has been sent, `check_motors` forgets what this notes.
+    A bit-identical reading keeps the noted command; without an encoder no reading counts as
+    identical. `check_motors` resets the notes until the first command.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def take_motor_readings(
     tendons : array of EstimatedTendon
         The sample, as measured.
     sent : array
-        Where the motors were sent last [m], shape (16,).
+        Last motor commands [m], shape (16,).
     """
     for i in range(layout.tendons):
         tendon, reading = tendons[i], motors.readings[i]
@@ -76,19 +76,19 @@ def check_motors(
     had_samples: bool,
     dt: float,
 ) -> tuple[Reason, int]:
-    """Take one tick; return whether a motor does not go where it is sent, and which.
+    """Check one tick; return whether a motor does not follow its command, and which.
 
-    The motor is counted from 0; `Reason.NONE` and -1 if all do. `motors.repeated` then tells
-    whether the samples are frozen.
+    The motor is counted from 0; `Reason.NONE` and -1 if all follow. Sets `motors.repeated` if the
+    samples are frozen.
 
     Parameters
     ----------
     motors : MotorChecks
         After `take_motor_readings` for each sample since the last tick; changed in place.
     sent : array
-        Where the motors were sent last [m], shape (16,).
+        Last motor commands [m], shape (16,).
     has_sent : bool
-        Whether they ever were; if not, all is forgotten.
+        Whether there was a command; if not, the state is reset.
     had_samples : bool
         Whether there was a sample since the last tick.
     dt : float

@@ -1,7 +1,7 @@
-"""How far a tendon was wound in since it lost its tension.
+"""Detect a broken tendon by the length wound in since it lost its tension.
 
-What moves a joint may slacken a tendon, and winding it in makes it taut again. One that is wound in
-further than the joint can have been moved is broken.
+A moving joint may slacken a tendon, and winding it in makes it taut again. One that is wound in
+further than the joint can have moved is broken.
 """
 
 from math import nan
@@ -12,11 +12,11 @@ from slave.fault_detection.config import FaultDetectionConfig
 
 
 class Slack(Record):
-    """Since when a tendon has had no tension; the defaults are those of a taut one."""
+    """State of a tendon without tension; the defaults are those of a taut one."""
 
-    time: F64 = -1.0  # [s] since it lost it; below 0 while it is taut
-    lost: F64 = 0.0  # [N] what it had before
-    wound: F64 = nan  # [m] what the motors of its joint had wound in as it went slack
+    time: F64 = -1.0  # [s] since the tension was lost; below 0 while taut
+    lost: F64 = 0.0  # [N] tension before
+    wound: F64 = nan  # [m] wound in by the joint's motors when it went slack
 
 
 @compiled
@@ -28,7 +28,7 @@ def check_slack(
     wound: float,
     dt: float,
 ) -> bool:
-    """Take one sample of a tendon; return whether the tendon must be broken.
+    """Process one sample of a tendon; return whether the tendon is broken.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def check_slack(
     tension, before : float
         At the housing [N], of this sample and of the last few.
     wound : float
-        What the motors of its joint have wound in together [m].
+        Length wound in by all motors of its joint [m].
     dt : float
         Time since the last sample [s].
     """
@@ -53,7 +53,7 @@ def check_slack(
 
 @compiled
 def is_slack_longer(slack: Slack, other: Slack) -> bool:
-    """Return whether a tendon lost its tension before another; if together, whether it had more."""
+    """Return whether a tendon lost its tension first; at the same time, whether it had more."""
     if slack.time != other.time:
         return slack.time > other.time
     if slack.lost != other.lost:

@@ -1,4 +1,4 @@
-"""What the fault detection knows and remembers of one tendon."""
+"""Constants and state of the fault detection of one tendon."""
 
 from estimator.records import F64, Record
 from slave.fault_detection.average import AveragedTendon
@@ -8,7 +8,7 @@ from slave.fault_detection.slack import Slack
 
 
 class CheckedTendon(Record):
-    """One tendon: constants of its model first, then what its samples were."""
+    """One tendon: constants of its model, then the state of its checks."""
 
     compliance: Compliance
     noise: F64 = 0.0  # [N] of its load cell

@@ -1,15 +1,15 @@
-"""Whether what two motors have wound in agrees with the tensions of their tendons.
+"""Detect broken and jammed tendons by comparing the length wound in with the tensions.
 
-The tips of a joint's two tendons travel by q and -q, so that what both motors have wound in is what
-both tendons are stretched by, and a constant:
+The tips of a joint's two tendons travel by q and -q, so the length wound in by both motors is the
+elongation of both tendons plus a constant:
 
     q_p,a + q_p,b = e_a + e_b + c.
 
-Whatever moved a tendon, and whichever end drove, its tension allows an interval of elongations
-(`compliance`), and anything below where it is slack. So each sample tells an interval for c, and
-all samples must have one in common. If it lies above those before, a slack tendon was wound in by
-more than there is: it is broken. If it lies below, a tendon has more tension than its stretch
-allows: it is jammed, and stretched between motor and jam alone.
+A tension allows an interval of elongations (`compliance`), unbounded below for a slack tendon. So
+each sample gives an interval for c, and all intervals must overlap. If the newest lies above the
+others, a slack tendon was wound in by more than its length: it is broken. If it lies below, a
+tendon has more tension than its stretch allows: it is jammed and stretched only between motor and
+jam.
 """
 
 from math import inf
@@ -22,14 +22,14 @@ from slave.fault_detection.slack import is_slack_longer
 from slave.fault_detection.tendon import CheckedTendon
 from teleop.session import Reason
 
-SURE_TIME = 0.010  # [s] that a misfit lasts before it is one
-FORGET = 2e-5  # [m/s] by which the interval for c opens: creep, warmth
+SURE_TIME = 0.010  # [s] least duration of a misfit
+FORGET = 2e-5  # [m/s] at which the interval for c widens: creep, temperature
 
 
 class Winding(Record):
-    """What is remembered of a joint's two tendons."""
+    """State of the check of a joint's two tendons."""
 
-    low: F64 = -inf  # [m] interval for c by all samples
+    low: F64 = -inf  # [m] interval for c from all samples
     high: F64 = inf
     above: F64 = 0.0  # [s] for which a sample lies above it
     below: F64 = 0.0  # [s] for which a sample lies below it
@@ -43,17 +43,17 @@ def check_winding(
     tendon_b: CheckedTendon,
     dt: float,
 ) -> tuple[Reason, int]:
-    """Take one sample of a joint; return what is wrong and with which of its tendons.
+    """Process one sample of a joint; return the fault found and its tendon.
 
-    That is 0 or 1, and -1 where nothing is wrong. Where both are slack, as the joint flew off, the
-    broken one was so first; as soon as the other, the tighter one.
+    The tendon is 0 or 1, -1 without a fault. If both are slack because the joint was flung aside,
+    the one that went slack first is broken; at the same time, the one with more tension.
 
     Parameters
     ----------
     winding : Winding
         Changed in place.
     tendon_a, tendon_b : CheckedTendon
-        Averaged over the same samples; their `slack` takes this one in already.
+        Averaged over the same samples; `slack` includes this one.
     dt : float
         Time since the last sample [s].
     """

@@ -1,4 +1,4 @@
-"""The rigs that a config can name: one line each here, one module each beside it."""
+"""Table of the rigs that a config can name; one module each."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,17 +18,17 @@ RIGS: dict[type[Any], Callable[[Any], Rig]] = {
 }
 
 RIG_COMPILE_S: dict[type[Any], float] = {SimulatedRigConfig: 4.0, ReplayedRigConfig: 0.0}
-"""How much longer a slave's first compilation takes with such a rig, on two processors [s]."""
+"""Additional compile time of a slave with this rig [s], on two processors."""
 
 
 def compile_rig(config: RigConfig) -> None:
-    """Compile what a simulated rig calls; a rig of any other kind is not touched."""
+    """Compile the functions of a simulated rig; no effect for other rigs."""
     if isinstance(config, SimulatedRigConfig):
         SimulatedRig(config)
 
 
 def open_rig(config: RigConfig) -> Rig:
-    """Open the rig that `config` describes; `UsageError` if it is not there."""
+    """Open the rig that `config` describes; `UsageError` if it is not available."""
     try:
         return config.open() if isinstance(config, RigExtension) else RIGS[type(config)](config)
     except RigFault as fault:

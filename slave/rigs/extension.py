@@ -1,4 +1,4 @@
-"""A rig of another package."""
+"""Base class of the configs of rigs in other packages."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,5 +14,5 @@ class RigExtension(Extension):
     GROUP: ClassVar[str] = "teleop.rigs"
 
     def open(self) -> Rig:
-        """Open the rig that this config describes; `slave.rig.RigFault` if that cannot be done."""
+        """Open the rig that this config describes; raises `slave.rig.RigFault` on failure."""
         raise NotImplementedError

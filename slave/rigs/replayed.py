@@ -1,4 +1,4 @@
-"""A replayed rig: measured data, played as if they were being measured now."""
+"""A replayed rig: measured data played in real time."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,29 +18,28 @@ class ReplayedRigConfig:
 
     type: Literal["replayed"] = "replayed"
     file: Path  # .csv, .csv.gz, .parquet or .mcap
-    loop: bool = False  # start again behind the last row
+    loop: bool = False  # start again after the last row
     drop_nonfinite: bool = False  # leave out rows with values that are not finite
     tendons: tuple[Columns, ...] = (Columns(),)  # one for each tendon: its columns' names
-    name: str = ""  # by which calibration files know the rig; empty = the file's name
+    name: str = ""  # name of the rig in calibration files; empty = the file's name
 
     def __post_init__(self) -> None:
-        """Refuse a rig that messages cannot carry."""
+        """Check the values; raises `ValueError`."""
         if not 1 <= len(self.tendons) <= MAX_JOINTS:
             raise ValueError(f"tendons: must be 1 to {MAX_JOINTS}, one a joint")
         if len({columns.time for columns in self.tendons}) > 1:
-            raise ValueError("tendons: all must have the same time column")
+            raise ValueError("tendons: must all have the same time column")
 
 
 class ReplayedRig:
-    """The rig of `slave.rig.Rig` that gives every row of a file once, unchanged and in order.
+    """A `slave.rig.Rig` that returns every row of a file once, unchanged and in order.
 
-    A row is due when as much time has passed since the start as lies between the first row and it.
-    Its sample carries the row's own time, so an estimator that steps from sample to sample does the
-    same arithmetic on the same numbers as one that reads the file. The motors are not there; what
-    is written to them has no effect.
+    A row is due when its time since the first row has passed since the start. A sample has the time
+    of its row, so the live estimator computes exactly what one that reads the file does. There are
+    no motors; writes have no effect.
     """
 
-    starts_at_zero = True  # the motors are not there, so nowhere is a wrong place to start
+    starts_at_zero = True  # there are no motors, so any start is correct
 
     def __init__(self, config: ReplayedRigConfig) -> None:
         tables = read_tables(config.file, config.tendons, config.drop_nonfinite)
@@ -78,13 +77,13 @@ class ReplayedRig:
         return tuple(rows)
 
     def write(self, proximal_displacement: Array) -> None:
-        """Do nothing: the motors of measured data have moved already."""
+        """Do nothing: the data are already recorded."""
 
     def advance(self) -> None:
-        """Do nothing: every row was there before."""
+        """Do nothing: all rows are loaded."""
 
     def summary(self) -> dict[str, int | float | str]:
-        """Return how much was played."""
+        """Return the amount of data played."""
         return {"rows": len(self._time), "played": self._played}
 
     def close(self) -> None:
@@ -101,7 +100,7 @@ class ReplayedRig:
 
 
 def _beside(columns: list[Array | None]) -> Array | None:
-    """Return columns side by side, NaN where one is missing; None where all are."""
+    """Return columns as an array, NaN for a missing one; None if all are missing."""
     rows = next((len(column) for column in columns if column is not None), None)
     if rows is None:
         return None

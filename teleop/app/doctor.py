@@ -1,6 +1,6 @@
-"""Check this machine for what a session needs, and name the remedy for what is missing.
+"""Check whether this machine can run a session, with a remedy for each failed check.
 
-Essential checks that fail make the exit code 1; the others are advice.
+A failed essential check gives exit code 1; the others are advice.
 """
 
 import argparse
@@ -27,7 +27,7 @@ _STICKS = (b"\x05\x01\x09\x04", b"\x05\x01\x09\x05", b"\x05\x01\x09\x08")  # HID
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one check found."""
+    """Result of one check."""
 
     what: str
     good: bool
@@ -48,7 +48,7 @@ def python_version() -> Finding:
 
 
 def dependencies() -> list[str]:
-    """Return the names of the packages that this one cannot do without."""
+    """Return the names of the required packages."""
     try:
         lines = requires(DISTRIBUTION) or []
     except PackageNotFoundError:
@@ -71,15 +71,15 @@ def packages() -> Finding:
 
 
 def processors() -> Finding:
-    """Check that both loops can have a processor."""
+    """Check for a processor per loop."""
     count = os.cpu_count() or 1
     return Finding(
-        "processors", count >= 2, f"{count}", "both 1 kHz loops on one processor will overrun"
+        "processors", count >= 2, f"{count}", "two 1 kHz loops on one processor will overrun"
     )
 
 
 def real_time() -> Finding:
-    """Check whether loops may be scheduled ahead of other programs."""
+    """Check whether real-time scheduling is permitted."""
     if not hasattr(os, "sched_setscheduler"):
         return Finding("real time", False, "not on this system", "use Linux for the 1 kHz loops")
     before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -96,7 +96,7 @@ def real_time() -> Finding:
 
 
 def timing(seconds: float = 1.0) -> Finding:
-    """Run an empty 1 kHz grid and see how late the system wakes it."""
+    """Run an empty 1 kHz loop and measure its lateness."""
     end = time.monotonic() + seconds
     grid = Grid(1000.0, lambda: time.monotonic() >= end)
     for _ in grid:
@@ -111,16 +111,16 @@ def timing(seconds: float = 1.0) -> Finding:
 
 
 def screen() -> Finding:
-    """Check for a display; without one the view goes to a web page."""
+    """Check for a display; without one the view is a web page."""
     there = has_display()
     return Finding("screen", there, "found" if there else "none", "use --view web or --view rrd")
 
 
 def hid_nodes() -> Finding:
-    """Check that wheels, sticks and their like can be opened.
+    """Check that haptic devices can be opened.
 
-    They call themselves joystick, gamepad or multi-axis controller at the beginning of their report
-    descriptor. Whether a keyboard or a mouse may be opened is nothing to us.
+    Their report descriptor begins with joystick, gamepad or multi-axis controller; keyboards and
+    mice are ignored.
     """
     nodes = sorted(filter(_is_stick, HID_NODES.glob("hidraw*")))
     denied = [node.name for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
@@ -129,8 +129,8 @@ def hid_nodes() -> Finding:
     detail = f"{len(nodes)} attached" + (f", no permission: {' '.join(denied)}" if denied else "")
     return Finding(
         "haptic devices", not denied, detail,
-        "teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules, then "
-        "sudo udevadm control --reload, and plug them in anew",
+        "teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules, then sudo "
+        "udevadm control --reload, and plug them in again",
     )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ def _is_stick(node: Path) -> bool:
 
 
 def disk() -> Finding:
-    """Check for room to record."""
+    """Check the disk space for recordings."""
     free = shutil.disk_usage(Path.cwd()).free
     return Finding(
         "disk", free > 2e9, f"{free / 1e9:.0f} GB free here", "recordings take some MB a minute"
@@ -156,7 +156,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """No options: everything is checked."""
+    """Add no options."""
     del parser
 
 

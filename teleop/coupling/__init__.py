@@ -1,6 +1,6 @@
-"""How hand and tip are coupled over a network with delay, loss and jitter; docs/coupling.md.
+"""Bilateral coupling of hand and tip over a network with delay, loss and jitter; docs/coupling.md.
 
-`port` is the energy ledger, `interface` what a coupling is given and returns, `direct`, `passivity`
+`port` is the energy ledger, `interface` the inputs and outputs of a coupling, `direct`, `passivity`
 and `wave` are the couplings, `side` is all joints of one side.
 """
 
@@ -18,7 +18,7 @@ from teleop.coupling.side import (
     Side,
     at_tip,
     count_hand,
-    hear,
+    receive,
     render,
 )
 from teleop.coupling.wave import WaveConfig
@@ -37,6 +37,6 @@ __all__ = [
     "bilateral_settings",
     "count_hand",
     "differs",
-    "hear",
+    "receive",
     "render",
 ]

@@ -1,4 +1,4 @@
-"""What both sides must agree on about the force that crosses the network."""
+"""Settings of the bilateral coupling that both sides must share."""
 
 import zlib
 from functools import lru_cache
@@ -13,7 +13,7 @@ from teleop.force_attenuation import ConfidenceConfig
 
 CouplingConfig = PassivityConfig | WaveConfig | DirectConfig
 
-NOT_TOLD = 0
+NO_SIGNATURE = 0
 DIRECT, PASSIVITY, WAVE = range(3)
 KINDS: dict[type[Any], int] = {
     DirectConfig: DIRECT,
@@ -23,25 +23,25 @@ KINDS: dict[type[Any], int] = {
 
 
 class Bilateral(NamedTuple):
-    """The rule of confidence and the coupling."""
+    """The force attenuation and the coupling that both sides use."""
 
     confidence: ConfidenceConfig = ConfidenceConfig()
     coupling: CouplingConfig = DirectConfig()
 
     @property
     def signature(self) -> int:
-        """A number for this choice, never `NOT_TOLD`; the messages of each side carry its own."""
+        """Non-zero hash of these settings; each side sends its own."""
         return _signature(self)
 
-    def differs(self, told: int) -> bool:
-        """Return whether the other side has `told` another choice than this."""
-        return told not in (NOT_TOLD, self.signature)
+    def differs(self, signature: int) -> bool:
+        """Return whether the peer's `signature` belongs to other settings than these."""
+        return signature not in (NO_SIGNATURE, self.signature)
 
 
 class BilateralSettings(Record):
-    """A `Bilateral` for compiled functions; of the couplings only that of its `kind` is used."""
+    """A `Bilateral` for compiled functions; only the coupling of its `kind` is used."""
 
-    signature: U32 = NOT_TOLD  # `Bilateral.signature`
+    signature: U32 = NO_SIGNATURE  # `Bilateral.signature`
     kind: I64 = DIRECT  # DIRECT, PASSIVITY or WAVE
     reserve: F64 = 0.0  # [J] of the coupling
     confidence: Annotated[ConfidenceConfig, Field(record_dtype(ConfidenceConfig))]
@@ -65,11 +65,11 @@ def bilateral_settings(bilateral: Bilateral) -> Records:
 
 
 @compiled
-def differs(settings: BilateralSettings, told: int) -> bool:
-    """Return whether the other side has `told` another choice than this."""
-    if told == NOT_TOLD:
+def differs(settings: BilateralSettings, signature: int) -> bool:
+    """Return whether the peer's `signature` belongs to other settings than these."""
+    if signature == NO_SIGNATURE:
         return False
-    return told != settings.signature
+    return signature != settings.signature
 
 
 @lru_cache(maxsize=8)

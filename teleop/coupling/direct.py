@@ -1,6 +1,6 @@
-"""No coupling in between: the tip goes where the hand is, the hand feels what the tip feels.
+"""Direct position-force coupling, without passivity control.
 
-Right where the delay is a few milliseconds. The ledger is counted, and nothing depends on it.
+For delays of a few milliseconds. The ledger is updated but not used.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from teleop.coupling.port import Port
 
 @dataclass(frozen=True, slots=True)
 class DirectConfig:
-    """Nothing to set."""
+    """No settings."""
 
     type: Literal["direct"] = "direct"
 
@@ -31,7 +31,7 @@ def count_hand(port: Port, hand: MasterInput) -> None:
 
 @compiled
 def at_tip(port: Port, tip: SlaveInput) -> SlaveOutput:
-    """Return the motion as it was asked for; see `teleop.coupling.interface`."""
+    """Return the commanded motion unchanged; see `teleop.coupling.interface`."""
     travel = tip.travel + tip.lag
     work = -tip.force * travel
     ledger.count_tip_work(port, work, False)

@@ -1,4 +1,4 @@
-"""What listeners are told about the energy ledger of one side."""
+"""Publisher of the energy ledger of one side."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from teleop.packet import Packet
 from teleop.topics import Role
 
 LEDGER_PERIOD_NS = 10_000_000  # between two messages
-_TOLD = ("credit", "put_in", "taken_out", "passed_on", "heard", "dissipated", "granted")
+_FIELDS = ("credit", "put_in", "taken_out", "passed_on", "received", "dissipated", "granted")
 
 
 class LedgerPublisher:
@@ -21,7 +21,7 @@ class LedgerPublisher:
     sides : Records
         `Side`, shape (1,), of a loop.
     joints : int
-        How many of its ports are in use.
+        Number of its ports in use.
     """
 
     def __init__(self, role: Role, sides: Records, joints: int) -> None:
@@ -39,7 +39,7 @@ class LedgerPublisher:
         return True
 
     def filled(self) -> Packet[Ledger]:
-        """Return the message about the ledger as it is now."""
-        for name in _TOLD:
+        """Return the message with the present ledger."""
+        for name in _FIELDS:
             self._fields[name][:, : self._joints] = self._ports[name][:, : self._joints]
         return self._packet

@@ -1,21 +1,21 @@
 """Time-domain passivity control of both ports.
 
-An observer at each port counts the energy that comes out of it, and a controller keeps that below
-what was put in at the other one and has been heard of (Ryu, Artigas & Preusche, "A passive
+A passivity observer at each port integrates the energy that leaves it, and a passivity controller
+keeps that below the received energy put in at the other port (Ryu, Artigas & Preusche, "A passive
 bilateral control scheme for a teleoperator with time-varying communication delay", Mechatronics 20,
-2010, 812-823). The slave's controller changes the motion: the tip goes against a force as far as
-the credit lasts, and catches up when more is heard. The master's changes the force.
+2010, 812-823). The slave's controller limits the motion: the tip moves against a force as far as
+the credit lasts, and catches up when more is received. The master's limits the force.
 
-Four things differ from there:
+Four differences:
 
-- A hand is a damper too, and what that is sure to dissipate is granted. So a wall pushes it back
-  with all of its force, although the servo's lag makes that a little more than it put in.
+- A hand is a damper too, and the energy it certainly dissipates is granted. So a wall pushes it
+back with its full force, although the servo's lag makes that slightly active.
 - Each side keeps `reserve` of the work done at its own port and passes on the rest, as the stores
   of Franken et al., "Bilateral telemanipulation with time delays: a two-layer approach combining
   passivity and transparency", IEEE Trans. Robotics 27, 2011, 741-756. A hand that trembles against
-  a wall then lives on what it puts in.
+  a wall then uses its own energy.
 - Credit is used up over a time, not at once, so neither force nor motion ends in one tick.
-- What is behind the slave's port brings back no more than it took (`port.count_tip_work`).
+- The environment at the slave's port returns no more than it took (`port.count_tip_work`).
 """
 
 from dataclasses import dataclass
@@ -32,17 +32,17 @@ class PassivityConfig:
     """Tolerances of the two passivity controllers; all in tip units."""
 
     type: Literal["passivity"] = "passivity"
-    reserve: float = 0.001  # [J] credit of each port at engagement, which it keeps for itself
-    credit_max: float = 0.005  # [J] credit above it is given up
-    discharge_time: float = 0.010  # [s] time constant with which credit is used up
-    # [m] that a hand may move more than in the tick before; of a tick above 2.5 ms, by its square
+    reserve: float = 0.001  # [J] credit of each port at engagement
+    credit_max: float = 0.005  # [J] upper bound of the credit
+    discharge_time: float = 0.010  # [s] time constant of using up credit
+    # [m] largest change of the hand's travel per tick; scales with the square above 2.5 ms
     step_tolerance: float = 2e-5
-    hand_damping: float = 2.0  # [N s/m] on the device, which every hand that holds it has
-    catch_up: float = 0.050  # [s] in which a tip that fell behind comes after
-    passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
+    hand_damping: float = 2.0  # [N s/m] at the device, least damping of a hand
+    catch_up: float = 0.050  # [s] time constant of catching up of the tip
+    passive_tip: bool = True  # false for an active environment whose force shall be rendered
 
     def __post_init__(self) -> None:
-        """Refuse a ledger that allows nothing, or everything."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 < self.reserve <= 0.1:
             raise ValueError("reserve: must be above 0 and at most 0.1 [J]")
         if not self.reserve <= self.credit_max <= 1.0:
@@ -59,7 +59,7 @@ class PassivityConfig:
 
 @compiled
 def count_hand(config: PassivityConfig, port: Port, hand: MasterInput) -> None:
-    """Count the work of the hand and pass it on; see `teleop.coupling.interface`."""
+    """Add the work of the hand and pass it on; see `teleop.coupling.interface`."""
     work = hand.written * hand.travel
     ledger.count_work(port, work)
     ledger.grant(port, config.hand_damping * hand.dragged)
@@ -71,7 +71,7 @@ def count_hand(config: PassivityConfig, port: Port, hand: MasterInput) -> None:
 def render(
     config: PassivityConfig, port: Port, hand: MasterInput, force: float, dt: float
 ) -> float:
-    """Return how much of `force` [N] the credit affords; see `teleop.coupling.interface`."""
+    """Return `force` [N] limited by the credit; see `teleop.coupling.interface`."""
     ticks = config.discharge_time / max(dt, 1e-6)
     margin = ledger.jerk_margin(config.step_tolerance, dt)
     return ledger.affordable_force(port, force, hand.travel, ticks, margin)
@@ -79,7 +79,7 @@ def render(
 
 @compiled
 def at_tip(config: PassivityConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
-    """Return the motion that the credit affords; see `teleop.coupling.interface`."""
+    """Return the motion limited by the credit; see `teleop.coupling.interface`."""
     wanted = tip.travel + tip.lag * min(dt / config.catch_up, 1.0)
     share = min(dt / config.discharge_time, 1.0)
     travel = ledger.affordable_travel(port, tip.force, wanted, share)

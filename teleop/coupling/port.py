@@ -1,15 +1,14 @@
-"""The energy ledger of one port: what went in and out of the network between hand and tip.
+"""The energy ledger of one port of the network between hand and tip.
 
-Each joint has a port at either side, with a velocity (of the tip asked for, of the tip followed)
-and a force (at the tip, attenuated: `teleop.force_attenuation`). Everything is in tip units; the
-scales of motion and force are an ideal transformer outside, at the hand. A port that does work on
-the network gains credit, one that takes work out uses it up, and credit passes to the other side:
+Each joint has a port at either side, with a velocity (of the tip, commanded and followed) and a
+force (at the tip, attenuated: `teleop.force_attenuation`). Everything is in tip units; the scales
+of motion and force are an ideal transformer outside, at the hand. Work done on the network adds
+credit, work taken out uses it, and credit is passed to the other side:
 
-    credit = granted + put in + heard - taken out - passed on - dissipated
+    credit = granted + put in + received - taken out - passed on - dissipated
 
-Told is how much was ever passed on, not what was passed on last, and heard is the largest that was
-ever told. So a message that is lost, repeated or late changes nothing: the next one says all of it.
-What the sum over both ports cannot break is then
+Messages carry the total passed on, and the receiver uses the largest total, so lost, repeated or
+late messages have no effect on the balance. The sum over both ports satisfies
 
     taken out of both <= put into both + granted
 
@@ -24,71 +23,73 @@ import math
 from estimator.compiled import compiled
 from estimator.records import F64, Record
 
-_ABSURD = 1e6  # [J], [sqrt(J s)] a watt for eleven days; NaN is not below it either
+_ABSURD = 1e6  # [J], [sqrt(J s)] a watt for eleven days; NaN fails the comparison too
 
-_TOLERATED_DT = 0.0025  # [s] at 2e-5 m a tip's 3.2 m/s^2; ticks of 3 ms and more overdrew by mJ
+_TOLERATED_DT = (
+    0.0025  # [s] at 2e-5 m a tip's 3.2 m/s^2; the credit was overdrawn by mJ with ticks of 3 ms
+)
 
 
 class Port(Record):
     """One joint's port at one side; energies [J] are sums since the process started."""
 
-    credit: F64 = 0.0  # that may be taken out
+    credit: F64 = 0.0  # available energy
     put_in: F64 = 0.0  # work done on the network
     taken_out: F64 = 0.0
-    passed_on: F64 = 0.0  # to the other side: this is told
-    heard: F64 = 0.0  # from it, as far as it counted
+    passed_on: F64 = 0.0  # to the other side; sent in messages
+    received: F64 = 0.0  # from the other side, as far as credited
     dissipated: F64 = 0.0  # given up
-    granted: F64 = 0.0  # given at engagements, and for what a hand dissipates by itself
-    lent: F64 = 0.0  # [J] what is behind the port has taken out and may bring back
-    told_wave: F64 = 0.0  # [sqrt(J s)] integral of the waves sent; this is told too
-    heard_energy: F64 = math.nan  # largest that this sender told; NaN: none yet
-    heard_wave: F64 = 0.0  # [sqrt(J s)] told together with it
-    played_wave: F64 = 0.0  # [sqrt(J s)] of it, what has come out
+    granted: F64 = 0.0  # at engagements, and for the dissipation of the hand
+    lent: F64 = 0.0  # [J] taken out by the environment, which may return it
+    sent_wave: F64 = 0.0  # [sqrt(J s)] integral of the waves sent; sent in messages
+    received_energy: F64 = math.nan  # largest total of this sender; NaN: none yet
+    received_wave: F64 = 0.0  # [sqrt(J s)] received with it
+    played_wave: F64 = 0.0  # [sqrt(J s)] part of it already played
 
 
 @compiled
-def hear(port: Port, energy: float, wave: float) -> None:
-    """Take in what the other side has told: sums [J] and [sqrt(J s)] since it started.
+def receive(port: Port, energy: float, wave: float) -> None:
+    """Process the totals of the other side: [J] and [sqrt(J s)] since it started.
 
-    Sums of energy never fall, so the larger one is the newer one, and its wave counts. The first
-    that a sender tells is where counting begins. A sum that no session comes to is ignored.
+    Energy totals never decrease, so a larger one is newer, and its wave is used. The first total of
+    a sender is the reference. Implausible totals are ignored.
     """
     if not (abs(energy) < _ABSURD and abs(wave) < _ABSURD):
         return
-    if math.isnan(port.heard_energy):
-        port.heard_energy = energy
-        port.heard_wave = wave
+    if math.isnan(port.received_energy):
+        port.received_energy = energy
+        port.received_wave = wave
         port.played_wave = wave
         return
-    more = energy - port.heard_energy
+    more = energy - port.received_energy
     if more <= 0.0:
         return
     port.credit += more
-    port.heard += more
-    port.heard_energy = energy
-    port.heard_wave = wave
+    port.received += more
+    port.received_energy = energy
+    port.received_wave = wave
 
 
 @compiled
 def forget(port: Port) -> None:
-    """Begin to count anew what is heard: the other side was replaced."""
-    port.heard_energy = math.nan
+    """Reset the reference of received totals: the other side was replaced."""
+    port.received_energy = math.nan
 
 
 @compiled
 def rest(port: Port, reserve: float) -> None:
-    """Keep a port that is not coupled at `reserve` [J], for when it is, and nothing else."""
+    """Keep the credit of an uncoupled port at `reserve` [J]."""
     surplus = port.credit - reserve
     port.credit = reserve
     port.dissipated += max(surplus, 0.0)
     port.granted += max(-surplus, 0.0)
     port.lent = 0.0
-    port.played_wave = port.heard_wave
+    port.played_wave = port.received_wave
 
 
 @compiled
 def count_work(port: Port, energy: float) -> None:
-    """Count `energy` [J] of work done on the network; below zero it was taken out of it."""
+    """Add `energy` [J] of work done on the network; negative if taken out."""
     port.credit += energy
     if energy >= 0.0:
         port.put_in += energy
@@ -98,14 +99,14 @@ def count_work(port: Port, energy: float) -> None:
 
 @compiled
 def grant(port: Port, energy: float) -> None:
-    """Grant `energy` [J]: what is behind the port is known to dissipate it by itself."""
+    """Grant `energy` [J] that the hand is known to dissipate."""
     port.credit += energy
     port.granted += energy
 
 
 @compiled
 def pass_on(port: Port, energy: float) -> None:
-    """Let the other side have `energy` [J] of the credit; nothing if that is below zero."""
+    """Pass `energy` [J] of the credit to the other side, if positive."""
     if not energy > 0.0:
         return
     port.credit -= energy
@@ -114,7 +115,7 @@ def pass_on(port: Port, energy: float) -> None:
 
 @compiled
 def cap_credit(port: Port, most: float) -> None:
-    """Give up what credit there is above `most` [J]."""
+    """Dissipate credit above `most` [J]."""
     surplus = port.credit - most
     if surplus <= 0.0:
         return
@@ -124,10 +125,10 @@ def cap_credit(port: Port, most: float) -> None:
 
 @compiled
 def count_tip_work(port: Port, energy: float, passive: bool) -> None:
-    """Count work of what is behind the slave's port; see `count_work`.
+    """Add work of the environment at the slave's port; see `count_work`.
 
-    What is `passive` brings back no more than it took: the rest of what it does is given up. A
-    servo that lags behind would otherwise make an active spring of every tissue.
+    A `passive` environment returns no more than it took; the rest is dissipated. The lag of the
+    servo would otherwise make any tissue an active spring.
     """
     count_work(port, energy)
     if energy < 0.0:
@@ -143,7 +144,7 @@ def count_tip_work(port: Port, energy: float, passive: bool) -> None:
 def jerk_margin(step_tolerance: float, dt: float) -> float:
     """Return the `step_tolerance` [m] of a tick of `dt` [s].
 
-    What a hand travels more than in the tick before grows with the square of the tick. The setting
+    The change of a hand's travel per tick grows with the square of the tick. The setting
     is for ticks of up to `_TOLERATED_DT`.
     """
     longer = max(dt / _TOLERATED_DT, 1.0)
@@ -154,7 +155,7 @@ def jerk_margin(step_tolerance: float, dt: float) -> float:
 def affordable_force(
     port: Port, force: float, travel: float, ticks: float, step_tolerance: float
 ) -> float:
-    """Return `force` [N] as far as the credit lasts, however the hand yields to it.
+    """Return `force` [N] limited such that the credit lasts for any motion of the hand.
 
     A hand that travelled `travel` [m] in the last tick goes at least `travel - step_tolerance` and
     at most `travel + step_tolerance` in the next. Where it yields, as it did, by
@@ -162,9 +163,8 @@ def affordable_force(
 
         |force| <= credit / (ticks max(y, 0) + step_tolerance + min(y, 0))
 
-    so the credit falls exponentially, over so many `ticks`, and not below zero. A hand that presses
-    by more than `step_tolerance` cannot yield in the next tick: it may be given any force, whatever
-    the credit is.
+    so the credit decays exponentially over `ticks`, not below zero. A hand that presses by more
+    than `step_tolerance` cannot yield in the next tick: the force is not limited.
     """
     yielding = -math.copysign(1.0, force) * travel
     worst = ticks * max(yielding, 0.0) + step_tolerance + min(yielding, 0.0)
@@ -178,7 +178,7 @@ def affordable_force(
 def affordable_travel(port: Port, force: float, travel: float, share: float) -> float:
     """Return how far [m] of `travel` the tip may go against `force` [N] on a `share` of the credit.
 
-    With the force it may always go.
+    Motion along the force is not limited.
     """
     if force * travel <= 0.0:
         return travel

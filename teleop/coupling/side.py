@@ -1,4 +1,4 @@
-"""All joints of one side of a coupling; the functions are compiled and change it in place."""
+"""All joints of one side of a coupling; compiled functions that update it in place."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -15,28 +15,30 @@ from teleop.messages import MAX_JOINTS
 
 
 class Side(Record):
-    """What one side of a coupling remembers from one tick to the next.
+    """State of one side of a coupling between ticks.
 
-    Told to the other side are `ports[k].passed_on` [J] and `ports[k].told_wave` [sqrt(J s)].
+    Messages carry `ports[k].passed_on` [J] and `ports[k].sent_wave` [sqrt(J s)].
     """
 
     ports: Annotated[Sequence[Port], Field(Port, MAX_JOINTS)]
     sender: U64 = 0  # nonce of the other side
     coupled: Flag = False  # whether forces are rendered (master), tips follow (slave)
-    asked: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] where the hand asked the tips to be
-    tip: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] where they were sent instead, if coupled
-    hand: Annotated[Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)]  # counted last (master)
+    requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] tip positions commanded by the hand
+    tip: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] tip positions after the coupling
+    hand: Annotated[
+        Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)
+    ]  # at the last tick (master)
     dt: F64 = 0.0  # [s] of that tick
 
 
 @compiled
-def hear(side: Side, sender: int, energy: Array, wave: Array) -> None:
-    """Take in what the other side tells.
+def receive(side: Side, sender: int, energy: Array, wave: Array) -> None:
+    """Process the totals of the other side.
 
     Parameters
     ----------
     sender : int
-        Its nonce; another one than before is counted from its first word.
+        Its nonce; a new sender is counted from its first message.
     energy, wave : ndarray
         Sums passed on [J] and waves sent [sqrt(J s)], shape (MAX_JOINTS,).
     """
@@ -44,13 +46,13 @@ def hear(side: Side, sender: int, energy: Array, wave: Array) -> None:
         for k in range(MAX_JOINTS):
             ledger.forget(side.ports[k])
     for k in range(MAX_JOINTS):
-        ledger.hear(side.ports[k], energy[k], wave[k])
+        ledger.receive(side.ports[k], energy[k], wave[k])
     side.sender = sender
 
 
 @compiled
 def rest(settings: BilateralSettings, side: Side) -> None:
-    """Keep all ports of a side that is not coupled at the reserve."""
+    """Keep all ports of an uncoupled side at the reserve."""
     for k in range(MAX_JOINTS):
         ledger.rest(side.ports[k], settings.reserve)
 
@@ -67,18 +69,18 @@ def count_hand(
     coupled: bool,
     dt: float,
 ) -> None:
-    """Count what the hand did since the last tick: the master's first phase.
+    """Add the work of the hand since the last tick: the master's first phase.
 
-    After it `passed_on` and `told_wave` of the ports are what the next command tells; `render` is
-    the second phase. Nothing here depends on the force that the tips feel now.
+    Then `passed_on` and `sent_wave` of the ports go into the next command; `render` is the second
+    phase. Nothing here depends on the present tip forces.
 
     Parameters
     ----------
     place, velocity : ndarray
-        Where the hand is [m] and goes [m/s], shape (MAX_JOINTS,), in units of the tip; only how far
-        it went counts.
+        Position [m] and velocity [m/s] of the hand, shape (MAX_JOINTS,), in tip units; only
+        differences of position matter.
     written : ndarray
-        What was rendered since the last tick [N], of the first `axes`.
+        Forces rendered since the last tick [N], first `axes`.
     axes : int
         Axes of the device.
     lever : float
@@ -89,21 +91,21 @@ def count_hand(
         Time since the last tick [s].
     """
     if not coupled:
-        for k in range(axes):  # by a force that fades
-            ledger.count_work(side.ports[k], written[k] * (place[k] - side.asked[k]))
+        for k in range(axes):  # fading force
+            ledger.count_work(side.ports[k], written[k] * (place[k] - side.requested[k]))
         rest(settings, side)
     elif not side.coupled:
         rest(settings, side)
     for k in range(axes):
         hand = side.hand[k]
         hand.written = written[k]
-        # how fast the hand moves when it is coupled tells what it may be given
-        before = side.asked[k] if side.coupled else place[k] - velocity[k] * dt
+        # the hand's velocity at coupling limits its force
+        before = side.requested[k] if side.coupled else place[k] - velocity[k] * dt
         hand.travel = place[k] - before
         hand.velocity = velocity[k]
         hand.dragged = 0.0
         if lever * dt > 0.0:
-            # by the smaller of two measures: noise in one of them is no damping
+            # the smaller of two measures, as noise is not damping
             dragged = min(hand.travel * hand.velocity, hand.travel * hand.travel / dt)
             hand.dragged = max(dragged, 0.0) / lever
         if coupled:
@@ -114,7 +116,7 @@ def count_hand(
             else:
                 direct.count_hand(side.ports[k], hand)
     for k in range(MAX_JOINTS):
-        side.asked[k] = place[k]
+        side.requested[k] = place[k]
         side.tip[k] = place[k]
     side.coupled = coupled
     side.dt = dt
@@ -124,19 +126,19 @@ def count_hand(
 def render(
     settings: BilateralSettings, side: Side, force: Array, axes: int, rendered: Array
 ) -> None:
-    """Work out the forces that the hand shall feel: the master's second phase.
+    """Compute the forces on the hand: the master's second phase.
 
-    It goes by what `count_hand` counted last. What the other side told in between (`hear`) counts.
+    Uses the energy ledger as `count_hand` left it, plus what `receive` added since.
 
     Parameters
     ----------
     force : ndarray
-        What the tips feel [N], as told, of the first `axes`.
+        Received tip forces [N], first `axes`.
     axes : int
         Axes of the device.
     rendered : ndarray
-        Overwritten with the forces [N] in tip units, of the first `axes`; if the side is not
-        coupled they are `force` as it is. May be the same array as `force`.
+        Overwritten with the forces [N] in tip units, first `axes`; equal to `force` if not coupled.
+        May be the same array as `force`.
     """
     for k in range(axes):
         if side.coupled and settings.kind == PASSIVITY:
@@ -153,24 +155,24 @@ def render(
 def at_tip(
     settings: BilateralSettings,
     side: Side,
-    asked: Array,
+    requested: Array,
     velocity: Array,
     force: Array,
     joints: int,
     coupled: bool,
     dt: float,
 ) -> None:
-    """Work out where the tips shall be [m] and go [m/s], in place of what is asked.
+    """Compute the tip motion [m], [m/s] from the commanded one, in place.
 
-    At the tick at which they are first coupled they shall be where they are asked to be.
+    At the first coupled tick it is the commanded one.
 
     Parameters
     ----------
-    asked, velocity : ndarray
-        By the hand [m], [m/s], of the first `joints`; overwritten with where the tips shall be and
-        go. If they are not coupled, they stay as they are.
+    requested, velocity : ndarray
+        Commanded motion [m], [m/s], first `joints`; overwritten with the tip motion, unchanged if
+        not coupled.
     force : ndarray
-        What the tips feel [N], of the first `joints`.
+        Tip forces [N], first `joints`.
     joints : int
         Joints of the rig.
     coupled : bool
@@ -181,18 +183,18 @@ def at_tip(
     if not coupled or not side.coupled:
         rest(settings, side)
         for k in range(joints):
-            side.asked[k] = asked[k]
-            side.tip[k] = asked[k]
+            side.requested[k] = requested[k]
+            side.tip[k] = requested[k]
         side.coupled = coupled
         return
     for k in range(joints):
         place = side.tip[k]
-        before = side.asked[k]
-        tip = SlaveInput(force[k], asked[k] - before, before - place, velocity[k])
+        before = side.requested[k]
+        tip = SlaveInput(force[k], requested[k] - before, before - place, velocity[k])
         output = _follow(settings, side.ports[k], tip, dt)
-        side.asked[k] = asked[k]
+        side.requested[k] = requested[k]
         side.tip[k] = place + output.travel
-        asked[k] = side.tip[k]
+        requested[k] = side.tip[k]
         velocity[k] = output.velocity
 
 

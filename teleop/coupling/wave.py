@@ -1,17 +1,16 @@
-"""Wave variables: what travels is not motion and force, but their wave.
+"""Wave variables: the network transmits waves instead of motion and force.
 
     u = (b v + f) / sqrt(2 b)  to the tip,      w = (b v - f) / sqrt(2 b)  to the hand
 
-carry the power u^2 / 2 and w^2 / 2, so that a delay only stores energy (Niemeyer & Slotine, "Stable
-adaptive teleoperation", IEEE J. Oceanic Eng. 16, 1991, 152-162). The hand feels
+carry the power u^2 / 2 and w^2 / 2, so a delay only stores energy (Niemeyer & Slotine, "Stable
+adaptive teleoperation", IEEE J. Oceanic Eng. 16, 1991, 152-162). The force on the hand is f = b v -
+sqrt(2 b) w, the velocity of the tip      v = (sqrt(2 b) u - f) / b
 
-    f = b v - sqrt(2 b) w,      and the tip goes at      v = (sqrt(2 b) u - f) / b
-
-Told are the integral of the wave and its energy (Niemeyer & Slotine, "Telemanipulation with time
-delays", Int. J. Robotics Research 23, 2004, 873-890): the receiver plays the integral it has not
-played yet, over a time, and never with more energy than has come. Loss and jitter then cost time,
-not position. Each port keeps the same ledger as every coupling: no wave is sent, and no work done,
-without credit.
+Messages carry the integral of the wave and its energy (Niemeyer & Slotine, "Telemanipulation with
+time delays", Int. J. Robotics Research 23, 2004, 873-890): the receiver plays the rest of the
+integral over a time constant, never with more energy than received. Loss and jitter then delay, but
+cause no position drift. Each port keeps the same ledger as every coupling: no wave is sent, and no
+work done, without credit.
 """
 
 import math
@@ -26,20 +25,20 @@ from teleop.coupling.port import Port
 
 @dataclass(frozen=True, slots=True)
 class WaveConfig:
-    """The impedance, and how waves are played; all in tip units."""
+    """Wave impedance and playback; all in tip units."""
 
     type: Literal["wave"] = "wave"
-    impedance: float = 100.0  # [N s/m] b: the drag felt in free motion, and how soon a wall is
-    play: float = 0.020  # [s] over which a wave that has come is played; twice the jitter
+    impedance: float = 100.0  # [N s/m] b: drag in free motion against delay at a wall
+    play: float = 0.020  # [s] playback time of a received wave; twice the jitter
     reserve: float = 0.002  # [J] credit of each port at engagement
-    credit_max: float = 0.020  # [J] credit above it is given up
-    # [m] that a hand may move more than in the tick before; of a tick above 2.5 ms, by its square
+    credit_max: float = 0.020  # [J] upper bound of the credit
+    # [m] largest change of the hand's travel per tick; scales with the square above 2.5 ms
     step_tolerance: float = 2e-5
-    catch_up: float = 2.0  # [s] in which the tip comes after where waves have left it behind
-    passive_tip: bool = True  # false where what the tip touches moves by itself, and shall be felt
+    catch_up: float = 2.0  # [s] time constant of the tip's position correction
+    passive_tip: bool = True  # false for an active environment whose force shall be rendered
 
     def __post_init__(self) -> None:
-        """Refuse a line that carries nothing."""
+        """Check the values; raises `ValueError`."""
         if not 0.1 <= self.impedance <= 1e4:
             raise ValueError("impedance: must be within 0.1 ... 10000 [N s/m]")
         if not 1e-3 <= self.play <= 0.5:
@@ -56,15 +55,15 @@ class WaveConfig:
 
 @compiled
 def play(config: WaveConfig, port: Port, dt: float) -> float:
-    """Play what has come of the other side's wave [sqrt(W)], with no more energy than the credit.
+    """Return the played wave [sqrt(W)] of the other side, with no more energy than the credit.
 
-    Of a rest U of the integral, with energy E to go with it, goes out
+    With the rest U of the integral and its energy E the output is
 
         min(|U| / play, 2 E / |U|)
 
-    The second is the one constant wave that has both; so waves that came in lumps go out even.
+    The second is the constant wave with this integral and energy, so bursts are smoothed.
     """
-    rest = port.heard_wave - port.played_wave
+    rest = port.received_wave - port.played_wave
     if rest == 0.0:
         return 0.0
     most = 2.0 * max(port.credit, 0.0) / abs(rest)
@@ -75,17 +74,17 @@ def play(config: WaveConfig, port: Port, dt: float) -> float:
 
 @compiled
 def send(config: WaveConfig, port: Port, wave: float, dt: float) -> None:
-    """Send `wave` [sqrt(W)] as far as there is credit for it."""
+    """Send `wave` [sqrt(W)] limited by the credit."""
     most = math.sqrt(2.0 * max(port.credit, 0.0) / dt)
     wave = min(max(wave, -most), most)
     ledger.pass_on(port, min(0.5 * wave * wave * dt, port.credit))
-    port.told_wave += wave * dt
+    port.sent_wave += wave * dt
     ledger.cap_credit(port, config.credit_max)
 
 
 @compiled
 def count_hand(config: WaveConfig, port: Port, hand: MasterInput, dt: float) -> None:
-    """Count the work of the hand and send its wave; see `teleop.coupling.interface`."""
+    """Add the work of the hand and send its wave; see `teleop.coupling.interface`."""
     if dt <= 0.0:
         return
     b = config.impedance
@@ -98,7 +97,7 @@ def count_hand(config: WaveConfig, port: Port, hand: MasterInput, dt: float) -> 
 def render(config: WaveConfig, port: Port, hand: MasterInput, force: float, dt: float) -> float:
     """Return the force [N] of the wave that came back; see `teleop.coupling.interface`.
 
-    The told `force` [N] is in that wave already; one that is not finite is returned as it is.
+    The received `force` [N] is already contained in that wave; if not finite, it is returned.
     """
     if not math.isfinite(force) or dt <= 0.0:
         return force
@@ -111,13 +110,13 @@ def render(config: WaveConfig, port: Port, hand: MasterInput, force: float, dt: 
 
 @compiled
 def at_tip(config: WaveConfig, port: Port, tip: SlaveInput, dt: float) -> SlaveOutput:
-    """Return the motion that the wave makes against the force; see `teleop.coupling.interface`."""
+    """Return the tip motion from wave and force; see `teleop.coupling.interface`."""
     if dt <= 0.0:
         return SlaveOutput(0.0, 0.0)
     b = config.impedance
     came = play(config, port, dt)
     wanted = (math.sqrt(2.0 * b) * came - tip.force) / b * dt
-    used = abs(came * (port.heard_wave - port.played_wave))  # by the wave that is under way
+    used = abs(came * (port.received_wave - port.played_wave))  # by the wave being played
     spare = min(max((port.credit - used) / config.reserve - 1.0, 0.0), 1.0)
     wanted += (tip.travel + tip.lag) * min(spare * dt / config.catch_up, 1.0)
     travel = ledger.affordable_travel(port, tip.force, wanted, 1.0)

@@ -1,4 +1,4 @@
-"""Effects of other packages, for a diagnosis and for the model files that it writes."""
+"""Effects of other packages, for diagnoses and model files."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,14 +17,14 @@ def is_extension(name: str) -> bool:
 
 
 def load_effects(name: str, place: str = "--effects") -> tuple[Effect, ...]:
-    """Return the effect, or the variants of one, that a name means, called by that name.
+    """Return the effect, or its variants, by name.
 
-    A model file thus says where its effect comes from.
+    The effect keeps this name in model files.
 
     Raises
     ------
     UsageError
-        The name leads to no effect.
+        The name is not that of an effect.
     """
     try:
         found = resolve(name, GROUP)

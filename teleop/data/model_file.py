@@ -4,9 +4,9 @@ base:
   K: 0.83                       # friction coordinate of the tip
   compliance: 1.2e-04           # L/EA [m/N], where the record had a travel
   tip_compliance: 4.0e-04       # [m/N] of what the tip pulls at, 0 is a blocked tip
-duration: 60.0                  # [s] of the longest record; drifts are taken as at its end
-unexplained: false              # whether most of what is wrong is not in it
-unsure: [stribeck_friction]     # effects that the data did not tell from those of the model
+duration: 60.0                  # [s] of the longest record; drifts are evaluated at its end
+unexplained: false              # whether most of the error is not in the model
+unsure: [stribeck_friction]     # effects that the data do not distinguish from those of the model
 effects:                        # in this order
 - name: friction_step
   where: ''                     # the variant, where there are several
@@ -34,24 +34,24 @@ BASE = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP}
 
 DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
 
-SLACK = 1e-6  # of a range, by which what was fitted may be outside of it
+SLACK = 1e-6  # of a range, tolerance of fitted values
 
 
-class Saved(NamedTuple):
-    """What a file has."""
+class SavedModel(NamedTuple):
+    """Content of a model file."""
 
-    model: Model  # without what single records had
+    model: Model  # without effects of single records
     duration: float  # [s] of the longest record
-    unsure: tuple[str, ...]  # effects that the data did not tell from those of the model
-    unexplained: bool = False  # whether most of what is wrong is not in it
+    unsure: tuple[str, ...]  # effects that the data do not distinguish from those of the model
+    unexplained: bool = False  # whether most of the error is not in the model
 
 
-def save(path: Path, saved: Saved, remark: str) -> None:
-    """Write a model, whole or not at all; `remark` becomes comments."""
+def save(path: Path, saved: SavedModel, remark: str) -> None:
+    """Write a model atomically; `remark` becomes comments."""
     write_whole(path, text(saved, remark), "the model")
 
 
-def text(saved: Saved, remark: str) -> str:
+def text(saved: SavedModel, remark: str) -> str:
     """Return a model as YAML."""
     model = saved.model
     lines = [f"# {line}" for line in remark.splitlines()]
@@ -80,17 +80,19 @@ def text(saved: Saved, remark: str) -> str:
     return "\n".join([*lines, *units]) + "\n" + yaml.safe_dump(tree, sort_keys=False)
 
 
-def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Saved:
+def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     """Read a model: its numbers and its effects, without those of single records.
 
     Raises
     ------
     UsageError
-        The file is none, or something in it cannot be right; one line.
+        The file is not a model file or is invalid; one line.
     """
     tree = strict_yaml.read(path, "model")
     if not isinstance(tree, dict) or "base" not in tree:
-        raise UsageError(f"{path}: is no model.yaml as `teleop diagnose --out DIR` writes it")
+        raise UsageError(
+            f"{path}: not a model file; give a model.yaml of `teleop diagnose --out DIR`"
+        )
     _known(path, "", tree, ("base", "duration", "unexplained", "unsure", "effects"))
     base = _mapping(path, "base", tree.get("base"))
     keys = list(BASE) if len(base) > 1 else ["K"]
@@ -106,13 +108,13 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> Saved:
     labels = [effect.label for effect, _ in found]
     for label in labels:
         if labels.count(label) > 1:
-            raise UsageError(f"{path}: effects: {label} is there twice")
+            raise UsageError(f"{path}: effects: {label} occurs twice")
     if not all(isinstance(name, str) for name in unsure):
         raise UsageError(f"{path}: unsure: must be a list of names of effects")
     unexplained = tree.get("unexplained", False)
     if not isinstance(unexplained, bool):
         raise UsageError(f"{path}: unexplained: {unexplained!r}, must be true or false")
-    return Saved(Model(shared, (), found), duration, tuple(unsure), unexplained)
+    return SavedModel(Model(shared, (), found), duration, tuple(unsure), unexplained)
 
 
 def _effect(path: Path, place: str, row: Any, effects: Sequence[Effect]) -> tuple[Effect, Values]:

@@ -1,7 +1,7 @@
-"""Measured data of one tendon: read, checked, written.
+"""Measured data of one tendon: read, check, write.
 
-The format is described in docs/data-format.md. Nothing is repaired in silence: what cannot be
-right is a `UsageError` of one line that names the file, the column and the row.
+The format is described in docs/data-format.md. Nothing is repaired silently: invalid data raise a
+`UsageError` of one line with file, column and row.
 """
 
 import re
@@ -28,20 +28,20 @@ __all__ = [
 ]
 
 
-TENSION_PEAK = 1000.0  # [N] more is no tendon of this size: grams or millinewtons
-TRAVEL_SPAN = 2.0  # [m] more is no tendon's travel: millimetres
+TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
+TRAVEL_SPAN = 2.0  # [m] above this the unit is wrong: millimetres
 NAMES_SHOWN = 12  # of a file's columns in an error message
-PERIOD = 1.5  # [s] a slower median period is no record of motion: milliseconds
-NOISE_FLOOR = 0.1  # [N] a cell at rest may read so far below zero ...
-NOISE_SHARE = 0.02  # ... and by this share of its peak further (zero error)
-ZERO_SHARE = 0.25  # of its peak, where a diagnosis is to say how far its zero is off
+PERIOD = 1.5  # [s] above this the unit is wrong: milliseconds
+NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
+NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
+ZERO_SHARE = 0.25  # of its peak, for a diagnosis, which identifies zero errors
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Which columns of a file are which; of these only the first two must be there.
+    """Column names of a file; only the first two columns are required.
 
-    A column given another name than its standard one must be there too; null leaves it out.
+    A column with a non-standard name is required too; null omits it.
     """
 
     time: str = "time_s"  # [s]
@@ -68,13 +68,13 @@ class Columns:
         return {f.name: name for f in fields(self) if (name := getattr(self, f.name)) is not None}
 
     def is_standard(self, item: str) -> bool:
-        """Return whether a field has its standard name for some tendon; it may then be missing."""
+        """Return whether a field has a standard name, so that its column may be missing."""
         return bool(_unnumbered(getattr(self, item)) == getattr(Columns(), item))
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredTable:
-    """The samples of one tendon; arrays have shape (samples,), None where there is no sensor."""
+    """The samples of one tendon; arrays of shape (samples,), None without a sensor."""
 
     time: Array  # [s] strictly increasing
     proximal_tension: Array  # [N]
@@ -83,10 +83,10 @@ class MeasuredTable:
     distal_displacement: Array | None  # [m]
     path: Path
     extra: Mapping[str, Column] = field(default_factory=dict)  # further columns, as they are
-    dropped: int = 0  # rows left out because some value in them is not finite
+    dropped: int = 0  # number of rows omitted because of non-finite values
 
     def columns(self) -> dict[str, Column]:
-        """Return all columns under their standard names, further ones behind."""
+        """Return all columns by standard names, followed by the further ones."""
         standard = {
             name: column
             for item, name in Columns().names().items()
@@ -111,15 +111,15 @@ def read_table(
     columns : Columns, optional
         The columns' names; the standard ones by default.
     drop_nonfinite : bool
-        Leave out rows with values that are not finite instead of refusing the file.
+        Omit rows with non-finite values instead of raising.
     diagnosed : bool
-        What a load cell does wrong is to be found out: it may read below zero by more than noise,
-        and single samples by any amount.
+        For a diagnosis: readings may be below zero by more than noise, single samples by any
+        amount.
 
     Raises
     ------
     UsageError
-        The file, or something in it, cannot be right.
+        The file or its content is invalid.
     """
     tendons = (columns or Columns(),)
     return read_tables(Path(path), tendons, drop_nonfinite, diagnosed=diagnosed)[0]
@@ -134,7 +134,7 @@ def read_tables(
 ) -> tuple[MeasuredTable, ...]:
     """Read and check the samples of several tendons of one file; see `read_table`.
 
-    A row left out for one tendon is left out for all.
+    A row omitted for one tendon is omitted for all.
     """
     raw = read_columns(path)
     claimed = {name for columns in tendons for name in columns.names().values()}
@@ -142,7 +142,7 @@ def read_tables(
     numbers = {name: _numbers(path, raw, name) for names in found for name in names.values()}
     rows = len(numbers[tendons[0].time])
     if rows == 0:
-        raise UsageError(f"{path}: has names of columns but no rows")
+        raise UsageError(f"{path}: has a header but no rows")
     keep = _finite(path, raw, numbers, drop_nonfinite)
     dropped = rows - int(keep.sum())
     if dropped:
@@ -162,7 +162,7 @@ def read_tables(
 def write_table(path: Path, columns: Mapping[str, Column]) -> None:
     """Write columns, e.g. `MeasuredTable.columns()`, as .csv, .csv.gz or .parquet.
 
-    Floats come back bit for bit. The file appears whole or not at all.
+    Floats are preserved exactly. The file is written atomically.
     """
     write_columns(path, columns)
 
@@ -193,7 +193,7 @@ def _unnumbered(name: str) -> str:
 
 
 def _numbers(path: Path, raw: RawTable, name: str) -> Array:
-    """Return a column as numbers, or name the first cell that is none."""
+    """Return a column as numbers; `UsageError` names the first cell that is not one."""
     column = raw.columns[name]
     if column.dtype != object:
         return np.asarray(column, dtype=np.float64)
@@ -212,20 +212,20 @@ def _numbers(path: Path, raw: RawTable, name: str) -> Array:
 def _finite(
     path: Path, raw: RawTable, numbers: Mapping[str, Array], drop: bool
 ) -> NDArray[np.bool_]:
-    """Return which rows are finite throughout; raise if not all are and none may be dropped."""
+    """Return the mask of finite rows; raise if there are others that must not be dropped."""
     keep = np.ones(len(next(iter(numbers.values()))), dtype=np.bool_)
     for name, column in numbers.items():
         good = np.isfinite(column)
         if not drop and not good.all():
             bad = np.flatnonzero(~good)
             raise UsageError(
-                f"{path}: column {name!r}: {len(bad)} of {len(column)} values are blank or not "
-                f"finite, the first in {raw.place(int(bad[0]))}; "
-                "--drop-nonfinite continues without these rows"
+                f"{path}: column {name!r}: {len(bad)} of {len(column)} values are missing or not "
+                f"finite, the first in {raw.place(int(bad[0]))}; use --drop-nonfinite to omit "
+                "these rows"
             )
         keep &= good
     if not keep.any():
-        raise UsageError(f"{path}: no row is finite throughout")
+        raise UsageError(f"{path}: no row has only finite values")
     return keep
 
 
@@ -240,7 +240,7 @@ def _check(
     numbers: Mapping[str, Array],
     diagnosed: bool,
 ) -> None:
-    """Refuse time that does not increase, units that are plainly wrong, tendons that push."""
+    """Check for increasing time, plausible units and non-negative tensions."""
 
     def wrong(item: str, row: int, what: str) -> UsageError:
         return UsageError(f"{path}: column {names[item]!r}, {raw.place(row)}: {what}")
@@ -261,25 +261,30 @@ def _check(
         peak = float(tension[row])
         if abs(peak) > TENSION_PEAK:
             raise wrong(
-                item, row, f"{peak:.6g} is no tendon's tension in newtons; is it in mN or g?"
+                item,
+                row,
+                (
+                    f"{peak:.6g} is too large for a tendon tension in newtons; check the unit (mN "
+                    "or g?)"
+                ),
             )
         share = ZERO_SHARE if diagnosed else NOISE_SHARE
         floor = NOISE_FLOOR + share * float(tension.max(initial=0.0))
         if tension[low] < -floor:
             what = f"{float(tension[low]):.6g} N: a tendon cannot push"
-            below = "a zero that is off" if diagnosed else "noise"
+            below = "a zero offset" if diagnosed else "noise"
             limit = f"{below} is taken to end at {-floor:.3g} N"
             raise wrong(item, low, f"{what} ({limit}); correct its zero or its sign")
     for item in ("proximal_displacement", "distal_displacement"):
         if item in names and (span := float(np.ptp(numbers[names[item]]))) > TRAVEL_SPAN:
             row = int(np.abs(numbers[names[item]]).argmax())
-            raise wrong(item, row, f"travel spans {span:.6g} m; is it in metres?")
+            raise wrong(item, row, f"travel spans {span:.6g} m; check that it is in metres")
     if periods.size and (median := float(np.median(periods))) > PERIOD:
-        raise wrong("time", 1, f"samples are {median:.6g} s apart; is it in seconds?")
+        raise wrong("time", 1, f"samples are {median:.6g} s apart; check that it is in seconds")
 
 
 def _without_dips(signal: Array) -> Array:
-    """Return a signal without single samples that are below both of their neighbours."""
+    """Return a signal without isolated low samples."""
     filled = signal.copy()
     filled[1:-1] = np.maximum(signal[1:-1], np.minimum(signal[:-2], signal[2:]))
     return filled

@@ -1,4 +1,4 @@
-"""The file formats of measured data: named columns, and where in the file a row stands."""
+"""File formats of measured data: named columns, and the place of each row in the file."""
 
 import csv
 import gzip
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from teleop.errors import UsageError
 from teleop.topics import TENDONS
 
-Column = NDArray[Any]  # float64, or object where some cell is text
+Column = NDArray[Any]  # float64, or object if some cell is text
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mcap")
 
@@ -26,17 +26,17 @@ _DAMAGE = (OSError, EOFError, zlib.error, UnicodeError, csv.Error)
 
 @dataclass(frozen=True, slots=True)
 class RawTable:
-    """A file's columns as they are in it; `place(row)` says where row 0, 1, ... stands."""
+    """The raw columns of a file; `place(row)` is the place of row 0, 1, ... in messages."""
 
     columns: Mapping[str, Column]
     place: Callable[[int], str]
 
 
 def read_columns(path: Path) -> RawTable:
-    """Read all columns of a table or a recording; `UsageError` if that cannot be done."""
+    """Read all columns of a table or a recording; raises `UsageError` on failure."""
     reader = _READERS[_suffix(path)]
     if not path.is_file():
-        raise UsageError(f"{path}: {'is not a file' if path.exists() else 'there is no such file'}")
+        raise UsageError(f"{path}: {'is not a file' if path.exists() else 'file not found'}")
     try:
         if path.stat().st_size == 0:
             raise UsageError(f"{path}: is empty")
@@ -46,7 +46,7 @@ def read_columns(path: Path) -> RawTable:
 
 
 def write_columns(path: Path, columns: Mapping[str, Column]) -> None:
-    """Write columns of one length, whole or not at all; the suffix decides the format."""
+    """Write columns of equal length atomically; the suffix decides the format."""
     check_destination(path)
     partial = path.with_name(path.name + ".partial")
     try:
@@ -59,12 +59,12 @@ def write_columns(path: Path, columns: Mapping[str, Column]) -> None:
 
 
 def check_destination(path: Path) -> None:
-    """Refuse a file that `write_columns` could not write, before the work for it is done."""
+    """Raise `UsageError` if `write_columns` could not write the file, before any work."""
     suffix = _suffix(path)
     if suffix not in _WRITERS:
         raise UsageError(f"{path}: tables are written as {', '.join(_WRITERS)}, not as {suffix}")
     if not path.absolute().parent.is_dir():
-        raise UsageError(f"{path}: there is no folder {path.parent}")
+        raise UsageError(f"{path}: folder {path.parent} not found")
 
 
 def _suffix(path: Path) -> str:
@@ -106,7 +106,7 @@ def _read_csv(path: Path) -> RawTable:
 
 def _header(path: Path, names: Sequence[str]) -> list[str]:
     if not "".join(names).strip():
-        raise UsageError(f"{path}: line 1: is blank, names of columns are needed there")
+        raise UsageError(f"{path}: line 1: is blank, must contain the column names")
     for separator, word in ((";", "semicolons"), ("\t", "tabs")):
         if len(names) == 1 and separator in names[0]:
             raise UsageError(
@@ -114,19 +114,19 @@ def _header(path: Path, names: Sequence[str]) -> list[str]:
                 "save it with commas between columns and points in numbers"
             )
     if not all(name.isprintable() for name in names):
-        raise UsageError(f"{path}: line 1: is not text, names of columns are needed there")
+        raise UsageError(f"{path}: line 1: is not text, must contain the column names")
     if all(_is_number(name) for name in names):
-        raise UsageError(f"{path}: line 1: holds numbers, names of columns are needed there")
+        raise UsageError(f"{path}: line 1: contains numbers, must contain the column names")
     for name in names:
         if name and names.count(name) > 1:
-            raise UsageError(f"{path}: line 1: column {name!r} is there {names.count(name)} times")
+            raise UsageError(f"{path}: line 1: column {name!r} occurs {names.count(name)} times")
     return list(names)
 
 
 def _checked(
     path: Path, rows: Any, names: Sequence[str], lines: list[int]
 ) -> Iterator[Sequence[str]]:
-    """Yield the rows, noting the line of each; blank lines are passed over."""
+    """Yield the rows and record their line numbers; blank lines are skipped."""
     for row in rows:
         if not row:
             continue
@@ -140,7 +140,7 @@ def _checked(
 
 
 def _numbers(cells: Sequence[str]) -> Column:
-    """Return cells as numbers, blank ones as NaN; or as they are if any is text."""
+    """Return cells as numbers, blank ones as NaN; unchanged if any is text."""
     try:
         return np.fromiter(map(float, cells), np.float64, len(cells))
     except ValueError:
@@ -164,12 +164,12 @@ def _read_parquet(path: Path) -> RawTable:
     try:
         table = parquet.ParquetFile(path).read(use_threads=False)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
-        raise UsageError(f"{path}: is no Parquet file, or a damaged one") from error
+        raise UsageError(f"{path}: not a valid Parquet file") from error
     columns: dict[str, Column] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         kind = column.type
         if name in columns:
-            raise UsageError(f"{path}: column {name!r} is there more than once")
+            raise UsageError(f"{path}: column {name!r} occurs more than once")
         if pa.types.is_integer(kind) or pa.types.is_floating(kind):
             columns[name] = column.cast(pa.float64(), safe=False).to_numpy()
         else:
@@ -178,7 +178,7 @@ def _read_parquet(path: Path) -> RawTable:
 
 
 def _read_recording(path: Path) -> RawTable:
-    """Read the tendons topic of a recording into the columns that a table of it would have."""
+    """Read the tendons topic of a recording into table columns."""
     from teleop.recording import reader
 
     fields = {
@@ -193,7 +193,7 @@ def _read_recording(path: Path) -> RawTable:
         number = "" if tendon == 0 else f"_{tendon + 1}"
         for field, name in fields.items():
             column = np.array(rows[field][:, tendon])
-            if not np.isnan(column).all():  # all NaN is how a message says: no such sensor
+            if not np.isnan(column).all():  # all NaN means that there is no such sensor
                 columns[name.format(number)] = column
     return RawTable(columns, lambda row: f"message {row + 1}")
 
@@ -204,7 +204,7 @@ def _write_csv(path: Path, columns: Mapping[str, Column]) -> None:
 
 
 def _write_csv_gz(path: Path, columns: Mapping[str, Column]) -> None:
-    with (  # neither name nor date inside: the same data make the same bytes
+    with (  # without name and date, so that equal data give equal bytes
         path.open("wb") as plain,
         gzip.GzipFile("", "wb", fileobj=plain, mtime=0) as packed,
         io.TextIOWrapper(packed, encoding="utf-8", newline="") as file,

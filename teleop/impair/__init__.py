@@ -1,1 +1,1 @@
-"""A worse network between master and slave, made to order: a proxy that both talk through."""
+"""Network impairment: a proxy between master and slave with configurable defects."""

@@ -1,15 +1,15 @@
-"""Put a worse network between master and slave: delay, loss, corruption, cuts, by a seed.
+"""Impair the network between master and slave: delay, loss, corruption and cuts, seeded.
 
-  teleop impair --delay 0.1 --jitter 0.05 --loss 0.1     both ways; master and slave meet through it
-  teleop impair --config experiment.yaml                 as its `impair` section says
-  teleop run --config demo.yaml --set impair.to_slave.delay=0.1      as a part of a session
-  teleop impair cut; teleop impair mend                  tell one that runs: nothing gets through
-  teleop impair set to_slave.loss=0.3                    ... or something else does
-  teleop impair status                                   ask it what became of the messages
+  teleop impair --delay 0.1 --jitter 0.05 --loss 0.1     both directions; master and slave connect
+  through it teleop impair --config experiment.yaml                 with its `impair` section teleop
+  run --config demo.yaml --set impair.to_slave.delay=0.1      as part of a session teleop impair
+  cut; teleop impair mend                  control a running proxy: stop and resume transmission
+  teleop impair set to_slave.loss=0.3                    change a setting teleop impair
+  status print the message counts
 
-`teleop run` gives the master the proxy's endpoint by itself. A master of its own is started with
-`teleop master --set link.slave=tcp/127.0.0.1:7449`. Recorder and viewer hear both sides directly:
-a recording has what was sent.
+`teleop run` sets the proxy's endpoint at the master. A separate master is started with `teleop
+master --set link.slave=tcp/127.0.0.1:7449`. Recorder and viewer are connected to both sides
+directly: a recording has all sent messages.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from teleop.errors import UsageError
 from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import WAIT_S, DelayQueue
 from teleop.impair.direction import Direction
-from teleop.link.bridge import Bank, ask
+from teleop.link.bridge import Bank, send_request
 from teleop.options import add_options
 from teleop.process import Stop, supervised, write_summary
 from teleop.realtime import go_realtime, limit_computing
@@ -36,7 +36,7 @@ from teleop.summary import impair_lines
 
 DIRECTIONS = ("to_slave", "to_master")
 ACTIONS = ("cut", "mend", "set", "status")
-_SWITCH_S = 0.0005  # a thread of ours waits for another no longer than this; Python's own is 5 ms
+_SWITCH_S = 0.0005  # switch interval of our threads; Python's default is 5 ms
 _NUMBERS = tuple(name for name, hint in get_type_hints(DirectionConfig).items() if hint is float)
 
 
@@ -46,17 +46,16 @@ class Proxy:
     Parameters
     ----------
     shared : RunConfig
-        The session it is in.
+        Its session.
     read : callable
-        Returns the `ImpairConfig` with some more overrides laid over it; `UsageError` if that
-        cannot be.
+        Returns the `ImpairConfig` with further overrides; `UsageError` if invalid.
     """
 
     def __init__(self, shared: RunConfig, read: Callable[[list[str]], ImpairConfig]) -> None:
         self._read, self._changes = read, list[str]()
         self._queue = DelayQueue()
         config = read([])
-        self._look_ns = 0  # when the banks are to be looked at again
+        self._look_ns = 0  # time of the next check of the banks
         self._stack = ExitStack()
         with ExitStack() as opening:
             link = config.link(shared.link)
@@ -74,11 +73,11 @@ class Proxy:
         master.serve(self.answer)
 
     def close(self) -> None:
-        """Leave both sides; what is under way is lost."""
+        """Close both sides; messages in the queue are lost."""
         self._stack.close()
 
     def work(self) -> None:
-        """Do what there is to do now; returns within some 20 ms."""
+        """Do the work that is due; returns within some 20 ms."""
         self._queue.work()
         now = time.monotonic_ns()
         if now >= self._look_ns:
@@ -87,7 +86,7 @@ class Proxy:
                 direction.mirror(self._presence_s)
 
     def answer(self, request: str) -> dict[str, Any]:
-        """Do as told by `teleop impair ACTION`, and return the counts."""
+        """Execute `teleop impair ACTION`, and return the counts."""
         action, *words = request.split("\n")
         if action in ("cut", "mend"):
             if not set(words) <= set(DIRECTIONS):
@@ -103,7 +102,7 @@ class Proxy:
         return self.counts()
 
     def counts(self) -> dict[str, Any]:
-        """Return what became of the messages, each way; and how punctual the queue was."""
+        """Return the message counts of each direction, and the lateness of the queue."""
         counts = {name: direction.counts() for name, direction in self._directions.items()}
         return counts | {
             "waiting": len(self._queue),
@@ -136,21 +135,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "action",
         nargs="*",
         metavar="ACTION",
-        help="tell the proxy that runs: cut, mend (to_slave or to_master, else both), "
-        "set KEY=VALUE ..., status",
+        help=(
+            "control the running proxy: cut, mend (to_slave or to_master, else both), set "
+            "KEY=VALUE ..., status"
+        ),
     )
     both = parser.add_argument_group(
-        "both ways", "what `impair.to_slave` and `to_master` begin with"
+        "both ways", "initial values of `impair.to_slave` and `impair.to_master`"
     )
     for item in dataclasses.fields(DirectionConfig):
         if item.name in _NUMBERS:
             option = f"--{item.name.replace('_', '-')}"
             both.add_argument(option, dest=item.name, type=float, metavar="X")
-    parser.add_argument("--seed", type=int, metavar="N", help="the same seed, the same fates")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of the random numbers")
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run the proxy, or tell the one that runs; returns the exit code."""
+    """Run the proxy, or control the running one; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
     overrides = [*options(args), *args.overrides]
 
@@ -160,7 +161,7 @@ def main(args: argparse.Namespace) -> int:
     config = read([])
     if args.action:
         link = config.link(shared.link)
-        answer = ask(link, shared.session, config.endpoint, "\n".join(args.action))
+        answer = send_request(link, shared.session, config.endpoint, "\n".join(args.action))
         print(json.dumps(answer, indent=2))
         return 0
     stop = Stop(args.duration)
@@ -171,7 +172,7 @@ def main(args: argparse.Namespace) -> int:
     limit_computing(granted)
     try:
         if not supervised():
-            print(f"the master finds the slave at {config.endpoint} now", flush=True)
+            print(f"the master connects to the slave at {config.endpoint} now", flush=True)
         with quiet_garbage():
             while not stop():
                 proxy.work()

@@ -1,4 +1,4 @@
-"""What a proxy between master and slave does to their messages: the `impair` section."""
+"""The `impair` section: defects of a proxy between master and slave."""
 
 import math
 from collections.abc import Sequence
@@ -15,36 +15,40 @@ _SHARES = ("loss", "burst_loss", "reorder", "duplicate", "corrupt")
 
 @dataclass(frozen=True, slots=True)
 class DirectionConfig:
-    """What happens to messages on their way in one direction.
+    """Impairments of one direction.
 
-    A burst of losses is a Gilbert-Elliott channel (Gilbert 1960, Elliott 1963): in its bad state,
-    which lasts `burst_length` messages on average, it loses `burst_depth` of them, and it is bad
-    often enough for `burst_loss` of all messages to be lost so.
+    A burst of losses is a Gilbert-Elliott channel (Gilbert 1960, Elliott 1963): its bad state lasts
+    `burst_length` messages on average and loses `burst_depth` of them; its frequency is such that
+    `burst_loss` of all messages are lost.
     """
 
-    delay: float = 0.0  # [s] by which each message comes later
+    delay: float = 0.0  # [s] mean delay of a message
     jitter: float = 0.0  # [s] the delay wanders from delay - jitter to delay + jitter
-    jitter_time: float = 0.1  # [s] from one delay to the next, evenly; 0 = a new one each message
-    loss: float = 0.0  # share of messages lost, each by itself
+    jitter_time: float = (
+        0.1  # [s] between random delays, linear in between; 0 = a new one each message
+    )
+    loss: float = 0.0  # share of messages lost independently
     burst_loss: float = 0.0  # share of messages lost in bursts
     burst_length: float = 20.0  # messages a burst lasts on average
-    burst_depth: float = 1.0  # share of messages lost while it lasts
+    burst_depth: float = 1.0  # share of messages lost during a burst
     reorder: float = 0.0  # share of messages held back, so that others overtake them
-    reorder_by: float = 0.003  # [s] held back for
-    duplicate: float = 0.0  # share of messages that come twice
-    corrupt: float = 0.0  # share of messages of which one byte is changed
-    cuts: tuple[tuple[float, float], ...] = ()  # [s] nothing gets through from ... to ...
-    cut_period: float = field(  # [s] after which `cuts` starts over
+    reorder_by: float = 0.003  # [s] additional delay of those
+    duplicate: float = 0.0  # share of messages duplicated
+    corrupt: float = 0.0  # share of messages with one byte changed
+    cuts: tuple[tuple[float, float], ...] = ()  # [s] intervals [from, to] without transmission
+    cut_period: float = field(  # [s] period of `cuts`
         default=math.inf, metadata=MAY_BE_INFINITE
     )
-    reliable: Literal["delayed", "impaired", "clean"] = "delayed"  # what reliable topics meet
+    reliable: Literal["delayed", "impaired", "clean"] = (
+        "delayed"  # whether it applies to reliable topics
+    )
 
     def __post_init__(self) -> None:
-        """Refuse what no network does."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 <= self.delay <= 10.0:
             raise ValueError("delay: must be within 0 ... 10 [s]")
         if not 0.0 <= self.jitter <= self.delay:
-            raise ValueError("jitter: must be at least 0 and at most delay: none comes early [s]")
+            raise ValueError("jitter: must be 0 to delay [s]")
         if self.jitter_time != 0.0 and not 1e-4 <= self.jitter_time <= 100.0:
             raise ValueError("jitter_time: must be 0 or within 0.0001 ... 100 [s]")
         for name in _SHARES:
@@ -73,7 +77,7 @@ class DirectionConfig:
     @property
     def burst_enter(self) -> float:
         """Probability that a burst begins with a message."""
-        bad = self.burst_loss / self.burst_depth  # share of messages that meet the bad state
+        bad = self.burst_loss / self.burst_depth  # share of messages in the bad state
         return self.burst_leave * bad / (1.0 - bad) if bad < 1.0 else math.inf
 
     def cut_at(self, time_s: float) -> bool:
@@ -82,7 +86,7 @@ class DirectionConfig:
         return any(start <= within < end for start, end in self.cuts)
 
     def of(self, live: bool) -> "DirectionConfig":
-        """Return what a live topic meets, or a reliable one."""
+        """Return the impairments of a live or a reliable topic."""
         if live or self.reliable == "impaired":
             return self
         if self.reliable == "clean":
@@ -92,21 +96,21 @@ class DirectionConfig:
 
 @dataclass(frozen=True, slots=True)
 class ImpairConfig:
-    """The proxy: where the master meets it in place of the slave, and what it does each way.
+    """The proxy: its endpoint for the master, and the impairments of each direction.
 
-    The slave, and whoever only listens, keep to the endpoints of `link`.
+    The slave and all listeners use the endpoints of `link`.
     """
 
-    endpoint: str = "tcp/127.0.0.1:7449"  # what the master is given as `link.slave`
-    seed: int = 0  # the same seed, the same fate of the same messages
-    presence: float = field(  # [s] of cut after which the other side is no longer announced
+    endpoint: str = "tcp/127.0.0.1:7449"  # the master's `link.slave`
+    seed: int = 0  # of the random numbers; results are reproducible
+    presence: float = field(  # [s] duration of a cut after which presence is withdrawn
         default=2.0, metadata=MAY_BE_INFINITE
     )
     to_slave: DirectionConfig = field(default_factory=DirectionConfig)
     to_master: DirectionConfig = field(default_factory=DirectionConfig)
 
     def __post_init__(self) -> None:
-        """Refuse a presence that ends before it is cut."""
+        """Check the values; raises `ValueError`."""
         if not self.presence >= 0.0:
             raise ValueError("presence: must be at least 0 [s]")
 
@@ -120,11 +124,11 @@ class ImpairConfig:
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """The part of a config file that says whether there is a proxy at all."""
+    """The part of a config file that enables the proxy."""
 
     impair: ImpairConfig | None = None
 
 
 def wanted(path: Path | None, overrides: Sequence[str]) -> ImpairConfig | None:
-    """Return what a config file and its overrides ask for; None if they say nothing of it."""
+    """Return the config of the proxy from file and overrides; None if there is none."""
     return load(path, _File, None, overrides).impair

@@ -1,4 +1,4 @@
-"""A queue that hands messages over at their due time, to a fraction of a millisecond."""
+"""A queue that delivers messages at their due time, within a fraction of a millisecond."""
 
 import heapq
 import itertools
@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from teleop.timing import Durations
 
-WAIT_S = 0.02  # `work` waits no longer than this, so that its caller sees a request to stop
+WAIT_S = 0.02  # longest wait of `work`, so that its caller can stop
 # Both directions of a session at 1 kHz are 2200 messages/s of 420 bytes; with the longest delay,
 # jitter and hold-back that a config may ask for, 30 s, that is 41 MB.
 CAPACITY_BYTES = 64_000_000
@@ -16,10 +16,10 @@ ENTRY_BYTES = 200  # that a waiting message takes beside its own
 
 
 class DelayQueue:
-    """Messages with a due time each; filled from any thread, emptied by one.
+    """Messages with due times; filled from any thread, emptied by one.
 
-    It holds `capacity_bytes` at most. What does not fit is refused, the newest first as in a
-    network's queue, so that whatever was accepted keeps its order and its time.
+    It holds `capacity_bytes` at most. If it is full, new messages are dropped, as in a network
+    queue; accepted ones keep their order and time.
 
     Parameters
     ----------
@@ -29,21 +29,21 @@ class DelayQueue:
     Attributes
     ----------
     lateness : Durations
-        By how much messages were handed over after their time.
+        Lateness of deliveries.
     """
 
     def __init__(self, capacity_bytes: int = CAPACITY_BYTES) -> None:
         self.lateness = Durations()
         self._capacity_bytes, self._held_bytes = capacity_bytes, 0
         self._queue: list[tuple[int, int, Callable[[bytes], None], bytes]] = []
-        self._numbers = itertools.count()  # of two that are due at once the first goes first
+        self._numbers = itertools.count()  # tie-breaker: first in, first out
         self._changed = threading.Condition()
 
     def __len__(self) -> int:
         return len(self._queue)
 
     def send(self, due_ns: int, put: Callable[[bytes], None], data: bytes) -> bool:
-        """Have `put(data)` called at `due_ns` of the machine's monotonic clock.
+        """Schedule `put(data)` at `due_ns` of the machine's monotonic clock.
 
         Returns
         -------
@@ -61,12 +61,12 @@ class DelayQueue:
         return True
 
     def wake(self) -> None:
-        """Have `work` return soon."""
+        """Make `work` return soon."""
         with self._changed:
             self._changed.notify()
 
     def work(self) -> None:
-        """Hand over what is due, or wait for it a little: at most `WAIT_S`, and until `wake`."""
+        """Deliver due messages, or wait: at most `WAIT_S`, and until `wake`."""
         with self._changed:
             now = time.monotonic_ns()
             if not self._queue or self._queue[0][0] > now:
@@ -81,4 +81,4 @@ class DelayQueue:
                 self._held_bytes -= len(data) + ENTRY_BYTES
             put(data)
             self.lateness.add(now - due_ns)
-            self.lateness.take_span()  # which is of no use here, and would grow
+            self.lateness.take_span()  # unused here, and would grow

@@ -8,7 +8,7 @@ from typing import Any
 from teleop.impair import model
 from teleop.impair.config import DirectionConfig
 from teleop.impair.delay_queue import DelayQueue
-from teleop.impair.model import Fate, Memory
+from teleop.impair.model import Fate, StreamState
 from teleop.link.bridge import Bank
 from teleop.topics import TOPICS, Topic
 
@@ -30,7 +30,7 @@ class Direction:
     Attributes
     ----------
     cut : bool
-        Whether nothing gets through, by command.
+        Whether transmission is cut by command.
     """
 
     def __init__(
@@ -46,19 +46,19 @@ class Direction:
         self._near, self._far, self._queue = near, far, queue
         self._keys = {topic.name: model.key_of(seed, name, topic.name) for topic in TOPICS}
         self._puts = {topic.name: far.put(topic) for topic in TOPICS}
-        self._memories = dict.fromkeys(self._keys, Memory())
+        self._memories = dict.fromkeys(self._keys, StreamState())
         self._counts: dict[str, Counter[str]] = {topic: Counter() for topic in self._keys}
-        self._start_ns = 0  # when the first live message came; cuts and jitter count from it
-        self._cut_ns = 0  # when the cut that lasts began, 0 = there is none
+        self._start_ns = 0  # time of the first live message; reference of cuts and jitter
+        self._cut_ns = 0  # start of the present cut, 0 = none
         self._lock = threading.Lock()
         self.configure(config)
 
     def configure(self, config: DirectionConfig) -> None:
-        """Do as `config` says from the next message on."""
+        """Use `config` from the next message on."""
         self._configs = {True: config.of(live=True), False: config.of(live=False)}
 
     def take(self, topic: Topic[Any], data: bytes) -> None:
-        """Decide on a message that has just come, and hand it to the delay queue."""
+        """Process a new message and pass it to the delay queue."""
         now, name = time.monotonic_ns(), topic.name
         with self._lock:
             if topic.live and not self._start_ns:
@@ -82,7 +82,7 @@ class Direction:
                 counts["sent" if sent else "overflowed"] += 1
 
     def mirror(self, presence_s: float) -> None:
-        """Do on each bank as the other is: ask for what is wanted, announce who is there."""
+        """Mirror subscriptions and presence of each bank on the other."""
         for topic in TOPICS:
             self._near.follow(topic, self._far.listens(topic), self.take)
         now = time.monotonic_ns()
@@ -95,7 +95,7 @@ class Direction:
             self._far.announce(frozenset())
 
     def counts(self) -> dict[str, dict[str, int]]:
-        """Return what became of the messages of each topic that any came of."""
+        """Return the message counts of each topic with messages."""
         with self._lock:
             return {
                 topic: {

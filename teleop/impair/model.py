@@ -1,9 +1,8 @@
-"""What becomes of a message, as a pure function.
+"""The impairment of a message, as a pure function.
 
-A stream is one topic in one direction. The fate of its k-th message is drawn from numbers that
-depend on the stream's key and on k alone, always the same ones for the same purpose. So two runs
-of one seed lose the same messages whatever their timing, and asking for corruption as well does not
-change which ones are lost.
+A stream is one topic in one direction. The random numbers of its k-th message depend only on the
+stream's key, k and their purpose. So two runs with one seed lose the same messages for any timing,
+and enabling corruption does not change which ones are lost.
 """
 
 import hashlib
@@ -16,12 +15,12 @@ from teleop.impair.config import DirectionConfig
 _MASK = (1 << 64) - 1
 _GOLDEN = 0x9E3779B97F4A7C15  # increment of SplitMix64
 _LOSS, _BURST, _BURST_LOSS, _REORDER, _DUPLICATE, _CORRUPT, _PLACE, _VALUE, _JITTER = range(9)
-_DRAWS = 16  # numbers set aside for each message
-_KNOT = 1 << 60  # where the numbers of a wandering delay begin
+_DRAWS = 16  # random numbers per message
+_KNOT = 1 << 60  # offset of the random numbers of the delay
 
 
 class Fate(IntFlag):
-    """What was done to a message; 0 = delivered once, unchanged, in its turn."""
+    """Impairments of a message; 0 = delivered once, unchanged, in order."""
 
     PASSED = 0
     CUT = 1
@@ -32,16 +31,16 @@ class Fate(IntFlag):
     HELD_BACK = 32
 
 
-class Memory(NamedTuple):
-    """All that a stream remembers from one message to the next."""
+class StreamState(NamedTuple):
+    """State of a stream between messages."""
 
     number: int = 0  # of messages so far
     bad: bool = False  # the state of the Gilbert-Elliott channel
-    due: float = -math.inf  # [s] when the last message that keeps its turn is delivered
+    due: float = -math.inf  # [s] delivery time of the last message in order
 
 
 class Delivery(NamedTuple):
-    """Bytes to be handed on, and when [s]."""
+    """Bytes to be delivered, and their time [s]."""
 
     due: float
     data: bytes
@@ -65,28 +64,33 @@ def uniform(key: int, number: int) -> float:
 
 
 def step(
-    config: DirectionConfig, key: int, memory: Memory, time_s: float, data: bytes, cut: bool = False
-) -> tuple[tuple[Delivery, ...], Fate, Memory]:
-    """Decide on the next message of a stream.
+    config: DirectionConfig,
+    key: int,
+    memory: StreamState,
+    time_s: float,
+    data: bytes,
+    cut: bool = False,
+) -> tuple[tuple[Delivery, ...], Fate, StreamState]:
+    """Process the next message of a stream.
 
     Parameters
     ----------
     config : DirectionConfig
-        What may happen to it.
+        Impairments.
     key : int
         The stream's, see `key_of`.
     time_s : float
-        When it came [s]; never decreasing.
+        Arrival time [s]; never decreasing.
     data : bytes
         The message.
     cut : bool
-        Whether the direction is cut at this moment, on command; `config.cuts` are besides.
+        Whether the direction is cut by command, in addition to `config.cuts`.
 
     Returns
     -------
     deliveries, fate, memory
-        A message is delivered within [delay - jitter, delay + jitter] of its coming, and never
-        before one that came earlier; one that is held back, `reorder_by` later than that.
+        A message is delivered within [delay - jitter, delay + jitter] of its arrival, in order; one
+        held back, `reorder_by` later.
     """
     first = memory.number * _DRAWS
 
@@ -104,8 +108,8 @@ def step(
     elif chance(_LOSS, config.loss):
         fate = Fate.LOST
     if fate:
-        return (), fate, Memory(memory.number + 1, bad, memory.due)
-    after = Memory(memory.number + 1, bad, due)
+        return (), fate, StreamState(memory.number + 1, bad, memory.due)
+    after = StreamState(memory.number + 1, bad, due)
     if chance(_CORRUPT, config.corrupt) and data:
         fate |= Fate.CORRUPTED
         place = int(uniform(key, first + _PLACE) * len(data))
@@ -122,11 +126,11 @@ def step(
 
 
 def delay(config: DirectionConfig, key: int, number: int, time_s: float) -> float:
-    """Return by how much [s] the `number`-th message of a stream, which came at `time_s`, is late.
+    """Return the delay [s] of the `number`-th message of a stream, received at `time_s`.
 
-    With `jitter_time` the delay moves in straight lines between values drawn that far apart, as
-    queues of a network fill and empty. Without, each message has one of its own; as none overtakes
-    another, a fast stream then has nearly the longest delay throughout.
+    With `jitter_time` the delay is linear between random values that far apart, like the filling of
+    network queues. Without, each message has its own; as order is kept, a fast stream then has
+    nearly the longest delay.
     """
     if not config.jitter:
         return config.delay

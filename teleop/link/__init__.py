@@ -1,11 +1,20 @@
-"""The network: the only place that knows Zenoh.
+"""The network link: the only package that uses Zenoh.
 
 Keys are `teleop/<session>/<topic>`; presence tokens are below `teleop/<session>/@`.
 """
 
 from teleop.link.config import LinkConfig, TlsConfig
 from teleop.link.link import Link
-from teleop.link.listener import Heard, Listener
+from teleop.link.listener import Listener, ReceivedMessage
 from teleop.link.reception import NEVER_NS, Counts, Latest
 
-__all__ = ["NEVER_NS", "Counts", "Heard", "Latest", "Link", "LinkConfig", "Listener", "TlsConfig"]
+__all__ = [
+    "NEVER_NS",
+    "Counts",
+    "Latest",
+    "Link",
+    "LinkConfig",
+    "Listener",
+    "ReceivedMessage",
+    "TlsConfig",
+]

@@ -1,8 +1,8 @@
-"""A bridge between the two sides of a session, which then do not meet each other directly.
+"""A bridge between the two sides of a session that are not connected directly.
 
-Each side meets one bank of it, in place of its peer. What the other bank hears there is given to
-the bridge's owner, who decides what is handed over. Bytes are handed over as they are, so senders,
-sequence numbers and checksums are the original ones.
+Each side connects to one bank of it, in place of its peer. Messages received by a bank go to the
+bridge's owner, who decides what is forwarded. Bytes are forwarded unchanged, with the original
+senders, sequence numbers and checksums.
 """
 
 import json
@@ -18,14 +18,14 @@ from teleop.link.network import declare_publisher, open_session
 from teleop.link.presence import root
 from teleop.topics import TOPICS, Topic
 
-ANSWER_S = 3.0  # for the bridge to answer a request
+ANSWER_S = 3.0  # timeout of a request to the bridge
 
 Put = Callable[[bytes], None]
-Hear = Callable[[Topic[Any], bytes], None]
+Handler = Callable[[Topic[Any], bytes], None]
 
 
 class Bank:
-    """One end of a bridge: hears one side, and speaks to it for the other.
+    """One end of a bridge: receives from one side, and sends to it for the other.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class Bank:
     session : str
         Root of all keys.
     listen, connect : list of str
-        Endpoints, as of the peer it stands in for.
+        Endpoints, as of the peer that it replaces.
     tokens_changed : callable
-        Called from Zenoh's thread when somebody has come or gone here.
+        Called from Zenoh's thread when a presence token appears or vanishes.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Bank:
     ) -> None:
         self._session = session
         self._zenoh: Any = open_session(config, listen, connect)
-        self._remote = zenoh.Locality.REMOTE  # not from or to ourselves: an event would go round
+        self._remote = zenoh.Locality.REMOTE  # not from or to ourselves, to avoid loops
         self._publishers: dict[str, Any] = {
             topic.name: declare_publisher(
                 self._zenoh, self._key(topic), topic.live, patient=False, to_remote=True
@@ -57,7 +57,7 @@ class Bank:
             for topic in TOPICS
         }
         self._subscribers: dict[str, Any] = {}
-        self._heard: frozenset[str] = frozenset()
+        self._tokens: frozenset[str] = frozenset()
         self._mirrored: dict[str, Any] = {}
         self._tokens_changed = tokens_changed
         self._liveliness = self._zenoh.liveliness()
@@ -66,26 +66,26 @@ class Bank:
         )
 
     def close(self) -> None:
-        """Leave this side."""
+        """Close this side."""
         self._watch.undeclare()
         self._zenoh.close()
 
     def put(self, topic: Topic[Any]) -> Put:
-        """Return what says the bytes of a message of `topic` on this side."""
+        """Return the function that publishes bytes of `topic` on this side."""
         put: Put = self._publishers[topic.name].put
         return put
 
     def listens(self, topic: Topic[Any]) -> bool:
-        """Return whether anyone on this side wants `topic`."""
+        """Return whether anyone on this side subscribes to `topic`."""
         return bool(self._publishers[topic.name].matching_status.matching)
 
-    def follow(self, topic: Topic[Any], wanted: bool, hear: Hear) -> None:
-        """Begin to hear `topic` on this side, or cease to."""
+    def follow(self, topic: Topic[Any], wanted: bool, handler: Handler) -> None:
+        """Subscribe to `topic` on this side, or unsubscribe."""
         subscriber = self._subscribers.get(topic.name)
         if wanted and subscriber is None:
             self._subscribers[topic.name] = self._zenoh.declare_subscriber(
                 self._key(topic),
-                lambda sample: hear(topic, sample.payload.to_bytes()),
+                lambda sample: handler(topic, sample.payload.to_bytes()),
                 allowed_origin=self._remote,
             )
         elif not wanted and subscriber is not None:
@@ -93,19 +93,19 @@ class Bank:
 
     @property
     def tokens(self) -> frozenset[str]:
-        """Keys of all who are announced on this side, those we announce left out."""
-        return self._heard - self._mirrored.keys()
+        """Presence keys on this side, without our own."""
+        return self._tokens - self._mirrored.keys()
 
     def announce(self, tokens: frozenset[str]) -> None:
-        """Announce these, and no others, on this side."""
+        """Announce exactly these keys on this side."""
         for key in self._mirrored.keys() - tokens:
             self._mirrored.pop(key).undeclare()
         for key in tokens - self._mirrored.keys():
-            self._mirrored[key] = None  # before it is heard here
+            self._mirrored[key] = None  # before its token arrives here
             self._mirrored[key] = self._liveliness.declare_token(key)
 
     def serve(self, answer: Callable[[str], dict[str, Any]]) -> None:
-        """Answer the requests of `ask` from now on; a `TeleopError` becomes the asker's."""
+        """Answer requests of `send_request`; a `TeleopError` is raised at the caller."""
 
         def on_query(query: Any) -> None:
             reply: dict[str, Any]
@@ -123,17 +123,17 @@ class Bank:
     def _on_token(self, sample: Any) -> None:
         key = str(sample.key_expr)
         came = sample.kind == zenoh.SampleKind.PUT
-        self._heard = self._heard | {key} if came else self._heard - {key}
+        self._tokens = self._tokens | {key} if came else self._tokens - {key}
         self._tokens_changed()
 
 
-def ask(config: LinkConfig, session: str, endpoint: str, request: str) -> dict[str, Any]:
+def send_request(config: LinkConfig, session: str, endpoint: str, request: str) -> dict[str, Any]:
     """Send a request to the bridge at `endpoint` and return its answer.
 
     Raises
     ------
     TeleopError
-        It does not answer, or refuses.
+        No answer, or a refusal.
     """
     end = now_ns() + ANSWER_S * 1e9
     with open_session(config, [], [endpoint]) as asking:
@@ -147,7 +147,7 @@ def ask(config: LinkConfig, session: str, endpoint: str, request: str) -> dict[s
                     raise TeleopError(content["error"])
                 answer: dict[str, Any] = content["answer"]
                 return answer
-    raise TeleopError(f"nothing answers at {endpoint} for session {session!r}")
+    raise TeleopError(f"no answer at {endpoint} for session {session!r}")
 
 
 def _control(session: str) -> str:

@@ -1,4 +1,4 @@
-"""Where the two sides meet, and how the wire between them is protected."""
+"""Endpoints and transport security of the link."""
 
 import ipaddress
 import re
@@ -13,7 +13,7 @@ _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
 
 class Endpoint(NamedTuple):
-    """`protocol/host:port`, taken apart."""
+    """A parsed `protocol/host:port`."""
 
     protocol: str
     host: str
@@ -21,7 +21,7 @@ class Endpoint(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> "Endpoint":
-        """Take `text` apart; `ValueError` says what is wrong with it."""
+        """Parse `text`; raises `ValueError`."""
         found = _ENDPOINT.fullmatch(text)
         if found is None:
             raise ValueError("is not an endpoint; allowed: tcp/HOST:PORT or tls/HOST:PORT")
@@ -30,14 +30,14 @@ class Endpoint(NamedTuple):
             raise ValueError(f"port {port} is out of range; allowed: 1 to 65535")
         address = _address(host)
         if address is None and (found["v6"] or not _HOST_NAME.fullmatch(host)):
-            raise ValueError(f"{host!r} is neither a host name nor an IP address")
+            raise ValueError(f"{host!r} is not a host name or IP address")
         if address is not None and (address.is_unspecified or address.is_multicast):
-            raise ValueError(f"{host} cannot be connected to; name the one address of that machine")
+            raise ValueError(f"{host} cannot be connected to; use the address of the machine")
         return cls(found["protocol"], host, port)
 
     @property
     def loopback(self) -> bool:
-        """Whether what is sent there cannot leave this machine."""
+        """Whether the endpoint is on this machine."""
         address = _address(self.host)
         return self.host == "localhost" if address is None else address.is_loopback
 
@@ -51,7 +51,7 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TlsConfig:
-    """Mutual TLS: each side shows a certificate, and believes only those of one authority."""
+    """Mutual TLS: both sides present a certificate of one authority."""
 
     ca: Path  # PEM, the authority's certificate
     certificate: Path  # PEM, ours; names the host of our endpoint
@@ -65,15 +65,15 @@ class TlsConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkConfig:
-    """The endpoints both sides are told, the same on every machine of a session.
+    """Endpoints of both sides, the same on every machine of a session.
 
-    The master listens on one and the slave on the other; the master connects to the slave, and
-    whoever only listens connects to both.
+    The master listens on one and the slave on the other; the master connects to the slave,
+    listeners connect to both.
     """
 
     master: str = "tcp/127.0.0.1:7447"  # the master's endpoint
     slave: str = "tcp/127.0.0.1:7448"  # the slave's endpoint
-    tls: TlsConfig | None = None  # needed to leave the machine
+    tls: TlsConfig | None = None  # required off loopback
     insecure_plaintext_off_loopback: bool = False  # anyone on that network may then move the robot
 
     def __post_init__(self) -> None:
@@ -85,13 +85,13 @@ class LinkConfig:
             if endpoint.protocol == "tls" and self.tls is None:
                 raise ValueError(f"{name}: needs link.tls (ca, certificate, key)")
             if endpoint.protocol == "tcp" and self.tls is not None:
-                raise ValueError(f"{name}: link.tls is given, so this must be tls/HOST:PORT")
+                raise ValueError(f"{name}: must be tls/HOST:PORT, as link.tls is set")
             plain = endpoint.protocol == "tcp" and not endpoint.loopback
             if plain and not self.insecure_plaintext_off_loopback:
                 raise ValueError(
-                    f"{name}: plain tcp leaves this machine; use tls/HOST:PORT with link.tls, or "
-                    "set link.insecure_plaintext_off_loopback: true on a network nobody else can "
-                    "reach"
+                    f"{name}: plain tcp is only allowed on loopback; use tls/HOST:PORT with "
+                    "link.tls, or set link.insecure_plaintext_off_loopback: true on an isolated "
+                    "network"
                 )
         if self.master == self.slave:
-            raise ValueError("slave: the same endpoint as master; each needs its own")
+            raise ValueError("slave: must differ from the endpoint of the master")

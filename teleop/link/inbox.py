@@ -1,9 +1,9 @@
-"""What has arrived on one topic since the loop last looked, and waiting for it.
+"""Inbox of one topic, with a wait that ends at an arrival.
 
-Zenoh's receiving thread stores, the loop's thread waits and takes. What Zenoh calls is a method of
-C, `SimpleQueue.put`: it wakes the reader without running any Python code, which would still hold
-the interpreter when the reader wants it. Of the ways to wait with a deadline this is the one that
-has the latency of polling at the least processor time (docs/latency.md).
+Zenoh's receiving thread stores, the loop's thread waits and takes. Zenoh calls the C method
+`SimpleQueue.put`, which wakes the reader without running Python code that would still hold the
+interpreter lock. This wait has the latency of polling at the least processor time
+(docs/latency.md).
 """
 
 import time
@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from teleop.clock import now_ns
 
 Arrived: TypeAlias = tuple[bytes, int]
-"""One message as it came, and when the loop first had it, on our clock [ns]."""
+"""A received message, and when the loop first took it, on our clock [ns]."""
 
 
 class Inbox:
@@ -28,7 +28,7 @@ class Inbox:
     Parameters
     ----------
     size : int
-        How many a look takes; of more the oldest are dropped.
+        Capacity; the oldest messages are dropped.
     """
 
     def __init__(self, size: int) -> None:
@@ -38,15 +38,15 @@ class Inbox:
         self.store: Callable[[Any], None] = self._queue.put
 
     def wake(self) -> None:
-        """End a wait now; every handler of a signal must call it.
+        """End a wait now; every signal handler must call it.
 
-        A `SimpleQueue.get` that a signal interrupts goes on waiting for the rest of its time, and
-        for ever where the handler took longer than that rest (CPython 3.11, _queuemodule.c).
+        A `SimpleQueue.get` interrupted by a signal continues to wait for the rest of its time, or
+        for ever if the handler took longer (CPython 3.11, _queuemodule.c).
         """
         self._queue.put(None)
 
     def wait(self, deadline_ns: int) -> bool:
-        """Wait until something is there, at most until a time of the monotonic clock [ns]."""
+        """Wait for a message, at most until a time of the monotonic clock [ns]."""
         if self._taken:
             return True
         timeout = (deadline_ns - time.monotonic_ns()) * 1e-9
@@ -60,15 +60,15 @@ class Inbox:
         return True
 
     def take(self) -> tuple[list[Arrived], bool]:
-        """Return what has arrived, oldest first, and whether older ones were dropped."""
+        """Return the messages, oldest first, and whether older ones were dropped."""
         arrived, self._taken = self._taken, []
-        waiting = self._queue.qsize()  # what comes during the look waits for the next
+        waiting = self._queue.qsize()  # later messages wait for the next call
         if not waiting:
             return arrived, False
         overflowed = len(arrived) + waiting > self._size
         if overflowed:
             arrived.clear()
-        get = self._queue.get_nowait  # nobody else takes from it: what was counted is there
+        get = self._queue.get_nowait  # single consumer: the counted messages are there
         for _ in range(waiting - self._size):
             get()
         received_ns = now_ns()

@@ -23,15 +23,15 @@ from teleop.topics import Role, Topic
 
 M = TypeVar("M", bound=Message)
 
-SETTLE_S = 0.3  # how long a newcomer waits for the link, and again looks about before it starts
-RING = 16  # messages kept between two looks, so that a late look is not taken for a loss
+SETTLE_S = 0.3  # time for connecting, and again for detecting peers, before a start
+RING = 16  # messages kept between reads, so that a late read does not lose any
 
 
 class Link:
-    """What a process has of the network, as a context manager; used from one thread.
+    """The network link of a process, as a context manager; used from one thread.
 
-    Nothing here waits once the link is open, and the network never raises: a peer that is gone
-    shows in `present`, in ages and in counts.
+    Nothing blocks once the link is open, and the network never raises: a lost peer shows in
+    `present`, in ages and in counts.
 
     Parameters
     ----------
@@ -40,11 +40,11 @@ class Link:
     session : str
         Root of all keys.
     role : Role
-        Who this process is. The master listens and connects to the slave, the slave listens, the
+        Role of this process. The master listens and connects to the slave, the slave listens, the
         others connect to both.
     at_once : bool
-        Whether to enter without looking about, which takes up to twice `SETTLE_S`: for a role that
-        takes nobody's place and repeats what it has to say until it is heard.
+        Whether to skip the detection of peers, which takes up to twice `SETTLE_S`: for listeners
+        that repeat their messages until they are answered.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class Link:
         self._zenoh.close()
 
     def publish(self, topic: Topic[M], message: M) -> int:
-        """Send `message` and return its stamp [ns]; takes microseconds, whoever is listening."""
+        """Send `message` and return its stamp [ns]; takes microseconds."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
             publisher = self._publishers[topic.name] = self._declare(topic)
@@ -97,7 +97,7 @@ class Link:
         return stamp
 
     def publish_packet(self, topic: Topic[M], packet: Packet[M]) -> int:
-        """Send what a loop has in `packet` and return its stamp [ns]; the head is filled in."""
+        """Send `packet` and return its stamp [ns]; the head is filled in."""
         publisher = self._publishers.get(topic.name)
         if publisher is None:
             publisher = self._publishers[topic.name] = self._declare(topic)
@@ -109,8 +109,8 @@ class Link:
     def skip_unsubscribed(self, topic: Topic[Any]) -> bool:
         """Return whether nobody subscribes to `topic`; its next message then counts as sent.
 
-        For what a loop sends to listeners only: it need not be put together. Its sequence number is
-        used up, so that a listener whose connection broke finds the gap.
+        For messages to listeners only, to save composing them. The sequence number is used up, so
+        that a reconnected listener detects the gap.
         """
         publisher = self._publishers.get(topic.name)
         if publisher is None:
@@ -121,9 +121,9 @@ class Link:
         return True
 
     def publish_raw(self, topic: Topic[Any], data: bytes) -> None:
-        """Send a message packed elsewhere: for a replay, which waits for room rather than drop it.
+        """Send a packed message; for a replay, which waits for space in the queue.
 
-        Nobody admits it unless the sender in it is our `nonce`.
+        It is rejected unless its sender is our `nonce`.
         """
         publisher = self._publishers.get(topic.name)
         if publisher is None:
@@ -131,9 +131,9 @@ class Link:
         publisher.put(data)
 
     def subscribe_latest(self, topic: Topic[M], limit_ns: int = NEVER_NS) -> Latest[M]:
-        """Begin to receive `topic`; call it before a loop so that the first tick does not.
+        """Subscribe to the latest value of `topic`; call it before the loop starts.
 
-        Messages older than `limit_ns` [ns] when they come are counted as delayed.
+        Messages older than `limit_ns` [ns] on arrival are counted as delayed.
         """
         if topic.publisher is None:
             raise ValueError(f"{topic.name} has several publishers, so no one latest value")
@@ -147,18 +147,18 @@ class Link:
     def wait(self, topic: Topic[Any], deadline_ns: int) -> bool:
         """Wait for a message of `topic`, which must be subscribed to as a latest value.
 
-        Returns whether there is one that `latest` has not taken in; at the latest at `deadline_ns`
+        Returns whether there is one that `latest` has not processed; at the latest at `deadline_ns`
         of the machine's monotonic clock.
         """
         return self._latest[topic.name][1].wait(deadline_ns)
 
     def wake(self) -> None:
-        """End a `wait` now; to be called by whatever handles a signal, see `Inbox.wake`."""
+        """End a `wait` now; called by signal handlers, see `Inbox.wake`."""
         for _, inbox in self._latest.values():
             inbox.wake()
 
     def latest(self, topic: Topic[M]) -> Latest[M]:
-        """Return the newest message of `topic` with its age, having looked for newer ones."""
+        """Process new messages of `topic`; return the newest with its age."""
         entry = self._latest.get(topic.name)
         if entry is None:
             self.subscribe_latest(topic)
@@ -178,12 +178,12 @@ class Link:
     def present(self, role: Role, nonce: int | None = None) -> bool:
         """Return whether a process of `role` is connected to this one and has finished starting.
 
-        With a `nonce`: whether that very process is.
+        With a `nonce`: whether that process is.
         """
         return self._roster.present(role, nonce)
 
     def announced(self, nonce: int) -> bool:
-        """Return whether the process of this nonce is in the session, whoever it is."""
+        """Return whether the process of this nonce is in the session."""
         return self._roster.announced(nonce)
 
     def check_peers(self) -> None:
@@ -193,7 +193,7 @@ class Link:
             raise PeerError(f"session {self.session!r} {why}")
 
     def counts(self) -> Counts:
-        """Return what became of the messages of all latest-value topics together."""
+        """Return the message counts of all latest-value topics together."""
         return sum((latest.counts for latest, _ in self._latest.values()), Counts())
 
     def _key(self, topic: Topic[Any]) -> str:
@@ -203,7 +203,7 @@ class Link:
         return 0 if topic.publisher is None else self._roster.visit(topic.publisher, nonce)
 
     def _declare(self, topic: Topic[Any], patient: bool = False) -> "_Publisher":
-        """Declare the publisher of a topic, which must be this role's."""
+        """Declare the publisher of a topic of this role."""
         if topic.publisher not in (None, self.role):
             raise ValueError(f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}")
         live = topic.live and not patient
@@ -211,7 +211,7 @@ class Link:
         return _Publisher(publisher)
 
     def _endpoints(self) -> tuple[list[str], list[str]]:
-        """Return where to listen and where to connect."""
+        """Return the endpoints to listen on and to connect to."""
         master, slave = self.config.master, self.config.slave
         if self.role == Role.MASTER:
             return [master], [slave]
@@ -240,7 +240,7 @@ class Link:
             )
 
     def _settle(self) -> None:
-        """Look about before taking a place: at most `SETTLE_S` for the link, then as long again."""
+        """Detect peers before claiming a role: at most twice `SETTLE_S`, half of it to connect."""
         begin = now_ns()
         linked = None
         while True:
@@ -254,9 +254,9 @@ class Link:
 
 
 class _Publisher:
-    """A declared publisher, the sequence number of its last message, and whether anybody listens.
+    """A publisher, its last sequence number, and whether it has subscribers.
 
-    Zenoh's thread writes `has_subscriber`: at once if somebody does, then whenever it changes.
+    Zenoh's thread updates `has_subscriber`.
     """
 
     __slots__ = ("_listener", "has_subscriber", "put", "sequence")

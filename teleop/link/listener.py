@@ -1,4 +1,4 @@
-"""Hearing everything, in the order of arrival: for the recorder and the viewer."""
+"""Receive all messages in the order of arrival: for the recorder and the viewer."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -12,17 +12,15 @@ from teleop.link.reception import Counts, Reception
 from teleop.messages import Head
 from teleop.topics import Topic
 
-SENDERS = (
-    64  # of one topic that are told apart; of more, the one not heard for longest is forgotten
-)
+SENDERS = 64  # senders tracked per topic; beyond that the least recent one is dropped
 
 
-class Heard(NamedTuple):
-    """One message as it came: checked, not unpacked."""
+class ReceivedMessage(NamedTuple):
+    """A received message: checked, not unpacked."""
 
     topic: Topic[Any]
     data: bytes
-    received_ns: int  # when Zenoh handed it over, on our clock
+    received_ns: int  # on our clock, from Zenoh's callback
     sender: int
     sequence: int
     stamp_ns: int  # on the sender's clock
@@ -31,9 +29,9 @@ class Heard(NamedTuple):
 class Listener:
     """Collects messages of several topics until they are drained.
 
-    Zenoh's thread stamps and queues; checking is done by who drains. A reader that falls behind by
-    more than `message_queue.capacity_of` a topic loses its oldest messages. They are counted in
-    `dropped`, and the gap that they leave is `overwritten`, not `lost`.
+    Zenoh's thread stamps and queues; `drain` checks. A reader that falls behind by more than
+    `message_queue.capacity_of` a topic loses its oldest messages. They are counted in `dropped`,
+    and their gap in the sequence as `overwritten`, not `lost`.
     """
 
     def __init__(self, visit: Callable[[Topic[Any], int], int]) -> None:
@@ -42,51 +40,51 @@ class Listener:
         self._senders: dict[str, _Senders] = {}
 
     def store(self, topic: Topic[Any]) -> Callable[[zenoh.Sample], None]:
-        """Return the callback that Zenoh's thread gives the samples of `topic` to."""
+        """Return the callback for Zenoh's samples of `topic`."""
         self._queue.add(topic)
         self._senders[topic.name] = _Senders(topic, self._visit)
         put = self._queue.put
-        # copied at once: a payload kept as it is keeps the whole receive buffer it lies in
+        # copied at once: a payload keeps its whole receive buffer alive
         return lambda sample: put(topic, sample.payload.to_bytes(), now_ns())
 
-    def drain(self) -> list[Heard]:
-        """Return what has arrived since the last call, oldest first, checked as `Latest` does."""
+    def drain(self) -> list[ReceivedMessage]:
+        """Return the messages since the last call, oldest first, checked as by `Latest`."""
         if not self._queue.has_arrivals:
             return []
         arrivals, dropped = self._queue.take()
         for name, count in dropped.items():
             self._senders[name].overflowed_to(count)
-        heard = []
+        messages = []
         for _, topic, data, received_ns in arrivals:
             head = self._senders[topic.name].admit(data)
             if head is not None:
-                heard.append(Heard(topic, data, received_ns, *head))
-        return heard
+                messages.append(ReceivedMessage(topic, data, received_ns, *head))
+        return messages
 
     def counts(self, topic: Topic[Any]) -> Counts:
-        """Return what became of the messages of `topic`, all its senders together."""
+        """Return the message counts of `topic`, all senders together."""
         senders = self._senders.get(topic.name)
         return Counts() if senders is None else senders.counts()
 
     def dropped(self, topic: Topic[Any]) -> int:
-        """Return how many messages of `topic` arrived and were dropped for want of a reader.
+        """Return how many received messages of `topic` were dropped before they were read.
 
-        Exact, also where no later message shows a gap: stored = drained + rejected + dropped.
+        Exact even without a later message: stored = drained + rejected + dropped.
         """
         return self._queue.dropped(topic)
 
 
 class _Senders:
-    """Who judges the messages of a topic: one `Reception`, or one a sender if several publish it.
+    """The checks of a topic: one `Reception`, or one per sender if several publish it.
 
-    Anyone may claim to be one sender more, so a sender is remembered only once a message of it was
-    let in, and of no more than `SENDERS` of them; the counts of those forgotten are kept.
+    Sender numbers are not authenticated, so only senders with an accepted message are tracked, at
+    most `SENDERS`; counts of dropped ones are kept.
     """
 
     def __init__(self, topic: Topic[Any], visit: Callable[[Topic[Any], int], int]) -> None:
         self._topic, self._visit = topic, visit
         self._receptions: OrderedDict[int, Reception] = OrderedDict()
-        self._overflowed: set[int] = set()  # of which the next gap is our own doing
+        self._overflowed: set[int] = set()  # whose next gap is due to our queue
         self._dropped = 0
         self._forgotten = Counts()
 
@@ -94,13 +92,13 @@ class _Senders:
         return len(self._receptions)
 
     def overflowed_to(self, dropped: int) -> None:
-        """Take note of how many messages of the topic were dropped so far."""
+        """Update the number of dropped messages of the topic."""
         if dropped > self._dropped:
             self._dropped = dropped
             self._overflowed = set(self._receptions)
 
     def admit(self, data: bytes) -> Head | None:
-        """Return the head of `data` if it is let in, else None."""
+        """Return the head of `data` if it is accepted, else None."""
         shared = self._topic.publisher is None
         sender = self._topic.message.schema.sender(data) if shared else 0
         known = self._receptions.get(sender)
@@ -118,7 +116,7 @@ class _Senders:
         return head
 
     def counts(self) -> Counts:
-        """Return what became of all messages that were judged."""
+        """Return the counts of all checked messages."""
         return sum((r.counts for r in self._receptions.values()), self._forgotten)
 
     def _announced(self, nonce: int) -> int:

@@ -1,4 +1,4 @@
-"""Bounded queues of raw messages, one for each topic, read back in the order of arrival."""
+"""Bounded queues of raw messages, one per topic, read in the order of arrival."""
 
 import threading
 from collections import deque
@@ -6,33 +6,32 @@ from typing import Any, NamedTuple
 
 from teleop.topics import Topic
 
-BACKLOG_S = 10.0  # [s] of a topic at its expected rate, kept for a slow reader
-CAPACITY_MIN = 256  # messages, of topics that come now and then
+BACKLOG_S = 10.0  # [s] capacity for a topic at its expected rate
+CAPACITY_MIN = 256  # messages, for event topics
 
 
 class Arrival(NamedTuple):
-    """One message as it came, unchecked."""
+    """A received message, unchecked."""
 
-    number: int  # of all that came, whatever their topic
+    number: int  # over all topics
     topic: Topic[Any]
     data: bytes
     received_ns: int
 
 
 class MessageQueue:
-    """Holds what has arrived until it is taken; each topic has a bound of its own.
+    """Holds messages until they are taken; each topic has its own bound.
 
     A full topic drops its oldest message and counts it, exactly: put = taken + dropped + waiting.
-    The oldest, because the message after it then shows the gap in the sequence numbers, and the
-    end of a stream is never the part that is missing. One topic cannot displace another's
-    messages.
+    The oldest, so that the next message shows the gap in the sequence numbers. Topics do not
+    displace each other's messages.
 
     Any thread may put, any may take.
 
     Attributes
     ----------
     has_arrivals : bool
-        Whether anything was put since the last `take`; to be looked at without a call.
+        Whether anything was put since the last `take`.
     """
 
     def __init__(self) -> None:
@@ -49,11 +48,7 @@ class MessageQueue:
             self._dropped.setdefault(topic.name, 0)
 
     def put(self, topic: Topic[Any], data: bytes, received_ns: int) -> None:
-        """Append a message.
-
-        Of one that is longer than its topic's only so much is kept as shows that it is: what a
-        message takes in memory is no choice of its sender.
-        """
+        """Append a message; one too long for its topic is truncated, to bound the memory."""
         longest = topic.message.schema.size + 1
         if len(data) > longest:
             data = data[:longest]
@@ -65,7 +60,7 @@ class MessageQueue:
             self.has_arrivals = True
 
     def take(self) -> tuple[list[Arrival], dict[str, int]]:
-        """Return what is waiting, oldest first; and how many each topic has dropped so far."""
+        """Return the waiting messages, oldest first, and the dropped messages per topic so far."""
         arrivals: list[Arrival] = []
         with self._lock:
             dropped = self._dropped.copy()
@@ -77,12 +72,12 @@ class MessageQueue:
         return arrivals, dropped
 
     def dropped(self, topic: Topic[Any]) -> int:
-        """Return how many messages of `topic` were dropped because nobody took them in time."""
+        """Return how many messages of `topic` were dropped."""
         return self._dropped[topic.name]
 
 
 def capacity_of(topic: Topic[Any]) -> int:
-    """Return how many messages of a topic wait at most; both sides may publish what any may."""
+    """Return the capacity for a topic; twice as many if both sides publish it."""
     publishers = 2 if topic.publisher is None else 1
     return max(CAPACITY_MIN, round(BACKLOG_S * topic.rate_hz * publishers))
 

@@ -1,4 +1,4 @@
-"""A Zenoh session as this project wants it: explicit endpoints, nothing discovered, short waits."""
+"""Zenoh sessions with explicit endpoints, no discovery and short timeouts."""
 
 import json
 import re
@@ -9,19 +9,17 @@ import zenoh
 from teleop.errors import UsageError
 from teleop.link.config import LinkConfig
 
-RETRY_MS = 100  # between attempts to reach a peer that is not there
+RETRY_MS = 100  # between attempts to connect to a peer
 QUEUE = 16  # messages of one priority waiting to be sent to one peer
-BATCH_BYTES = (
-    2048  # of one write to the wire; holds any message of ours, each of which is sent alone
-)
-OPEN_MS = 3000  # for the handshake; closing waits as long for a target that takes and says nothing
-LEASE_MS = 2000  # a peer silent for so long is gone; a closed connection shows at once
+BATCH_BYTES = 2048  # of one write; holds any message, each of which is sent alone
+OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
+LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 
 
 def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> zenoh.Session:
     """Open a Zenoh session on the given endpoints; `UsageError` if one cannot be listened on.
 
-    A target that is not up is no error: it is tried again every `RETRY_MS`, for ever.
+    An unreachable target is not an error: it is retried every `RETRY_MS`.
     """
     settings: dict[str, Any] = {
         "mode": "peer",
@@ -42,7 +40,7 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
         "transport/shared_memory/enabled": False,
         "transport/link/protocols": ["tcp"],
         "transport/link/tx/lease": LEASE_MS,
-        # A full queue drops at once: waiting for room, 1 ms by default, would be a missed tick. Of
+        # A full queue drops at once: waiting for space, 1 ms by default, would be a missed tick. Of
         # the default two places, a hiccup of the sending thread made 2 % of messages drop; of
         # sixteen, none.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
@@ -80,9 +78,9 @@ def declare_publisher(
 ) -> zenoh.Publisher:
     """Declare a publisher of a live topic (old values are dropped) or of a reliable one.
 
-    Neither waits for room unless it is `patient`: reliable means that the wire repeats what it
-    lost, but a control loop that waits for a stalled recorder has lost more than an event. What is
-    sent only `to_remote` is not heard by subscribers of the same Zenoh session.
+    Neither waits for space unless `patient`: reliable topics are retransmitted, but a control loop
+    must not wait for a stalled recorder. Messages `to_remote` are not delivered to subscribers of
+    the same Zenoh session.
     """
     drop, block = zenoh.CongestionControl.DROP, zenoh.CongestionControl.BLOCK
     return session.declare_publisher(
@@ -97,9 +95,9 @@ def declare_publisher(
 
 
 def _reason(text: str) -> str:
-    """Return what a Zenoh error says happened, with a remedy where there is one."""
+    """Return the reason in a Zenoh error, with a remedy if known."""
     if "Address already in use" in text:
-        return "another process has this port; stop it, or choose another in the config's link"
+        return "another process uses this port; stop it, or set another port in link of the config"
     if "Cannot assign requested address" in text:
-        return "this machine does not have that address; name one of its own in the config's link"
+        return "not an address of this machine; set another one in link of the config"
     return re.sub(r"\s*at /\S+?:\d+\.", "", text).strip()

@@ -1,8 +1,8 @@
-"""What Zenoh alone takes on this machine: the baseline for the latency of a session.
+"""Round-trip time of bare Zenoh on this machine: the baseline for the latency of a session.
 
 Two processes on loopback send raw bytes to and fro, without messages, checks or loops. They have
 the same sessions, publishers, priority and way of waiting as the loops (`teleop.link.inbox`), so
-that what a session takes beyond them is the loops' own.
+the additional latency of a session is due to the loops.
 """
 
 import json
@@ -26,8 +26,8 @@ from teleop.process import SUPERVISED, die_with_launcher
 from teleop.realtime import RealtimeConfig, enter_loop, go_realtime
 
 PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
-PATIENCE_S = 0.05  # for an answer, before the next command
-START_S = 5.0  # for the other process to come up
+PATIENCE_S = 0.05  # timeout of an answer
+START_S = 5.0  # timeout for the start of the other process
 _WORD = 8  # bytes: a command begins with its number, an answer with that and its own stamp
 _RING = 16
 _DEFAULT = RealtimeConfig()
@@ -36,23 +36,22 @@ _DEFAULT = RealtimeConfig()
 def ping_pong(
     command_bytes: int, state_bytes: int, n: int = 1000, realtime: RealtimeConfig = _DEFAULT
 ) -> dict[str, Any]:
-    """Measure `n` round trips between two processes that are started and ended here.
+    """Measure `n` round trips between two new processes.
 
     Parameters
     ----------
     command_bytes, state_bytes : int
-        Size of what is sent, and of what comes back.
+        Sizes of command and answer.
     n : int
-        How many commands, one a millisecond.
+        Number of commands, one per millisecond.
     realtime : RealtimeConfig
         Scheduling of both processes.
 
     Returns
     -------
     dict
-        `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip; the same with `one_way_` in
-        front of the way back; `realtime`, what the processes were granted. Empty if there was no
-        answer.
+        `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip; the same with the prefix
+        `one_way_` for the way back; `realtime`, the scheduling granted. Empty without an answer.
     """
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
     scheduling = [str(realtime.priority), json.dumps(realtime.cores)]
@@ -85,12 +84,12 @@ def _start(words: list[str]) -> subprocess.Popen[bytes]:
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env=os.environ | {"PYTHONPATH": path, SUPERVISED: str(os.getpid())},
-        start_new_session=True,  # Ctrl-C is for us to handle
+        start_new_session=True,  # Ctrl-C is handled by this process
     )
 
 
 def _ping(endpoint: str, size: int, realtime: RealtimeConfig, n: int) -> dict[str, Any]:
-    """Send `n` commands and return what their answers took."""
+    """Send `n` commands and return their round trips."""
     granted = go_realtime(realtime)
     with open_session(LinkConfig(), [], [endpoint]) as session:
         inbox = _subscribe(session, "pong")
@@ -154,7 +153,7 @@ def _await_end(closed: threading.Event) -> None:
 
 
 def _subscribe(session: zenoh.Session, name: str) -> Inbox:
-    """Return where the messages of `name` arrive: as `Link.subscribe_latest` does it."""
+    """Return the inbox of the messages of `name`, as in `Link.subscribe_latest`."""
     inbox = Inbox(_RING)
     direct = zenoh.handlers.Callback(inbox.store, indirect=False)
     session.declare_subscriber(f"teleop-ping-pong/{name}", direct)
@@ -162,7 +161,7 @@ def _subscribe(session: zenoh.Session, name: str) -> Inbox:
 
 
 def _free_port() -> int:
-    """Return a port that nobody listens on now."""
+    """Return a free port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

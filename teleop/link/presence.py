@@ -1,16 +1,16 @@
-"""Who is in a session, and who must leave it again.
+"""Presence tokens of a session, and conflicts between processes.
 
-Every process announces itself by a token of this name, which vanishes with its process or its wire:
+Every process announces itself by a liveliness token, which vanishes with its process or connection:
 
     teleop/<session>/@/<role>/<layout>/<nonce>/<stage>
 
-A session has one master and one slave. A newcomer first *claims* its place, looks about for a
-moment, and then *holds* it. A claim yields to a holder; of two equals the older nonce stays. A
-nonce begins with the time its process started, but a running process never yields to one that only
-claims, so a wrong clock cannot unseat it.
+A session has one master and one slave. A new process first *claims* its role, waits for other
+tokens, and then *holds* it. A claim yields to a holder; of two equals the older nonce stays. A
+nonce begins with the start time of its process, but a holder never yields to a claim, so a wrong
+clock cannot displace it.
 
-Two masters know nothing of each other, as each is connected to the slave only. The slave therefore
-repeats the tokens of the masters it hears, below `relay`.
+Two masters are not connected to each other, only to the slave. The slave therefore repeats the
+tokens of masters, below `relay`.
 """
 
 import secrets
@@ -26,20 +26,20 @@ _RANDOM_BITS = 12  # of 64; the rest is the start stamp, good for 4 us and until
 
 
 class Stage(IntEnum):
-    """How sure a process is of its place."""
+    """Whether a process claims or holds its role."""
 
     CLAIM = 0
     HELD = 1
 
 
 def new_nonce() -> int:
-    """Return a number that no other process draws and that grows with time."""
+    """Return a unique number that grows with time."""
     return (now_ns() >> _RANDOM_BITS << _RANDOM_BITS) | secrets.randbits(_RANDOM_BITS)
 
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """One announcement."""
+    """A presence token."""
 
     role: Role
     layout: int
@@ -48,14 +48,14 @@ class Token:
     relayed: bool = False
 
     def key(self, session: str) -> str:
-        """Return the key that announces this."""
+        """Return the key of this token."""
         relay = "relay/" if self.relayed else ""
         name, stage = self.role.name.lower(), self.stage.name.lower()
         return f"{root(session)}/{relay}{name}/{self.layout:08x}/{self.nonce:016x}/{stage}"
 
     @classmethod
     def from_key(cls, key: str) -> "Token | None":
-        """Return the announcement in a key; None if it is not one of ours."""
+        """Return the token of a key; None if it is not one of this project."""
         chunks = key.split("/@/", 1)[-1].split("/")
         relayed = chunks[0] == "relay"
         try:
@@ -75,7 +75,7 @@ def root(session: str) -> str:
 def conflict(me: Token, others: Iterable[Token]) -> str | None:
     """Return why `me` must leave the session, or None.
 
-    A listener (recorder, viewer, launcher) takes nobody's place and is never a reason to leave.
+    A listener (recorder, viewer, launcher) never conflicts.
     """
     for other in others:
         if other.nonce == me.nonce or other.role not in EXCLUSIVE:

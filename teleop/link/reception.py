@@ -1,4 +1,4 @@
-"""What has arrived on one topic: which message counts, which were lost, how old the newest is."""
+"""Reception of a topic: accepted messages, losses, age of the newest one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -11,31 +11,31 @@ from teleop.topics import Topic
 
 M = TypeVar("M", bound=Message)
 
-CLOCK_JUMP_NS = 1_000_000_000  # a message that much quicker than any before: the clock jumped
-NEVER_NS = 2**63 - 1  # the age of what has not come: beyond every limit
-DRIFT = 1000  # two clocks drift apart by at most 1 part in this; NTP slews by half of that
+CLOCK_JUMP_NS = 1_000_000_000  # a message that much faster than any before: the clock jumped
+NEVER_NS = 2**63 - 1  # age of a missing message: beyond every limit
+DRIFT = 1000  # inverse of the largest drift between two clocks; NTP slews by half of that
 
 
 @dataclass(slots=True)
 class Counts:
-    """What became of the messages of one topic."""
+    """Message counts of one topic."""
 
     received: int = 0
     lost: int = 0  # gaps in the sender's sequence
     overwritten: int = 0  # arrived, but a newer one did before the reader looked
     corrupted: int = 0
-    layout: int = 0  # of other declarations than ours
+    layout: int = 0  # of another message layout
     repeated: int = 0
     out_of_order: int = 0
     foreign: int = 0  # from another sender while ours is alive
-    unknown: int = 0  # from a sender that nobody announced, passed over
-    delayed: int = 0  # let in, but too old when first seen
+    unknown: int = 0  # from a sender without a token, ignored
+    delayed: int = 0  # accepted, but too old on arrival
     clock_jumps: int = 0  # the sender's clock was set, forward or back
     restarts: int = 0  # the sender's process was replaced
 
     @property
     def rejected(self) -> int:
-        """How many arrived and were not let in."""
+        """Number of rejected messages."""
         return self.corrupted + self.layout + self.repeated + self.out_of_order + self.foreign
 
     def __add__(self, other: "Counts") -> "Counts":
@@ -43,15 +43,15 @@ class Counts:
 
 
 class Reception:
-    """Decides which messages of a topic are let in; keeps the counts. Pure bookkeeping.
+    """Decides which messages of a topic are accepted, and counts them.
 
     Parameters
     ----------
     topic : Topic
-        What it should be.
+        The expected topic.
     visit : callable
-        Which visit of the sender of a given nonce this is, in the role that publishes this topic:
-        0 while it is not announced, 1 when it first is, one more each time it has come back.
+        Returns the visit number of a nonce in the publishing role: 0 while it is not announced, 1
+        at first, incremented each time it comes back.
     """
 
     def __init__(self, topic: Topic[M], visit: Callable[[int], int]) -> None:
@@ -62,12 +62,11 @@ class Reception:
         self._visit = visit
 
     def admit(self, data: bytes, overflowed: bool = False) -> Head | None:
-        """Return the head of `data` if it is let in, else None.
+        """Return the head of `data` if it is accepted, else None.
 
-        `overflowed` says that the channel was full, so that a gap before `data` is our own doing.
-
-        A sender not (yet) announced is passed over: its first messages may overtake its token, so
-        `unknown` is not among the rejected.
+        `overflowed`: the channel was full, so a gap before `data` is not a loss of the network. A
+        sender not (yet) announced is ignored: its first messages may overtake its token, so
+        `unknown` is not counted as rejected.
         """
         counts = self.counts
         try:
@@ -105,43 +104,41 @@ class Reception:
 class Latest(Generic[M]):
     """The newest message of a topic and its age.
 
-    The age of a message is the time since it came here, plus how much later it came than
-    the quickest of its sender's messages. So a message that sat in a stalled network is old when
-    it arrives, although the two clocks were never set to each other:
+    The age of a message is the time since its arrival, plus its delay in excess of the fastest
+    message of its sender. So a message from a stalled network is old when it arrives, without
+    synchronised clocks:
 
         delay = seen - stamp            (both clocks: unknown offset + travelling time)
-        least = running minimum of delay, let rise by 1/DRIFT of the time for the clocks' drift
+        least = running minimum of delay, rising by 1/DRIFT of the time for clock drift
         age   = (now - seen) + (delay - least)
 
-    The constant part of the travelling time cannot be seen this way and is not in it.
+    The constant part of the travelling time is not observable and not included.
 
-    A machine that slept comes back with its clock behind, by far more than drift. It comes back
-    over a connection of its own, on which nothing old can be under way: its token has vanished and
-    returned, and `least` is learnt anew, as of a new sender.
-
-    A clock that is set back makes all that follows old, and so nothing is acted upon; one that is
-    set forward is learnt anew. Both are counted.
+    A machine resumes from sleep with its clock far behind, but over a new connection without old
+    messages: its token has vanished and returned, and `least` is reset, as for a new sender. A
+    clock set back makes all later messages old, so they have no effect; one set forward resets
+    `least`. Both are counted.
 
     Parameters
     ----------
     topic, visit
         See `Reception`.
     limit_ns : int
-        Age [ns] from which on a message that has just come is counted as delayed.
+        Age [ns] on arrival above which a message is counted as delayed.
     """
 
     def __init__(
         self, topic: Topic[M], visit: Callable[[int], int], limit_ns: int = NEVER_NS
     ) -> None:
-        self.packet = Packet(topic.message)  # the newest message, once there is one
+        self.packet = Packet(topic.message)  # the newest message, if any
         self.is_there = False  # whether there is
-        self.new = False  # whether the last look brought a new message
-        self.received_ns = 0  # when the message was first seen
+        self.new = False  # whether the last `take` had a new message
+        self.received_ns = 0  # when the message was first read
         self._reception = Reception(topic, visit)
         self._visit = visit
-        self._seen_visit = (0, 0)  # sender, and which visit of it the clocks were compared in
+        self._seen_visit = (0, 0)  # sender and visit of the clock comparison
         self._message = topic.message
-        self._object: M | None = None  # of `message`, made when it is asked for
+        self._object: M | None = None  # of `message`, made on demand
         self._limit_ns = limit_ns
         self.stamp_ns = 0  # when it was sent, on its sender's clock
         self._least_ns = 0
@@ -149,12 +146,12 @@ class Latest(Generic[M]):
 
     @property
     def counts(self) -> Counts:
-        """What became of all messages so far."""
+        """Counts of all messages so far."""
         return self._reception.counts
 
     @property
     def message(self) -> M | None:
-        """The newest message as an object, for who is in no hurry; None if there is none."""
+        """The newest message as an object (slow); None if there is none."""
         if self._object is None and self.is_there:
             self._object = self._message.unpack(self.packet.data.tobytes())
         return self._object
@@ -170,7 +167,7 @@ class Latest(Generic[M]):
         return self.age_ns(now_ns) <= limit_ns
 
     def take(self, arrived: list[Arrived], overflowed: bool = False) -> None:
-        """Take in what arrived since the last look, oldest first."""
+        """Process the messages since the last call, oldest first."""
         newest, newest_head, now_ns = None, None, 0
         for data, received_ns in arrived:
             head = self._reception.admit(data, overflowed)

@@ -1,4 +1,4 @@
-"""Who is announced in a session at this moment."""
+"""Roster of the processes announced in a session."""
 
 from dataclasses import replace
 from typing import Any
@@ -10,28 +10,28 @@ from teleop.topics import Role
 
 
 class Roster:
-    """Keeps the tokens of all others; a slave also repeats those of the masters it hears.
+    """Tracks the tokens of other processes; a slave also relays those of masters.
 
     Zenoh's thread writes, one call at a time; anyone reads.
 
     Parameters
     ----------
     zenoh_session : zenoh.Session
-        An open one.
+        Open session.
     session : str
         Root of the keys.
     nonce : int
-        Our own, which is left out.
+        Our own, which is ignored.
     relay : bool
         Whether to repeat the tokens of masters, for other masters.
     """
 
     def __init__(self, zenoh_session: zenoh.Session, session: str, nonce: int, relay: bool) -> None:
-        # replaced as wholes, so that reading is safe
+        # replaced atomically, so that reading is thread-safe
         self.others: frozenset[Token] = frozenset()
-        self._held: dict[int, Role] = {}  # nonce -> role, of who has finished starting
+        self._held: dict[int, Role] = {}  # nonce -> role, of started processes
         self._session, self._nonce, self._relay = session, nonce, relay
-        self._visits: dict[int, int] = {}  # nonce -> how many times it has come
+        self._visits: dict[int, int] = {}  # nonce -> number of visits
         self._relayed: dict[Token, Any] = {}
         self._liveliness = zenoh_session.liveliness()
         self._watch: Any = self._liveliness.declare_subscriber(
@@ -39,22 +39,22 @@ class Roster:
         )
 
     def present(self, role: Role, nonce: int | None = None) -> bool:
-        """Return whether one of `role` (and of this nonce) is there and has finished starting."""
+        """Return whether a process of `role` (and this nonce) is present and has started."""
         return any(
             t.role == role and t.stage == Stage.HELD and not t.relayed and nonce in (None, t.nonce)
             for t in self.others
         )
 
     def announced(self, nonce: int) -> bool:
-        """Return whether a process of this nonce is there and has finished starting."""
+        """Return whether a process of this nonce is present and has finished starting."""
         return any(t.nonce == nonce and t.stage == Stage.HELD for t in self.others)
 
     def visit(self, role: Role, nonce: int) -> int:
-        """Return which visit of `nonce` in `role` this is, from 1; 0 if it is not there now."""
+        """Return the visit number of `nonce` in `role`, from 1; 0 if it is not present."""
         return self._visits.get(nonce, 1) if self._held.get(nonce) is role else 0
 
     def replace(self, others: frozenset[Token]) -> None:
-        """Take these for the tokens of all others."""
+        """Replace the tokens of all other processes."""
         self.others = others
         self._held = {t.nonce: t.role for t in others if t.stage == Stage.HELD and not t.relayed}
 

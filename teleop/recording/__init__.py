@@ -1,1 +1,1 @@
-"""Sessions in files: written while they run, read afterwards, played back onto the link."""
+"""Recordings of sessions: write, read, replay."""

@@ -1,4 +1,4 @@
-"""The index of a recording while it grows, encoded so that it takes little memory."""
+"""Compact chunk index of a recording being written."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ from mcap.records import ChunkIndex
 
 
 class ChunkIndices:
-    """Takes the place of the list of `ChunkIndex` objects that `mcap.writer.Writer` keeps.
+    """Replaces the list of `ChunkIndex` objects in `mcap.writer.Writer`.
 
     One is added for each chunk, ten a second by default, and written when the file is finished. As
     objects those of eight channels take 860 bytes each, 31 MB an hour; as in the file, 160.
@@ -23,7 +23,7 @@ class ChunkIndices:
         self._encoded += builder.end()
 
     def __iter__(self) -> Iterator["ChunkIndices"]:
-        """Iterate over things to be written one after another, of which there is one."""
+        """Iterate over the items to be written: this one."""
         yield self
 
     def write(self, stream: RecordBuilder) -> None:

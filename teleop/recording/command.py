@@ -3,9 +3,8 @@
   teleop record                                      the session of the defaults, until Ctrl-C
   teleop record --config configs/demo.yaml --out /data/bench --duration 60
 
-The recorder only listens: it may start before the session or in the middle of it, be slow, or be
-killed, and the loops do not notice. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and
-Python: see docs/recordings.md.
+The recorder only listens: it may start at any time, be slow, or be killed, without effect on the
+loops. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and Python: see docs/recordings.md.
 """
 
 import argparse
@@ -49,10 +48,10 @@ def main(args: argparse.Namespace) -> int:
                     time.sleep(config.drain_s)
                     stopping = (
                         stop()
-                    )  # asked before the last look: it finds all that came until then
-                    heard = listener.drain()
+                    )  # checked before the last read, which gets all earlier messages
+                    messages = listener.drain()
                     writer.note_dropped({topic.name: listener.dropped(topic) for topic in TOPICS})
-                    writer.write(heard, now_ns())
+                    writer.write(messages, now_ns())
         finally:
             summary = summary_of(writer)
             write_summary(args.json, summary)
@@ -62,7 +61,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def summary_of(writer: RecordingWriter) -> dict[str, Any]:
-    """Return what was recorded, for a program."""
+    """Return the summary as a tree."""
     return {
         "file": str(writer.path),
         "seconds": (writer.last_ns - writer.first_ns) * 1e-9,
@@ -74,7 +73,7 @@ def summary_of(writer: RecordingWriter) -> dict[str, Any]:
 
 
 def lines(summary: dict[str, Any]) -> list[str]:
-    """Return what was recorded, for a reader."""
+    """Return the summary as text."""
     size_MB, seconds = summary["bytes"] / 1e6, summary["seconds"]
     out = [f"recorded {Path(summary['file'])}: {seconds:.1f} s, {size_MB:.1f} MB"]
     for topic, count in summary["messages"].items():
@@ -83,7 +82,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
         out.append(f"  {topic:10} {count:9} messages {rate}" + (f", {lost} lost" if lost else ""))
     if summary["dropped"]:
         dropped = ", ".join(f"{count} {topic}" for topic, count in summary["dropped"].items())
-        out.append(f"  dropped, as the recorder was too slow: {dropped}; use a faster disk")
+        out.append(f"  dropped because the recorder was too slow: {dropped}; use a faster disk")
     if not summary["messages"]:
-        out.append("  nobody published anything in this session")
+        out.append("  no messages in this session")
     return out

@@ -6,11 +6,11 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class RecordConfig:
-    """Where recordings go, and how much of one a sudden end may cost."""
+    """Folder of recordings and write intervals."""
 
     directory: str = "recordings"  # created if missing; `--out` overrides it
-    chunk_s: float = 0.1  # [s] messages are held in memory this long before they go to the file
-    drain_s: float = 0.02  # [s] between two looks at the link
+    chunk_s: float = 0.1  # [s] messages are written to the file in chunks of this duration
+    drain_s: float = 0.02  # [s] between two reads from the link
     compression: Literal["zstd", "lz4", "none"] = "zstd"
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""ROS 2 message definitions read back: how the bytes of a recorded message are laid out."""
+"""Parse ROS 2 message definitions of recorded messages."""
 
 import re
 
@@ -37,7 +37,7 @@ def dtype_of(definition: str) -> np.dtype[np.void]:
         if field is None or field["type"] not in _NUMPY:
             raise ValueError(f"{text!r} is not a field of fixed size")
         if field["rest"].lstrip().startswith("="):
-            continue  # a constant takes no bytes
+            continue  # constants take no bytes
         scalar = np.dtype(_NUMPY[field["type"]])
         count = 1 if field["count"] is None else int(field["count"])
         start = end + -end % scalar.itemsize

@@ -2,21 +2,17 @@
 
 from collections import OrderedDict
 
-SENDERS = (
-    64  # of one topic that are told apart; of more, the one not heard for longest is forgotten
-)
-FORGOTTEN = 0  # stands for the senders that are no longer told apart
+SENDERS = 64  # senders tracked per topic; beyond that the least recent one is dropped
+FORGOTTEN = 0  # stands for dropped senders
 
 
 class Gaps:
     """Lost messages per topic and sender.
 
-    Each sender numbers the messages of a topic 0, 1, 2, ..., and the link hands them on in rising
-    order; a number that is skipped is a lost message. What a sender sent before the first or after
-    the last message heard cannot be known and is not counted. A restarted process is a new sender,
-    not a gap.
-
-    Of senders that are forgotten the losses are kept, taken together under `FORGOTTEN`.
+    Each sender numbers the messages of a topic 0, 1, 2, ..., and the link delivers them in rising
+    order; a skipped number is a lost message. Messages before the first or after the last received
+    one are not counted. A restarted process is a new sender, not a gap. Losses of dropped senders
+    are summed under `FORGOTTEN`.
     """
 
     def __init__(self) -> None:
@@ -24,7 +20,7 @@ class Gaps:
         self._next: dict[str, OrderedDict[int, int]] = {}  # topic -> sender -> number, oldest first
 
     def note(self, topic: str, sender: int, sequence: int) -> None:
-        """Take one message into account."""
+        """Add one message."""
         stream, senders = (topic, sender), self._next.setdefault(topic, OrderedDict())
         expected = senders.get(sender, sequence)
         self.lost[stream] = self.lost.get(stream, 0) + max(0, sequence - expected)

@@ -1,9 +1,9 @@
-"""What things are called inside a recording, for writer and reader alike."""
+"""Names in a recording, for writer and reader."""
 
 from mcap.records import Channel
 
 SESSION_METADATA = "recording"  # session, start, message layout
-VERSIONS_METADATA = "versions"  # of what wrote it
+VERSIONS_METADATA = "versions"  # of the writing software
 GAPS_METADATA = "gaps"  # "<topic>/<sender>": lost messages; the last record of the name counts
 DROPPED_METADATA = "dropped"  # "<topic>": came, but the recorder was too slow; the last one counts
 CONFIG_ATTACHMENT = "config.yaml"

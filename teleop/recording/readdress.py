@@ -1,17 +1,17 @@
-"""Recorded messages under a new address: the same content from another sender."""
+"""Rewrite recorded messages to come from another sender."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from teleop.recording.reader import Recorded
+from teleop.recording.reader import RecordedMessage
 from teleop.topics import TOPICS, Role, Topic
 
 _TOPICS = {topic.name: topic for topic in TOPICS}
 
 
-class Addressed(NamedTuple):
+class AddressedMessage(NamedTuple):
     """A message ready to be sent by the link of `role`."""
 
     role: Role
@@ -20,25 +20,25 @@ class Addressed(NamedTuple):
 
 
 class Readdress:
-    """Makes recorded messages look as if present senders had sent them.
+    """Rewrites recorded messages so that they come from present senders.
 
-    Listeners admit a sender that is present and numbers that rise. So sender, sequence and checksum
-    are rewritten; a number that was missing in the recording is missing again. All else is left as
-    it was recorded, also the stamp, unless it is to be shifted.
+    Listeners accept a present sender and rising numbers. So sender, sequence and checksum are
+    rewritten; gaps in the recording are kept. The stamp is shifted if requested; everything else is
+    unchanged.
 
     Parameters
     ----------
     nonces : mapping
-        The new sender for what the master and what the slave had sent. What another process sent
-        goes with the slave's.
+        The new senders of the master's and the slave's messages. Messages of other processes get
+        the slave's.
     """
 
     def __init__(self, nonces: Mapping[Role, int]) -> None:
         self._nonces = nonces
-        self._sent: dict[tuple[Role, str], int] = {}  # newest number given to a topic
+        self._sent: dict[tuple[Role, str], int] = {}  # last number of each topic
         self._seen: dict[tuple[str, int], int] = {}  # newest number recorded, by topic and sender
 
-    def __call__(self, recorded: Recorded, shift_ns: int = 0) -> Addressed:
+    def __call__(self, recorded: RecordedMessage, shift_ns: int = 0) -> AddressedMessage:
         """Return `recorded` under its new address, its stamp moved by `shift_ns`."""
         topic = _TOPICS[recorded.topic]
         schema = topic.message.schema
@@ -56,4 +56,4 @@ class Readdress:
         row["stamp_ns"] = head.stamp_ns + shift_ns
         checked_from = schema.dtype.fields["layout"][1]
         row["checksum"] = schema.checksum(memoryview(content)[checked_from:])
-        return Addressed(role, topic, bytes(content))
+        return AddressedMessage(role, topic, bytes(content))

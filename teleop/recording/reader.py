@@ -1,8 +1,7 @@
-"""Reading recordings: what is in one, its messages, and its topics as numpy columns.
+"""Read recordings: contents, messages, and topics as numpy columns.
 
-A recording is read by its own message definitions, so one made with other message layouts opens
-like any other, with the fields it has. A file cut off by a kill or a full disk gives every chunk
-that was finished.
+A recording is read with its own message definitions, so other message layouts are readable too.
+From a truncated file all finished chunks are read.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -30,28 +29,28 @@ _TIMES_AT = 6  # where the two times begin in a MESSAGE_HEAD; a row of columns b
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedMessage:
     """One message of a recording."""
 
     topic: str
-    data: bytes  # as it crossed the link
+    data: bytes  # as sent on the link
     log_time_ns: int  # when the recorder received it
     publish_time_ns: int  # when it was sent, on its sender's clock
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingInfo:
-    """What a recording holds."""
+    """Contents of a recording."""
 
     path: Path
-    complete: bool  # closed properly; False = cut off, all finished chunks are there
-    session: str  # "" = not stated
-    layout: int | None  # CRC-32 of the message declarations it was made with, None = not stated
+    complete: bool  # closed properly; False = truncated, all finished chunks are readable
+    session: str  # "" = unknown
+    layout: int | None  # CRC-32 of the message declarations it was made with, None = unknown
     versions: dict[str, str]
     config_text: str  # the session's config file, "" = ran on defaults
-    overrides: tuple[str, ...]  # what the command line said over it
+    overrides: tuple[str, ...]  # overrides of the command line
     messages: dict[str, int]  # per topic
-    lost: dict[str, int]  # per topic: sent, but not in the file
+    lost: dict[str, int]  # per topic: sent, but not recorded
     dropped: dict[str, int]  # per topic: received, but the recorder was too slow to write them
     first_ns: int  # log time of the first message, 0 = there is none
     last_ns: int
@@ -63,7 +62,7 @@ class RecordingInfo:
 
 
 def open_recording(path: str | Path) -> RecordingInfo:
-    """Return what a recording holds; `RecordingError` if the file is none or is damaged."""
+    """Return the contents of a recording; `RecordingError` if the file is invalid or damaged."""
     scan = Scan(Path(path))
     counts: dict[int, int] = {}
     first, last = 0, 0
@@ -87,7 +86,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
         dropped = dict.fromkeys(messages, 0) | {topic: int(text) for topic, text in drops.items()}
         layout = int(head["layout"], 16) if "layout" in head else None
     except ValueError as error:
-        raise RecordingError(f"{path}: is damaged: metadata that is no number: {error}") from error
+        raise RecordingError(f"{path}: is damaged: invalid number in metadata: {error}") from error
     return RecordingInfo(
         path=scan.path,
         complete=scan.complete,
@@ -104,7 +103,9 @@ def open_recording(path: str | Path) -> RecordingInfo:
     )
 
 
-def read_messages(path: str | Path, topics: Collection[str] | None = None) -> Iterator[Recorded]:
+def read_messages(
+    path: str | Path, topics: Collection[str] | None = None
+) -> Iterator[RecordedMessage]:
     """Yield the messages of a recording in the order of the file (None = of all topics)."""
     scan = Scan(Path(path))
     for block in scan.blocks():
@@ -113,13 +114,13 @@ def read_messages(path: str | Path, topics: Collection[str] | None = None) -> It
             if topics is None or topic in topics:
                 _, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(block.content, start)
                 data = block.content[start + MESSAGE_HEAD.size : end]
-                yield Recorded(topic, data, log_time, publish_time)
+                yield RecordedMessage(topic, data, log_time, publish_time)
 
 
 def read_columns(
     path: str | Path, topic: str, names: Sequence[str] | None = None
 ) -> NDArray[np.void]:
-    """Return all messages of one topic as a structured array, one row a message.
+    """Return all messages of one topic as a structured array, one row per message.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def read_columns(
     topic : str
         Name of the topic, as in `teleop.topics`.
     names : sequence of str, optional
-        The fields wanted; fewer fields take less memory. All by default.
+        The fields to read; fewer fields take less memory. All by default.
 
     Returns
     -------
@@ -139,7 +140,7 @@ def read_columns(
     Raises
     ------
     RecordingError
-        If the file is no recording, is damaged, or has no such topic or field.
+        If the file is not a recording, is damaged, or has no such topic or field.
     """
     scan = Scan(Path(path))
     parts: list[NDArray[np.void]] = []
@@ -176,7 +177,9 @@ def _row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.void]:
             raise RecordingError(f"{scan.path}: topic {topic!r}: {error}") from error
     message = dtypes[0]
     if any(other != message for other in dtypes):
-        raise RecordingError(f"{scan.path}: topic {topic!r} has messages of several definitions")
+        raise RecordingError(
+            f"{scan.path}: topic {topic!r} has messages with different definitions"
+        )
     fields: Mapping[str, Any] = message.fields or {}
     return np.dtype(
         {
@@ -192,7 +195,7 @@ def _rows(
     pieces: list[bytes], dtype: np.dtype[np.void], path: Path, topic: str
 ) -> NDArray[np.void]:
     if any(len(piece) != dtype.itemsize for piece in pieces):
-        raise RecordingError(f"{path}: a {topic} message has another size than its definition says")
+        raise RecordingError(f"{path}: a {topic} message does not have the size of its definition")
     return np.frombuffer(b"".join(pieces), dtype)
 
 

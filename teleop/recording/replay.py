@@ -1,12 +1,12 @@
-"""Play a recording back onto the link, so that viewers and recorders see the session again.
+"""Replay a recording onto the link, for viewers and recorders.
 
   teleop replay recordings/demo-20260102T030405Z.mcap
   teleop view --set session=demo-replay              in another terminal
-  teleop replay FILE --speed 0.1 --loop              in slow motion, again and again
+  teleop replay FILE --speed 0.1 --loop              in slow motion, repeated
 
-A replay is a session of its own, `<session>-replay`, in which it takes the master's and the slave's
-places. So it starts only where neither is, and while it runs neither can join: no recorded command
-reaches a rig, and no recorded force a hand.
+A replay is a separate session, `<session>-replay`, in which it has the roles of master and slave.
+So it starts only without either, and neither can join: no recorded command reaches a rig, and no
+recorded force a hand.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from teleop.run_config import RunConfig
 from teleop.status_line import StatusLine
 from teleop.topics import Role
 
-_LOOK_S = 0.05  # [s] between two looks at whether to stop, who is there and how far it is
+_LOOK_S = 0.05  # [s] between checks of stop, presence and progress
 _BREATH_NS = 1_000_000  # [ns] between the last message of a pass and the first of the next
 
 
@@ -38,11 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop replay`."""
     parser.add_argument("file", type=Path, metavar="FILE", help="the recording (.mcap)")
     parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="X", help="times as fast as it was (1)"
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="speed relative to the recorded one (1)",
     )
-    parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
+    parser.add_argument("--loop", action="store_true", help="repeat until Ctrl-C")
     parser.add_argument(
-        "--session", metavar="NAME", help="play it as session NAME (<recorded session>-replay)"
+        "--session", metavar="NAME", help="replay as session NAME (<recorded session>-replay)"
     )
     add_options(parser, "--config", "--set")
 
@@ -83,9 +87,9 @@ class Player:
     info : RecordingInfo
         The recording.
     speed : float
-        Times as fast as it was.
+        Speed relative to the recorded one.
     links : mapping
-        The links that take the master's and the slave's place.
+        The links in the roles of master and slave.
     """
 
     def __init__(self, info: RecordingInfo, speed: float, links: Mapping[Role, Link]) -> None:
@@ -96,9 +100,9 @@ class Player:
         self._look_ns = 0
 
     def play(self, number: int, stop: Callable[[], bool], show: Callable[[str], None]) -> bool:
-        """Play pass `number`, counted from 0; return whether it was played to its end.
+        """Play pass `number`, counted from 0; return whether it reached the end.
 
-        The stamps of a later pass continue those of the one before, so time never runs backwards.
+        The stamps continue those of the last pass, so time never decreases.
         """
         info = self._info
         shift_ns = number * (info.last_ns - info.first_ns + _BREATH_NS)
@@ -116,7 +120,7 @@ class Player:
         return True
 
     def _look(self, due_ns: int, at_s: float, number: int, show: Callable[[str], None]) -> None:
-        """Now and then, see that the places are still ours, and show how far the replay is."""
+        """Check for role conflicts and show the progress, at intervals."""
         now = now_ns()
         if now < self._look_ns:
             return
@@ -130,7 +134,7 @@ class Player:
 
 
 def require_playable(info: RecordingInfo) -> None:
-    """Raise `RecordingError` unless the link's peers would understand the recording's messages."""
+    """Raise `RecordingError` unless the recording has the present message layout."""
     if not info.messages:
         raise RecordingError(f"{info.path}: has no messages")
     if info.layout != LAYOUT:

@@ -1,7 +1,7 @@
-"""One pass through an MCAP file, whole or cut off, that checks what it reads.
+"""One checked pass through an MCAP file, complete or truncated.
 
-The `mcap` package's readers stop with an exception where a file is cut off and build an object for
-every message; this pass ends there quietly and hands out whole chunks.
+The `mcap` package's readers raise at the end of a truncated file and build an object for every
+message; this pass just ends there and yields whole chunks.
 """
 
 import struct
@@ -26,14 +26,14 @@ _CHANNEL = struct.Struct("<H")
 
 
 class RecordingError(UsageError):
-    """A file that is no recording, is damaged, or does not hold what was asked of it."""
+    """The file is not a recording, is damaged, or lacks the requested data."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Some messages in a row: their bytes and, of each, (channel id, start, end) in them.
+    """Consecutive messages: their bytes and the (channel id, start, end) of each.
 
-    At `start` is the `MESSAGE_HEAD`, and behind it up to `end` the message.
+    `MESSAGE_HEAD` is at `start`, followed by the message up to `end`.
     """
 
     content: bytes
@@ -42,17 +42,17 @@ class Block:
 
 @dataclass(slots=True)
 class Scan:
-    """The pass; what is not a message collects in the fields as it comes by."""
+    """The pass; records other than messages are collected in its fields."""
 
     path: Path
-    complete: bool = False  # the end of the file has been seen; False = it was cut off
+    complete: bool = False  # the end of the file was read; False = truncated
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # the last of each name
     attachments: dict[str, bytes] = field(default_factory=dict)
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the blocks in the order of the file, up to its end or to where it was cut off."""
+        """Yield the blocks in the order of the file, up to its end or truncation."""
         try:
             with self.path.open("rb") as file:
                 yield from self._blocks(file, self.path.stat().st_size)
@@ -85,7 +85,7 @@ class Scan:
             checksum = zlib.crc32(body, zlib.crc32(frame, checksum))
             try:
                 block = self._take(opcode, body)
-            except Exception as error:  # each decompressor has errors of its own
+            except Exception as error:  # each decompressor has its own exceptions
                 raise RecordingError(
                     f"{self.path}: is damaged before byte {at}: {error}"
                 ) from error
@@ -93,7 +93,7 @@ class Scan:
                 yield block
 
     def _take(self, opcode: int, body: bytes) -> Block:
-        """Keep one record of the file; return the messages in it, if any."""
+        """Process one record of the file; return the messages in it, if any."""
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.CHUNK:
             stream, length = get_chunk_data_stream(records.Chunk.read(stream), validate_crc=True)

@@ -1,7 +1,7 @@
-"""Writing a recording: messages as they crossed the link, in an MCAP file that survives a kill.
+"""Write a recording: messages as sent on the link, in an MCAP file that survives a kill.
 
-The file needs nothing beside it: every channel carries its ROS 2 message definition, and what made
-the file (session, layout, versions, config) stands at its head. See docs/recordings.md.
+The file is self-contained: every channel has its ROS 2 message definition, and session, layout,
+versions and config are at its head. See docs/recordings.md.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 from teleop.errors import TeleopError, UsageError
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.messages import LAYOUT
 from teleop.process import supervised
 from teleop.recording.chunk_indices import ChunkIndices
@@ -43,11 +43,11 @@ _COMPRESSION = {
 
 
 class RecordingWriter:
-    """A recording being written; a context manager, which closes the file whatever happened.
+    """A recording being written; a context manager that always closes the file.
 
-    Messages collect in memory and go to the kernel as one closed chunk each time `chunk_s` has
-    passed, so a process that is killed loses its last `chunk_s` and no more. What the kernel has
-    is safe from the end of the process; a power cut may still cost what it had not yet written.
+    Messages are buffered and passed to the kernel as one closed chunk every `chunk_s`, so a killed
+    process loses at most the last `chunk_s`. A power cut may also lose what the kernel has not
+    written yet.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class RecordingWriter:
     config_text : str
         The session's config file, kept as an attachment.
     overrides : sequence of str
-        What was said over it on the command line, kept as metadata.
+        Overrides of the command line, kept as metadata.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class RecordingWriter:
     ) -> None:
         self.messages: dict[str, int] = {}  # topic -> messages in the file
         self.gaps = Gaps()
-        self.dropped: dict[str, int] = {}  # topic -> messages that came and were dropped unread
+        self.dropped: dict[str, int] = {}  # topic -> messages dropped before reading
         self.first_ns = self.last_ns = 0  # when the first and the last of them were received
         self._taken: dict[str, int] = {}  # topic -> messages in the file or on the way there
         self._span_ns = (0, 0)
@@ -93,7 +93,7 @@ class RecordingWriter:
             compression=_COMPRESSION[config.compression],
             enable_data_crcs=True,
         )
-        # a private list of mcap's, which has no other way; a test measures that it is still used
+        # a private list of mcap, without alternative; a test checks that it is used
         vars(self._mcap)["_Writer__chunk_indices"] = ChunkIndices()
         self._mcap.start(profile=Profile.ROS2, library=f"tendon-teleop {_version('tendon-teleop')}")
         started = datetime.fromtimestamp(started_ns * 1e-9, UTC).isoformat(timespec="milliseconds")
@@ -119,23 +119,22 @@ class RecordingWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Length of the file [bytes] as the kernel has it."""
+        """Length of the file [bytes] in the kernel."""
         return self._file.length
 
     def note_dropped(self, dropped: Mapping[str, int]) -> None:
-        """Take note of how many messages of each topic came, but were dropped as we were too slow.
+        """Record how many messages of each topic were dropped because the recorder was too slow.
 
-        They are among the gaps as well, unless nothing of their sender was kept before or after.
+        They are also counted as gaps, unless no message of their sender was kept before or after.
         """
         self.dropped = {topic: count for topic, count in dropped.items() if count}
 
-    def write(self, heard: Iterable[Heard], now_ns: int) -> None:
-        """Take what was heard; put it into the file if `chunk_s` has passed since the last time.
+    def write(self, messages: Iterable[ReceivedMessage], now_ns: int) -> None:
+        """Add messages; write a chunk if `chunk_s` has passed since the last one.
 
-        Call it also with nothing heard: that is what moves the last messages into the file when
-        the session falls silent.
+        Call it also without messages, to write the last ones when the session falls silent.
         """
-        for item in heard:
+        for item in messages:
             name = item.topic.name
             channel = self._channels.get(name) or self._register(item.topic)
             self._mcap.add_message(
@@ -156,7 +155,7 @@ class RecordingWriter:
             self._commit()
 
     def close(self) -> None:
-        """Write what is held, the counts and the index, and close the file."""
+        """Write the buffer, the counts and the index, and close the file."""
         if self._file.closed:
             return
         try:
@@ -201,15 +200,15 @@ class RecordingWriter:
         except OSError as error:
             self._file.close()
             raise TeleopError(
-                f"{self.path}: cannot write on: {error.strerror}; what was in the file is kept, "
-                f"free some space or choose another {option()}"
+                f"{self.path}: write failed: {error.strerror}; earlier data are kept; free some "
+                f"space or choose another {option()}"
             ) from error
         self.messages = dict(self._taken)
         self.first_ns, self.last_ns = self._span_ns
 
 
 class _WholeWrites:
-    """What mcap writes into: held until `commit`, which the file then has whole or not at all."""
+    """Output of mcap: buffered until `commit`, which writes it at once."""
 
     def __init__(self, file: io.FileIO) -> None:
         self.length = 0
@@ -235,7 +234,7 @@ class _WholeWrites:
             while rest:
                 rest = rest[self._file.write(rest) :]
         except OSError:
-            with contextlib.suppress(OSError):  # a torn last record is readable too
+            with contextlib.suppress(OSError):  # a truncated last record is readable too
                 self._file.truncate(self.length)
             raise
         self.length = end
@@ -249,7 +248,7 @@ class _WholeWrites:
 
 
 def _create(directory: Path, session: str, started_ns: int) -> tuple[Path, io.FileIO]:
-    """Create a file of a new name, `<session>-<UTC time>.mcap`; one that exists is left alone."""
+    """Create a new file, `<session>-<UTC time>.mcap`; never overwrite one."""
     stem = f"{session}-{datetime.fromtimestamp(started_ns // 10**9, UTC):%Y%m%dT%H%M%SZ}"
     attempt = 1
     try:
@@ -262,12 +261,12 @@ def _create(directory: Path, session: str, started_ns: int) -> tuple[Path, io.Fi
                 attempt += 1
     except OSError as error:
         raise UsageError(
-            f"{directory}: cannot record here: {error.strerror}; choose another {option()}"
+            f"{directory}: cannot create a recording: {error.strerror}; choose another {option()}"
         ) from error
 
 
 def option() -> str:
-    """Return the option that says where to record, as the command that the user gave has it."""
+    """Return the name of the option for the folder in the user's command."""
     return "--record" if supervised() else "--out"
 
 

@@ -1,1 +1,1 @@
-"""What other processes may ask of a running session: to stop, to go on, to change a setting."""
+"""Remote requests to a running session: stop, reset, change a setting."""

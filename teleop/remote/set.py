@@ -1,10 +1,10 @@
 """Change a setting of a running session.
 
-  teleop set force.scale 0.3                 goes there in half a second
-  teleop set operator.position_scale 0.1     finer motion; hand and tip stay where they are
-  teleop set operator.lock '[1]'             axis 1 moves nothing; '[]' frees it
+  teleop set force.scale 0.3                 ramps to it in half a second
+  teleop set operator.position_scale 0.1     finer motion; hand and tip do not jump
+  teleop set operator.lock '[1]'             lock axis 1; '[]' unlocks it
 
-The master answers with the new value, or says why not. Nothing is written to the config file.
+The master answers with the new value or the reason of a refusal. The config file is not changed.
 """
 
 import argparse
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Ask the master for a change; returns the exit code."""
+    """Request the change from the master; returns the exit code."""
     for text in (args.key, args.value):
         if len(text.encode()) > TEXT_BYTES:
             raise UsageError(f"{text[:20]}...: longer than {TEXT_BYTES} bytes")
@@ -40,7 +40,7 @@ def main(args: argparse.Namespace) -> int:
         while not link.present(Role.MASTER) and time.monotonic() < deadline:
             time.sleep(0.01)
         if not link.present(Role.MASTER):
-            raise TeleopError(f"session {config.session!r}: there is no master to ask")
+            raise TeleopError(f"session {config.session!r}: no master connected")
         setting = Setting(role=Role.REMOTE, key=text_bytes(args.key), value=text_bytes(args.value))
         link.publish(SETTING, setting)
         deadline = time.monotonic() + PATIENCE_S
@@ -48,12 +48,12 @@ def main(args: argparse.Namespace) -> int:
             for item in listener.drain():
                 answer = Answer.unpack(item.data)
                 if answer.asker == link.nonce:
-                    return _told(answer)
+                    return _print_answer(answer)
             time.sleep(0.005)
     raise TeleopError(f"the master did not answer within {PATIENCE_S:g} s")
 
 
-def _told(answer: Answer) -> int:
+def _print_answer(answer: Answer) -> int:
     text = text_of(answer.text)
     if not answer.accepted:
         raise UsageError(text)

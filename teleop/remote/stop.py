@@ -1,12 +1,12 @@
 """The emergency stop of a session, from any terminal that reaches its endpoints.
 
-  teleop stop                      stop everything: no force, motors hold, until it is reset
-  teleop stop --config rig.yaml    of the session that this config describes
-  teleop stop --watch              stop when this process ends, freezes or loses its line
-  teleop stop --reset              take the stop back; the operator must let go and engage again
+  teleop stop                      emergency stop: no force, motors hold, until reset
+  teleop stop --config rig.yaml    for the session of this config
+  teleop stop --watch              stop when this process ends, freezes or is disconnected
+  teleop stop --reset              reset the stop; the operator must release and engage again
 
-It ends with exit code 0 when every side that is there says that it has stopped, and says which.
-With --watch, Enter stops at once, and `q` and Enter leaves without a stop.
+Exit code 0 when every connected side reports that it has stopped. With --watch, Enter stops at
+once, and `q` and Enter ends the watch without a stop.
 """
 
 import argparse
@@ -27,9 +27,9 @@ from teleop.run_config import RunConfig
 from teleop.session import Reason, State
 from teleop.topics import COMMAND, STATE, Role, Topic
 
-PATIENCE_S = 3.0  # until every side must have answered
-LEAST_S = 0.4  # for a second side to show, once one is there
-REPEAT_S = 0.02  # between two calls: the first ones may be lost while the link comes up
+PATIENCE_S = 3.0  # timeout for the answers of all sides
+LEAST_S = 0.4  # time for a second side to appear, after the first
+REPEAT_S = 0.02  # between two messages: the first may be lost while the link connects
 SIDES: dict[Role, Topic[Any]] = {Role.MASTER: COMMAND, Role.SLAVE: STATE}
 
 
@@ -37,45 +37,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop stop`."""
     add_options(parser, "--config", "--set")
     way = parser.add_mutually_exclusive_group()
-    way.add_argument("--reset", action="store_true", help="take an emergency stop back")
+    way.add_argument("--reset", action="store_true", help="reset an emergency stop")
     way.add_argument("--watch", action="store_true", help="stop when this process ends")
-    parser.add_argument("--why", default="", metavar="TEXT", help="told and recorded with it")
+    parser.add_argument(
+        "--why", default="", metavar="TEXT", help="reason, sent and recorded with it"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
-    """Stop a session, take that back, or watch over it; returns the exit code."""
+    """Stop a session, reset the stop, or watch the session; returns the exit code."""
     config = load(args.config, RunConfig, None, args.overrides)
     role = Role.WATCH if args.watch else Role.REMOTE
     stop = Stop()
-    # a call for a stop does not wait to look about first
+    # an emergency stop does not wait for the detection of peers
     with Link(config.link, config.session, role, at_once=not args.watch) as link:
         if args.watch:
             return watch(link, stop, args.why)
         action = RESET if args.reset else CALL
-        states = ask(link, role, action, args.why or "teleop stop", stop)
+        states = request_all(link, role, action, args.why or "teleop stop", stop)
     for side, state in states.items():
         print(f"{side.name.lower():9} {state.name.lower()}")
     obeyed = [(state is State.STOPPED) != args.reset for state in states.values()]
     if not states:
-        raise TeleopError(f"session {config.session!r}: neither master nor slave answers")
+        raise TeleopError(f"session {config.session!r}: no answer from master or slave")
     if not all(obeyed):
-        still = "is still stopped: see why in its terminal" if args.reset else "has NOT stopped"
+        still = "is still stopped; its terminal shows why" if args.reset else "has NOT stopped"
         sides = [side.name.lower() for side, ok in zip(states, obeyed, strict=True) if not ok]
         raise TeleopError(f"the {' and the '.join(sides)} {still}")
     if args.reset:
-        print("let go of the engage switch, then press it again")
+        print("release the engage switch, then press it again")
     return 0
 
 
-def ask(
+def request_all(
     link: Link, role: Role, action: int, words: str, stop: Callable[[], bool]
 ) -> dict[Role, State]:
-    """Call until every side that is there has done as asked; return their states."""
+    """Send the request until every connected side has executed it; return their states."""
     for topic in SIDES.values():
         link.subscribe_latest(topic)
     begin, first = time.monotonic(), 0.0
     states: dict[Role, State] = {}
-    named: dict[Role, int] = {}  # what is to be taken back: no stop that comes later
+    named: dict[Role, int] = {}  # number of the stop to be reset, not a later one
     while not stop():
         now = time.monotonic()
         states = {side: state_of(link, side) for side in SIDES if link.present(side)}
@@ -94,42 +96,44 @@ def ask(
 
 
 def state_of(link: Link, side: Role) -> State:
-    """Return the state that a side tells of itself, OFF before its first word."""
+    """Return the reported state of a side, OFF before its first message."""
     message = link.latest(SIDES[side]).message
     return State.OFF if message is None else State(message.state)
 
 
 def stops_of(link: Link, side: Role) -> int:
-    """Return how many calls for a stop began or ended at a side, by what it tells."""
+    """Return the reported number of stops of a side."""
     message = link.latest(SIDES[side]).message
     return 0 if message is None else int(message.stops)
 
 
 def watch(link: Link, stop: Stop, words: str) -> int:
-    """Beat until told to end; whatever else ends this process is a stop."""
+    """Send heartbeats until stopped; any other end of this process is an emergency stop."""
     deadline = time.monotonic() + PATIENCE_S
     while not all(map(link.present, SIDES)) and time.monotonic() < deadline and not stop():
         time.sleep(0.01)
     sides = [side for side in SIDES if link.present(side)]
     if not sides:
-        raise TeleopError(f"session {link.session!r}: neither master nor slave is there to watch")
+        raise TeleopError(
+            f"session {link.session!r}: no master and no slave connected, nothing to watch"
+        )
     names = " and ".join(side.name.lower() for side in sides)
-    print(f"watching over {names}; Enter stops, q and Enter leaves", flush=True)
+    print(f"watching {names}; Enter stops, q and Enter ends the watch", flush=True)
     listening = True
     while not stop():
         call_stop(link, Role.WATCH, words, WATCH)
         line = None
         if listening and select.select([sys.stdin], [], [], BEAT_S)[0]:
             line = sys.stdin.readline()
-            listening = line != ""  # a closed terminal says nothing more
+            listening = line != ""  # no more input from a closed terminal
         elif not listening:
             time.sleep(BEAT_S)
         if line is not None and line.strip() == "q":
             call_stop(link, Role.WATCH, words, LEAVE)
-            time.sleep(BEAT_S)  # the word must be out before the token is gone
+            time.sleep(BEAT_S)  # the message must be sent before the token vanishes
             return 0
         if line:
             break
-    states = ask(link, Role.WATCH, CALL, words or Reason.WATCH_LOST.text, lambda: False)
+    states = request_all(link, Role.WATCH, CALL, words or Reason.WATCH_LOST.text, lambda: False)
     print("stopped: " + ", ".join(side.name.lower() for side in states))
     return 0

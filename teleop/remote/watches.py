@@ -1,49 +1,49 @@
-"""Processes that watch over a session: whose end, whatever its cause, is an emergency stop.
+"""Watchdog processes of a session: the end of one, for any reason, is an emergency stop.
 
-A watch says that it is there every `BEAT_S`. From its first beat on it is armed. It is lost when it
-has been silent for `SILENCE_S` (frozen, or its line is cut) or its presence token has vanished (it
-died, which shows at once); it leaves in peace by saying so. Pure.
+A watch sends a heartbeat every `BEAT_S` and is armed from the first one. It is lost after
+`SILENCE_S` without a heartbeat (frozen or disconnected), or when its presence token vanishes (it
+died); a LEAVE message ends it without a stop. Pure.
 """
 
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 BEAT_S = 0.05  # [s] between two beats
-SILENCE_S = 0.25  # [s] five beats: one may be lost or late without a stop
+SILENCE_S = 0.25  # [s] timeout: five heartbeats
 
 
 class Beat(NamedTuple):
-    """One word of a watch."""
+    """A heartbeat."""
 
     watch: int  # nonce of its process
     heard_ns: int  # on our clock
     leaves: bool
 
 
-class Armed(NamedTuple):
-    """A watch that has been heard."""
+class ArmedWatch(NamedTuple):
+    """An armed watch."""
 
     watch: int
-    heard_ns: int  # its newest beat
-    seen: bool  # its token, so that it can vanish
+    heard_ns: int  # its newest heartbeat
+    seen: bool  # whether its token was present
 
 
-def step(
-    armed: tuple[Armed, ...],
+def update(
+    armed: tuple[ArmedWatch, ...],
     beats: Iterable[Beat],
     present: Callable[[int], bool],
     now_ns: int,
-) -> tuple[tuple[Armed, ...], bool]:
+) -> tuple[tuple[ArmedWatch, ...], bool]:
     """Return the watches that are armed after a tick, and whether one was lost in it.
 
     Parameters
     ----------
-    armed : tuple of Armed
+    armed : tuple of ArmedWatch
         Those of the tick before.
     beats : iterable of Beat
-        What was heard since, oldest first.
+        Heartbeats since, oldest first.
     present : callable
-        Whether the token of the process of a nonce is there.
+        Returns whether the token of a nonce is present.
     now_ns : int
         Stamp of this tick [ns].
     """
@@ -53,7 +53,7 @@ def step(
             known.pop(beat.watch, None)
         else:
             seen = beat.watch in known and known[beat.watch].seen
-            known[beat.watch] = Armed(beat.watch, beat.heard_ns, seen)
+            known[beat.watch] = ArmedWatch(beat.watch, beat.heard_ns, seen)
     kept = []
     for one in known.values():
         here = present(one.watch)

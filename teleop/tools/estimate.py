@@ -1,14 +1,14 @@
-"""Estimate the distal tension in measured data, offline, with the numbers a live slave would give.
+"""Estimate the distal tension in measured data, offline, exactly as a live slave does.
 
   teleop estimate bench.csv --fit                      fit K to the measured distal tension
-  teleop estimate bench.csv --fit --save sheath.yaml   ... and keep it as a calibration
+  teleop estimate bench.csv --fit --save sheath.yaml   ... and save it as a calibration
   teleop estimate run.csv --calibration sheath.yaml --out estimates.csv
-  teleop estimate run.csv --config configs/demo.yaml   with the model of a config (slave.tendons)
-  teleop estimate run.csv --model diagnosis/model.yaml     with what `teleop diagnose` found
+  teleop estimate run.csv --config configs/demo.yaml   with the models of a config (slave.tendons)
+  teleop estimate run.csv --model diagnosis/model.yaml     with a model of `teleop diagnose`
 
 The data: a CSV, CSV.gz or Parquet table with time_s and proximal_tension_N, optionally
 proximal_displacement_m, distal_tension_N and distal_displacement_m; or a recording (.mcap).
-With a distal tension the estimate is judged against it.
+A measured distal tension is compared with the estimate.
 """
 
 import argparse
@@ -55,8 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rig",
         default="",
         metavar="NAME",
-        help="of --save: the rig (slave.rig.name) that the fit is to be used on; without it the "
-        "calibration is good for playing measured data only",
+        help=(
+            "with --save: the rig (slave.rig.name) of the calibration; without it, it is only "
+            "valid for replayed data"
+        ),
     )
     fit.add_argument(
         "--blocked-tip",
@@ -68,8 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.0,
         metavar="M",
-        help="[m] of the sheath (default 1); data tell only EA/L, so that EA scales with it; with "
-        "--model too",
+        help=(
+            "[m] of the sheath (default 1), also with --model; data determine only EA/L, so EA "
+            "scales with it"
+        ),
     )
     add_options(parser, "--set", "--column", "--drop-nonfinite", "--json")
     parser.add_argument(
@@ -82,14 +86,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Estimate, and say how good it is; returns the exit code."""
+    """Estimate and report the error; returns the exit code."""
     check_words(args)
     if args.out is not None:
         check_destination(args.out)
     files = model_files.parse(args.model)
-    known, joints = ((), ()) if args.fit else configured(args)
-    k = chosen(args.tendon, joints, len(known))
-    table = read_table(args.data, named(args.column, k), args.drop_nonfinite)
+    known, joints = ((), ()) if args.fit else load_models(args)
+    k = select_tendon(args.tendon, joints, len(known))
+    table = read_table(args.data, column_names(args.column, k), args.drop_nonfinite)
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
     if args.tendon is not None or len(known) > 1:
         summary["tendon"] = tendon_name(k, joints)
@@ -117,7 +121,7 @@ def main(args: argparse.Namespace) -> int:
     if tendon.model_file is not None:
         summary["effects"] = model_files.describe(tendon)
     true = with_true_tip(table, tendon)
-    summary["force_error"] = judged(estimates, true, tendon.tension_noise)
+    summary["force_error"] = compare_with_bench(estimates, true, tendon.tension_noise)
     summary["travel_contradicts"] = travel_contradicts(tendon, true, summary["force_error"])
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
@@ -135,42 +139,42 @@ def main(args: argparse.Namespace) -> int:
 
 
 def check_words(args: argparse.Namespace) -> None:
-    """Refuse options that contradict each other, before anything is read."""
-    configured = args.config is not None or bool(args.overrides)
-    ways = [args.fit, args.calibration is not None, configured]
+    """Raise `UsageError` for conflicting options, before anything is read."""
+    load_models = args.config is not None or bool(args.overrides)
+    ways = [args.fit, args.calibration is not None, load_models]
     if args.fit and args.model:
-        raise UsageError("--model: not with --fit, which finds the sheath in the data")
+        raise UsageError("--model: conflicts with --fit; use one of them")
     if sum(ways) > 1 or not (any(ways) or args.model):
         raise UsageError(
-            "which sheath is it? Give one of --fit (needs a distal tension in the data), "
+            "no model of the sheath; give one of --fit (needs a distal tension in the data), "
             "--calibration FILE, and --config FILE, or --model FILE"
         )
     if not args.fit and (args.save is not None or args.blocked_tip):
-        raise UsageError("--save and --blocked-tip go with --fit")
+        raise UsageError("--save, --blocked-tip: require --fit")
     if not 0.0 < args.length <= LONGEST:
         raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LONGEST:g} m")
     if args.rig and args.save is None:
-        raise UsageError("--rig goes with --save")
+        raise UsageError("--rig: requires --save")
 
 
-def named(words: Sequence[str], tendon: int = 0) -> Columns:
-    """Return the columns' names of a tendon, from 0, with those given as NAME=COLUMN put in."""
+def column_names(words: Sequence[str], tendon: int = 0) -> Columns:
+    """Return the column names of a tendon, from 0, with the overrides NAME=COLUMN."""
     known = [f.name for f in dataclasses.fields(Columns)]
-    given = {}
+    renamed = {}
     for word in words:
         name, equals, column = word.partition("=")
         if name not in known or not equals or not column:
             raise UsageError(
                 f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(known)}"
             )
-        given[name] = column
-    return dataclasses.replace(Columns.of_tendon(tendon + 1), **given)
+        renamed[name] = column
+    return dataclasses.replace(Columns.of_tendon(tendon + 1), **renamed)
 
 
 def of_tendon(
-    k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.Given
+    k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
 ) -> TendonConfig:
-    """Return tendon `k`, from 0, with the model file that is for it; one model is for all."""
+    """Return tendon `k`, from 0, with its model file; a single model is for all."""
     count = max(sum(map(len, joints)), len(known), k + 1)
     every = list(known) * count if len(known) == 1 else list(known)
     tendon = model_files.apply(every or [None] * count, joints, files)[k]
@@ -180,7 +184,7 @@ def of_tendon(
 
 
 def with_noise(tendon: TendonConfig, table: MeasuredTable, length: float) -> TendonConfig:
-    """Return a tendon of which only a model file is known, with the noise of a record."""
+    """Return a tendon from a model file alone, with the noise of a record."""
     travel = table.proximal_displacement
     try:
         return dataclasses.replace(
@@ -194,7 +198,7 @@ def with_noise(tendon: TendonConfig, table: MeasuredTable, length: float) -> Ten
 
 
 def with_true_tip(table: MeasuredTable, tendon: TendonConfig) -> MeasuredTable:
-    """Return data whose tension at the tip is put right, as far as a model file tells how."""
+    """Return data with the tip tension corrected by a model file."""
     extended = tendon.extended()
     if extended is None or table.distal_tension is None:
         return table
@@ -205,22 +209,21 @@ def with_true_tip(table: MeasuredTable, tendon: TendonConfig) -> MeasuredTable:
 def travel_contradicts(
     tendon: TendonConfig, table: MeasuredTable, error: dict[str, Any] | None
 ) -> bool:
-    """Return whether leaving the travel out would make the estimate a different one altogether."""
+    """Return whether the estimate without travel would be far better."""
     if error is None or table.proximal_displacement is None:
         return False
     alone = Estimator(tendon.model()).run(dataclasses.replace(table, proximal_displacement=None))
-    without = judged(alone, table, tendon.tension_noise)
+    without = compare_with_bench(alone, table, tendon.tension_noise)
     return (
         without is not None
         and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
     )
 
 
-def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
-    """Return the models that the calibration file or the config has, and the rig's joints.
+def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
+    """Return the models of the calibration file or the config, and the rig's joints.
 
-    One model is for all tendons, none is known where only model files are given; joints are empty
-    where nothing tells which they are.
+    A single model is for all tendons; none with model files only; joints are empty if unknown.
     """
     if args.calibration is not None:
         calibration = file.load(args.calibration)
@@ -238,10 +241,10 @@ def configured(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], Join
     return tendon_configs(config, count), joints
 
 
-def chosen(word: str | None, joints: JointTendons, count: int) -> int:
-    """Return the tendon, from 0, that `--tendon` means: 1a, 1b, 2a, ... or 1, 2, 3, ...
+def select_tendon(word: str | None, joints: JointTendons, count: int) -> int:
+    """Return the tendon of `--tendon`, from 0: 1a, 1b, 2a, ... or 1, 2, 3, ...
 
-    `count` models are known; one is for all tendons.
+    `count` is the number of models; a single one is for all tendons.
     """
     known = sum(map(len, joints)) or (count if count > 1 else MAX_TENDONS)
     names = model_files.names_of(joints, known)
@@ -253,14 +256,14 @@ def chosen(word: str | None, joints: JointTendons, count: int) -> int:
 
 
 def tendon_name(k: int, joints: JointTendons) -> str:
-    """Return what tendon `k`, from 0, is called: by joint and side where that is known."""
+    """Return the name of tendon `k`, from 0: joint and side if known."""
     for number, tendons in enumerate(joints, start=1):
         if k in tendons:
             return f"{number}{'ab'[tendons.index(k)]}"
     return str(k + 1)
 
 
-def judged(
+def compare_with_bench(
     estimates: online.Estimates, table: MeasuredTable, noise: float
 ) -> dict[str, Any] | None:
     """Return the error against the measured distal tension, None without one.
@@ -289,7 +292,7 @@ def columns(estimates: online.Estimates) -> dict[str, Any]:
 
 
 def tendon_config(fit: SheathFit) -> TendonConfig:
-    """Return a fitted tendon as calibration files have it."""
+    """Return a fitted tendon for a calibration file."""
     model = fit.model
     return TendonConfig(
         effective_friction=fit.K.value,
@@ -302,7 +305,7 @@ def tendon_config(fit: SheathFit) -> TendonConfig:
 
 
 def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable, rig: str) -> None:
-    """Write a calibration that `--calibration` and `slave.calibration` take."""
+    """Write a calibration for `--calibration` and `slave.calibration`."""
     ends = ", ".join(f"{n} {p.low:.4g} to {p.high:.4g}" for n, p in fit.parameters.items())
     calibration = Calibration(
         tendons=(tendon,),
@@ -316,10 +319,10 @@ def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable,
 
 
 def format_report(summary: dict[str, Any]) -> list[str]:
-    """Return the summary as lines to read."""
+    """Return the summary as lines of text."""
     lines = [f"{summary['data']}: {summary['samples']} samples"]
     if "tendon" in summary:
-        lines.append(f"tendon    {summary['tendon']} (--tendon says which)")
+        lines.append(f"tendon    {summary['tendon']} (select with --tendon)")
     if "fit" in summary:
         fit = summary["fit"]
         lines.append(f"fit       {fit['method']}")
@@ -341,12 +344,12 @@ def format_report(summary: dict[str, Any]) -> list[str]:
     if summary["travel_contradicts"]:
         lines.append(
             "WARNING   the displacement contradicts the tension: without it the estimate is far "
-            "better. Is its unit the metre, and positive while pulling?"
+            "better. Check that its unit is metres, positive while pulling."
         )
-    told = [
+    flags = [
         f"{name.replace('_', ' ')} {share:.0%}"
         for name, share in summary["status"].items()
         if share
     ]
-    lines.append("status    " + (", ".join(told) or "no warnings"))
+    lines.append("status    " + (", ".join(flags) or "no warnings"))
     return lines

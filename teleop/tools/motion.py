@@ -1,4 +1,4 @@
-"""How a motor is moved to make measured data: pure functions of time, tension and their memory."""
+"""Motor motions for simulated measurements: pure functions of time, tension and state."""
 
 import math
 from collections.abc import Callable
@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 
-class Memory(NamedTuple):
-    """What a motion remembers from sample to sample."""
+class MotionState(NamedTuple):
+    """State of a motion between samples."""
 
-    leg: int = 0  # of the tensions to turn at, the one aimed for
-    target: float = 0.0  # [m] where the motor was last sent
+    leg: int = 0  # index of the next turning tension
+    target: float = 0.0  # [m] last motor command
 
 
-class Seen(NamedTuple):
-    """What a motion may go by: one sample."""
+class MotionSample(NamedTuple):
+    """Input of a motion: one sample."""
 
     time_s: float  # [s] since the start
     tension: float  # [N] measured at the housing
@@ -22,15 +22,15 @@ class Seen(NamedTuple):
 
 
 class Motion(Protocol):
-    """Where to send one motor next."""
+    """Interface of a motion of one motor."""
 
-    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
-        """Return the motor position wanted [m] at the next sample, and the new memory."""
+    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
+        """Return the motor command [m] for the next sample, and the new state."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turns:
-    """Constant speed, turning whenever the housing tension reaches the next of `levels`, for ever.
+    """Constant speed, reversing whenever the housing tension reaches the next of `levels`, cyclic.
 
     With (20 N, 5 N) this is the pull, release and pull of Phee et al. 2009, Fig. 7; with shrinking
     swings it is nested reversals.
@@ -39,13 +39,13 @@ class Turns:
     levels: tuple[float, ...]  # [N] no two neighbours alike, last and first included
     speed: float  # [m/s]
 
-    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
         leg = memory.leg
         if self._direction(leg) * (seen.tension - self._level(leg)) >= 0.0:
             leg += 1
         target = memory.target + self._direction(leg) * self.speed * seen.dt
-        return target, Memory(leg, target)
+        return target, MotionState(leg, target)
 
     def _level(self, leg: int) -> float:
         return self.levels[leg % len(self.levels)]
@@ -56,12 +56,12 @@ class Turns:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """Between the start and `stroke` and back, once a `period`."""
+    """A sine between the start and `stroke`."""
 
     stroke: float  # [m]
     period: float  # [s]
 
-    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
         turn = 2.0 * math.pi * (seen.time_s + seen.dt) / self.period
         target = 0.5 * self.stroke * (1.0 - math.cos(turn))
@@ -70,17 +70,17 @@ class Sine:
 
 @dataclass(frozen=True, slots=True)
 class Keep:
-    """Follow what pulls, so that the tension stays near `tension`: the loose tendon of a pair.
+    """Keep the tension near `tension` by admittance control: the other tendon of a pair.
 
-    The motor goes at `admittance` (tension - measured), but for a dead band, within `speed`.
+    Motor speed `admittance` (tension - measured), with a dead band, limited to `speed`.
     """
 
     tension: float  # [N]
     speed: float  # [m/s]
     admittance: float = 0.03  # [m/(s N)]
-    band: float = 0.1  # [N] to either side, against hunting: a short piece of tendon is stiff
+    band: float = 0.1  # [N] to either side, against limit cycles: a short piece of tendon is stiff
 
-    def step(self, memory: Memory, seen: Seen) -> tuple[float, Memory]:
+    def step(self, memory: MotionState, seen: MotionSample) -> tuple[float, MotionState]:
         """See `Motion`."""
         error = self.tension - seen.tension
         error -= min(max(error, -self.band), self.band)
@@ -91,7 +91,7 @@ class Keep:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How far and how fast to move."""
+    """Amplitudes and speeds of the motions."""
 
     peak: float = 20.0  # [N] highest housing tension, of the motions that turn at tensions
     speed: float = 0.004  # [m/s] of those

@@ -1,12 +1,12 @@
-"""Write measured data as a simulated rig would give it, faster than real time.
+"""Simulate measured data of a rig, faster than real time.
 
   teleop simulate configs/demo.yaml --out bench.csv
   teleop simulate configs/demo.yaml --out nested.parquet --profile nested --duration 60 --seed 7
 
 The rig is slave.rig of the config file, defaults without one. In every joint one motor makes the
-motion; that of the other tendon, where there is one, follows and keeps it from going slack. The
-table has the housing's sensors and, as on a calibration bench, those at the tip
-(docs/data-format.md). The same command writes the same file.
+motion; that of the other tendon, if any, keeps it taut. The table has the housing's sensors and, as
+on a calibration bench, those at the tip (docs/data-format.md). The same command writes the same
+file.
 """
 
 import argparse
@@ -20,20 +20,20 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.config import SlaveConfig
-from slave.rigs.simulated.effect_text import described, late
+from slave.rigs.simulated.effect_text import describe_effect, late
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.config import load
 from teleop.data.table import Columns, check_destination, write_table
 from teleop.errors import UsageError
 from teleop.options import add_options
-from teleop.tools.motion import MOTIONS, Keep, Memory, Motion, Scale, Seen
+from teleop.tools.motion import MOTIONS, Keep, Motion, MotionSample, MotionState, Scale
 
 KEEP = 0.5  # [N] enough for a tendon not to go slack
 FOLLOW_SPEED = 0.04  # [m/s] most that the loose tendon's motor goes
 
 
 class Run(NamedTuple):
-    """What was measured: times [s], shape (samples,), and the rest, shape (samples, tendons)."""
+    """Measurements: times [s], shape (samples,), others of shape (samples, tendons)."""
 
     time: Array
     proximal_tension: Array  # [N]
@@ -90,7 +90,7 @@ def main(args: argparse.Namespace) -> int:
     scale = Scale(args.peak, args.speed, args.stroke, args.period)
     motion = MOTIONS[args.profile](scale)
     replaced = args.out.exists()
-    SimulatedRig(config)  # compiles what is not compiled yet, which is not the plant's time
+    SimulatedRig(config)  # compiles, outside the timed part
     began = time.perf_counter()
     run = simulate(
         config,
@@ -104,7 +104,7 @@ def main(args: argparse.Namespace) -> int:
     took = time.perf_counter() - began
     write_table(args.out, table_of(run))
     if replaced:
-        print(f"{args.out}: the file that was there has been replaced")
+        print(f"{args.out}: replaced the existing file")
     _print_summary(args, config, run, took)
     return 0
 
@@ -122,13 +122,13 @@ def simulate(
     """Move all joints of a simulated rig by `motion` for `duration` [s], sampled at `rate` [Hz].
 
     In a pair tendon `side` makes the motion, and the other one is kept at `keep` [N]. Motors are
-    sent on at every step of the plant, however few of its samples become rows.
+    commanded at every step of the plant, for any output rate.
     """
     rig = SimulatedRig(config)
     loose = Keep(keep, FOLLOW_SPEED)
     pair = (motion, loose) if side == "a" else (loose, motion)
     motions = [m for tendons in rig.joints for m in (pair if len(tendons) == 2 else (motion,))]
-    memories = [Memory()] * rig.tendons
+    memories = [MotionState()] * rig.tendons
     period, rows = config.period, []
     due = [round(k / rate / period) for k in range(int(duration * rate + 1e-9) + 1)]
     kept, last = set(due), due[-1]
@@ -136,7 +136,7 @@ def simulate(
         for sample in rig.read(step * period):
             tensions = sample.proximal_tension.tolist()
             moves = [
-                move.step(memory, Seen(sample.time_s, tension, period))
+                move.step(memory, MotionSample(sample.time_s, tension, period))
                 for move, memory, tension in zip(motions, memories, tensions, strict=True)
             ]
             memories = [memory for _, memory in moves]
@@ -171,7 +171,7 @@ def _rig_config(args: argparse.Namespace) -> SimulatedRigConfig:
     config = load(args.config, SlaveConfig, "slave", args.overrides).rig
     place = args.config or "defaults"
     if not isinstance(config, SimulatedRigConfig):
-        raise UsageError(f"{place}: slave.rig.type: must be simulated, {config.type} moves nothing")
+        raise UsageError(f"{place}: slave.rig.type: must be simulated, not {config.type}")
     if args.seed is None:
         return config
     try:
@@ -209,6 +209,6 @@ def _print_summary(
                 f"(load_cell.range){beyond}"
             )
     for effect in config.effects:
-        print(f"effect {described(effect)}")
+        print(f"effect {describe_effect(effect)}")
     for line in late(config.effects, args.duration):
         print(line)

@@ -1,4 +1,4 @@
-"""What a session looks like: messages from the link or a recording, shown or saved with Rerun."""
+"""Visualisation of a session, live or recorded, with Rerun."""
 
 import os
 

@@ -1,12 +1,12 @@
-"""How far T(x) is certain: between what either end of the tendon allows.
+"""Certified band of T(x) from the tensions at both ends.
 
-Friction changes the tension by a factor of at most e^k from the housing to x, whatever has slid
-and however often it turned back: |d ln T / dx| <= mu / R(x). With k(x) the friction up to x, K that
-of the whole sheath, and the tip's tension between T_low and T_high,
+Friction changes the tension by a factor of at most e^k from the housing to x, for any history: |d
+ln T / dx| <= mu / R(x). With k(x) the friction up to x, K that of the whole sheath, and the tip's
+tension between T_low and T_high,
 
     max(T_in e^-k, T_low e^-(K-k)) <= T(x) <= min(T_in e^k, T_high e^(K-k)).
 
-The law is that of docs/theory.md; an extended model with friction beside it may leave the band.
+The law is that of docs/theory.md; an extended model with other friction may leave the band.
 """
 
 import numpy as np
@@ -41,8 +41,8 @@ def tension_band(k: Array, T_in: Array, T_low: Array, T_high: Array) -> tuple[Ar
     k : ndarray, shape (points,)
         Friction from the housing to each point; the last is K.
     T_in, T_low, T_high : ndarray, shape (rows,)
-        [N] at the housing, and the certified ends at the tip; what is not finite gives a band that
-        is not.
+        [N] at the housing, and the certified ends at the tip; non-finite inputs give a non-finite
+        band.
     """
     from_tip = k[-1] - k
     low = np.maximum(T_in[:, None] * np.exp(-k), T_low[:, None] * np.exp(-from_tip))

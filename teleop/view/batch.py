@@ -1,4 +1,4 @@
-"""Many messages at once: packed bytes to numpy rows, and fewer rows for the eye."""
+"""Convert packed messages to numpy rows in batches, and downsample rows."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -16,8 +16,7 @@ Rows = NDArray[np.void]  # one row a message, its fields those of the message's 
 def decode(messages: Iterable[tuple[AnyTopic, bytes]]) -> dict[AnyTopic, Rows]:
     """Return the messages of each topic as one structured array, in their order.
 
-    The bytes are not checked again for damage (the link has done it), only for being of this
-    layout; `MessageError` otherwise.
+    Only the layout is checked (the link has checked the rest); raises `MessageError`.
     """
     pieces: dict[AnyTopic, list[bytes]] = {}
     for topic, data in messages:
@@ -38,8 +37,7 @@ def decode(messages: Iterable[tuple[AnyTopic, bytes]]) -> dict[AnyTopic, Rows]:
 def thinned(rows: Rows, rate_hz: float) -> Rows:
     """Return about `rate_hz` rows a second: the last of each period, and always the newest.
 
-    Periods lie on a fixed grid of stamps, so nothing is remembered between two batches; at most
-    one row a batch is shown beyond the rate.
+    Periods are on a fixed grid of stamps, so no state is kept; at most one extra row per batch.
     """
     if len(rows) == 0:
         return rows

@@ -1,4 +1,4 @@
-"""The colours: a fixed, perceptually uniform scale of tension, and those that stand for a thing."""
+"""Colours: a perceptually uniform scale of tension, and fixed colours of signals."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ def rgba(tension: Array, scale_N: float) -> NDArray[np.uint32]:
     """Return the colour of each tension as 0xRRGGBBAA, the shape kept.
 
     Dark violet is 0 N, yellow `scale_N`; lightness rises steadily between them, so the scale reads
-    the same in grey and to most colour-blind eyes. Tensions outside take the colour of the end.
+    the same in grey and to most colour-blind eyes. Tensions outside are clipped.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""See the tension along the sheath, live or from a recording.
+"""Show the tension along the sheath, live or from a recording.
 
 Without FILE it listens to a running session, in a window, or in a browser where there is no screen:
 
@@ -26,7 +26,7 @@ from teleop.recording.replay import require_playable
 from teleop.run_config import load_section
 from teleop.topics import TOPICS, Role
 from teleop.view.config import LAYOUTS, ViewConfig
-from teleop.view.feed import Discard, Fed, Show, from_link, from_recording
+from teleop.view.feed import Discard, FeedCounts, Show, from_link, from_recording
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout",
         choices=LAYOUTS,
-        help="few and large, everything, or the scene alone (default: view.layout of the config)",
+        help="surgeon, experiment or presentation layout (default: view.layout of the config)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"
@@ -82,11 +82,13 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _show_recording(path: str, config: ViewConfig, show: Show, sink: Sink, stop: Stop) -> Fed:
-    """Show a recording, and stay until it has been looked at."""
+def _show_recording(
+    path: str, config: ViewConfig, show: Show, sink: Sink, stop: Stop
+) -> FeedCounts:
+    """Show a recording, and wait until the viewer is closed."""
     fed = from_recording(path, show, stop, config.file_period_s)
     if sink.watched:
-        print("The whole recording is there; Ctrl-C ends the view", flush=True)
+        print("recording loaded; Ctrl-C ends the view", flush=True)
         while not stop() and sink.alive():
             time.sleep(0.1)
     stop.request("the recording is shown")
@@ -94,7 +96,7 @@ def _show_recording(path: str, config: ViewConfig, show: Show, sink: Sink, stop:
 
 
 def periods(sink: Sink, config: ViewConfig) -> tuple[float, float]:
-    """Return the times [s] between two blocks of pictures and of curves."""
+    """Return the periods [s] of scene updates and of curves."""
     if sink.watched:
         return 0.0, 1.0 / config.curves_hz
     return config.file_period_s, config.file_period_s

@@ -13,9 +13,9 @@ LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 @dataclass(frozen=True, slots=True)
 class ViewRates:
-    """How many messages a second of each topic are shown [Hz]; the newest is always among them.
+    """Display rates of the topics [Hz]; the newest message is always shown.
 
-    Topics not named here are slow and shown whole. A recording keeps every message.
+    Other topics are slow and shown completely. A recording keeps every message.
     """
 
     command: float = 50.0
@@ -36,31 +36,31 @@ class ViewRates:
 
 @dataclass(frozen=True, slots=True)
 class ViewConfig:
-    """What the view shows, how often, and how much memory it may take."""
+    """Content, rates and memory of the view."""
 
     layout: Layout = "experiment"
     rate_hz: ViewRates = field(default_factory=ViewRates)
-    drain_hz: float = 25.0  # [Hz] how often the link is emptied and the scene drawn
-    curves_hz: float = (
-        10.0  # [Hz] how often the curves over time grow: each growth of each costs 0.2 ms
-    )
+    drain_hz: float = 25.0  # [Hz] rate of reading the link and updating the scene
+    curves_hz: float = 10.0  # [Hz] rate of extending the curves: 0.2 ms for each curve
     file_period_s: float = 1.0  # [s] of data per block when only a file is written
     tension_scale_N: float = 20.0  # [N] the bright end of the colour scale  # noqa: N815
     hand_scale_N: float = 4.0  # [N] on the hand, drawn as long as tension_scale_N at the tip  # noqa: N815
     window_s: float = 10.0  # [s] of the past in the curves over time
     loop_window_s: float = 30.0  # [s] of the past in the hysteresis loop
     bend_planes: tuple[float, ...] = ()  # [rad] by which each section's bend leaves the last plane
-    environment_m: tuple[float, ...] = field(  # [m] travel of each joint where it meets something
+    environment_m: tuple[float, ...] = field(  # [m] travel of each joint at contact
         default=(), metadata=MAY_BE_INFINITE
     )
     joint_radius_m: float = 0.012  # [m] of the pulley a joint is drawn on: angle = travel / radius
     hand_radius_m: float = 0.05  # [m] likewise of the hand
-    tube_radius: float = 0.012  # of the size of the scene; a sheath where its tendon slides
+    tube_radius: float = (
+        0.012  # of the size of the scene; radius of a sheath where its tendon slides
+    )
     tendon_spacing: float = 0.05  # of the size of the scene, between sheaths
-    server_memory_mb: int = 512  # [MB] of the past kept for a browser that opens late
-    web_port: int = 9090  # first choice; a free port is taken if it is in use
+    server_memory_mb: int = 512  # [MB] of history for a browser that connects later
+    web_port: int = 9090  # preferred port; a free one if it is in use
     grpc_port: int = 9876  # likewise
-    directory: str = "recordings"  # where `--view rrd` saves without `--out`
+    directory: str = "recordings"  # folder of `--view rrd` without `--out`
 
     def __post_init__(self) -> None:
         for name, low, high, unit in (

@@ -1,4 +1,4 @@
-"""The curves over time: one line for each number that is drawn against time."""
+"""Table of the curves over time."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -15,8 +15,8 @@ LOSS, LATENESS = colours.PHASES[2], colours.PHASES[4]
 class Curve:
     """A field of a message as a curve.
 
-    `path` is the entity; `{}` in it stands for the tendon, the joint or the role. Values that are
-    not finite are not sent (a bench sensor that is not there draws nothing).
+    `path` is the entity; `{}` in it stands for the tendon, the joint or the role. Non-finite values
+    are not sent (e.g. of a missing bench sensor).
     """
 
     path: str
@@ -25,7 +25,7 @@ class Curve:
     colour: int  # 0xRRGGBBAA
     width: float = 1.5  # [points]
     factor: float = 1.0  # shown = factor * field
-    positive_only: bool = False  # 0 and below stand for "none"
+    positive_only: bool = False  # 0 and below mean "none"
     entry: int | None = None  # of an array field, where the group is not over its entries
 
 
@@ -100,7 +100,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         (
             Curve("energy/{}/put_in", "put_in", "put in", colours.HOUSING, factor=MILLI),
             Curve("energy/{}/taken_out", "taken_out", "taken out", colours.TRUTH, factor=MILLI),
-            Curve("energy/{}/heard", "heard", "heard", colours.ESTIMATE, factor=MILLI),
+            Curve("energy/{}/heard", "received", "received", colours.ESTIMATE, factor=MILLI),
             Curve("energy/{}/dissipated", "dissipated", "dissipated", LOSS, factor=MILLI),
             Curve("energy/{}/credit", "credit", "credit", colours.HAND, 2.0, factor=MILLI),
         ),

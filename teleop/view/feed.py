@@ -1,4 +1,4 @@
-"""Feeding the scene: from the link as it happens, from a recording as fast as it reads."""
+"""Feed the scene: live from the link, or from a recording at full speed."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from teleop.view.sinks import Sink
 
 
 class Show(Protocol):
-    """What takes the batches: pictures often, curves less often, since every growth costs."""
+    """Receiver of batches: pictures often, curves less often, as each update is costly."""
 
     def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw what stands in space."""
+        """Update the scene."""
 
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw what grows over time."""
+        """Extend the curves."""
 
 
 _PROBE_EVERY_NS = 5_000_000_000
@@ -31,16 +31,16 @@ _BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
 @dataclass(slots=True)
-class Fed:
-    """What went through, for the summary."""
+class FeedCounts:
+    """Counts for the summary."""
 
     received: int = 0
     shown: int = 0
-    fault: str = ""  # why it ended, if something broke
+    fault: str = ""  # reason of a failure
 
 
-class Paced:
-    """Messages held until their period is over: every block of them costs, however small it is.
+class PacedMessages:
+    """Messages buffered for a period, as every block has a fixed cost.
 
     Parameters
     ----------
@@ -54,11 +54,11 @@ class Paced:
         self._due_ns: int | None = None
 
     def add(self, messages: Iterable[tuple[AnyTopic, bytes]]) -> None:
-        """Hold these too."""
+        """Add messages."""
         self._held.extend(messages)
 
     def take(self, now_ns: int, all_of_it: bool = False) -> list[tuple[AnyTopic, bytes]]:
-        """Return what is held if its period is over (or `all_of_it` is wanted), else nothing."""
+        """Return the buffer if its period is over or with `all_of_it`, else nothing."""
         if self._due_ns is None:
             self._due_ns = now_ns + self._period_ns
         if now_ns < self._due_ns and not all_of_it:
@@ -75,18 +75,18 @@ def from_link(
     stop: Stop,
     drain_hz: float,
     periods_s: tuple[float, float],
-) -> Fed:
-    """Show what is heard until told to stop.
+) -> FeedCounts:
+    """Show received messages until stopped.
 
     Parameters
     ----------
     drain_hz : float
-        [Hz] how often the listener is emptied.
+        [Hz] rate of reading the listener.
     periods_s : tuple of two floats
-        [s] between two blocks of what is drawn in space, and of the curves over time.
+        [s] between updates of the scene, and of the curves.
     """
-    fed = Fed()
-    pictures, curves = Paced(periods_s[0]), Paced(periods_s[1])
+    fed = FeedCounts()
+    pictures, curves = PacedMessages(periods_s[0]), PacedMessages(periods_s[1])
 
     def pass_on(now_ns: int, all_of_it: bool) -> None:
         for held, draw in ((pictures, show.pictures), (curves, show.curves)):
@@ -96,10 +96,10 @@ def from_link(
 
     probe_ns = 0
     for tick in Grid(drain_hz, stop):
-        heard = [(h.topic, h.data) for h in listener.drain()]
-        fed.received += len(heard)
-        curves.add(m for m in heard if m[0] in CURVES)
-        pictures.add(heard)
+        messages = [(h.topic, h.data) for h in listener.drain()]
+        fed.received += len(messages)
+        curves.add(m for m in messages if m[0] in CURVES)
+        pictures.add(messages)
         pass_on(tick.stamp_ns, all_of_it=False)
         if not sink.alive():
             fed.fault = (
@@ -109,15 +109,15 @@ def from_link(
         elif tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
             if sink.stuck():
-                fed.fault = "the viewer takes no more data; start the view again"
+                fed.fault = "the viewer accepts no more data; start the view again"
                 stop.request("the viewer is stuck")
     pass_on(0, all_of_it=True)
     return fed
 
 
-def from_recording(path: str, show: Show, stop: Callable[[], bool], period_s: float) -> Fed:
+def from_recording(path: str, show: Show, stop: Callable[[], bool], period_s: float) -> FeedCounts:
     """Show a whole recording, a block of `period_s` [s] at a time."""
-    fed = Fed()
+    fed = FeedCounts()
     for block in _blocks(path, round(period_s * 1e9)):
         if stop():
             break

@@ -1,4 +1,4 @@
-"""How the views are laid out, for a screen of 1280 by 800 and up: one blueprint for each use."""
+"""Layouts of the views, for screens of 1280 by 800 and up: one blueprint per use."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -22,7 +22,7 @@ def blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Bl
     """Return the layout that the config names.
 
     `surgeon` shows the scene and the two forces, `experiment` everything, `presentation` the scene
-    alone. The time follows the newest data until the user takes hold of it.
+    alone. The time follows the newest data until the user moves it.
 
     Parameters
     ----------
@@ -174,16 +174,16 @@ class _Views:
         return self.curves(name, [f"hand/joint_{joint}"])
 
     def position(self, name: str, joint: int) -> Part:
-        """Return where the tip was asked to be, is estimated to be, and is."""
+        """Return the commanded, estimated and true position of the tip."""
         truth = f"displacement/tendon_{self._joints[joint][0]}/out_true"
         return self.curves(name, [f"position/joint_{joint}", truth])
 
     def elongation(self, name: str, joint: int) -> Part:
-        """Return how far a joint's tendons are stretched."""
+        """Return the elongation of a joint's tendons."""
         return self.curves(name, [f"elongation/tendon_{t}" for t in self._joints[joint]])
 
     def motor(self, name: str, joint: int) -> Part:
-        """Return how far a joint's tendons are drawn out at the housing, and were to be."""
+        """Return motor positions and commands of a joint's tendons."""
         tendons = self._joints[joint]
         return self.curves(
             name, [f"displacement/tendon_{t}/{part}" for t in tendons for part in ("in", "asked")]
@@ -196,7 +196,7 @@ class _Views:
     def curves(
         self, name: str, roots: Sequence[str], values: tuple[float, float] | None = None
     ) -> Part:
-        """Return what lies under some entities over the recent past.
+        """Return a time series view of some entities over the recent past.
 
         `values` are the ends of the axis as shares of the scale of tension; without them the axis
         follows the data.

@@ -1,4 +1,4 @@
-"""The scene fitted into its view, with the colour scale standing beside it."""
+"""Fit the scene into its view, with the colour scale beside it."""
 
 import numpy as np
 import rerun as rr
@@ -15,7 +15,7 @@ _HALF_WIDTH = 0.035  # of its height
 
 
 def draw_stage(sender: Sender, config: ViewConfig, stage: Stage) -> None:
-    """Fit the scene into the view, whatever its size, and stand the colour scale beside it."""
+    """Fit the scene into the view, with the colour scale beside it."""
     scale = 1.0 / stage.span
     fit = rr.Transform3D(translation=-scale * stage.centre, scale=scale)
     sender.static("scene", fit)
@@ -30,7 +30,7 @@ def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
     edge = foot + levels[:, None] * up
     left = np.arange(_STEPS - 1)
     right = left + _STEPS
-    bar = rr.Mesh3D(  # without normals no light falls on it, and a colour is what it is
+    bar = rr.Mesh3D(  # without normals it is not shaded, so colours are exact
         vertex_positions=np.concatenate([edge - half, edge + half]),
         triangle_indices=np.concatenate(
             [np.stack([left, right, right + 1], 1), np.stack([left, right + 1, left + 1], 1)]

@@ -33,7 +33,7 @@ class Levers:
         self._travel: dict[int, float] = {}  # joint -> [m] as last estimated
 
     def place(self) -> None:
-        """Draw what stands still, and say how the rest looks."""
+        """Draw the static parts and set the styles."""
         stage = self._sheaths.stage
         if stage is None:
             return
@@ -99,7 +99,7 @@ class Levers:
             self._link(f"scene/joint_{joint}/asked", rows, lever, rows["position"][:, joint])
 
     def _truth(self, rows: Rows) -> None:
-        """Draw what bench sensors at the tip say, where there are any."""
+        """Draw the force of the bench sensors, if any."""
         stage = self._sheaths.stage
         for joint, lever in () if stage is None else stage.joints.items():
             force = true_force(rows, self._sheaths.tendons_of(joint))
@@ -127,7 +127,7 @@ class Levers:
         return [(j, lever, f"scene/joint_{j}") for j, lever in levers.items() if j < count]
 
     def _length(self, scale: float) -> float:
-        """Return metres drawn for a newton."""
+        """Return the drawn length per newton."""
         stage = self._sheaths.stage
         return 0.0 if stage is None else ARROW * stage.size / scale
 
@@ -178,7 +178,7 @@ class Levers:
         self._sender.columns(path, rows, columns)
 
     def _environment(self, path: str, joint: int, lever: Lever) -> None:
-        """Draw a wedge from the travel where the tip meets something."""
+        """Draw a wedge from the travel at contact."""
         known = self._config.environment_m
         if joint >= len(known) or not math.isfinite(known[joint]):
             return
@@ -204,7 +204,7 @@ class Levers:
 
 
 def true_force(rows: Rows, tendons: list[int]) -> Array:
-    """Return the force [N] on a joint's tip that bench sensors tell: T_out,a, less T_out,b."""
+    """Return the force [N] on a joint's tip from bench sensors: T_out,a less T_out,b."""
     force: Array = rows["bench_distal_tension"][:, tendons[0]].copy()
     for other in tendons[1:]:
         force -= rows["bench_distal_tension"][:, other]

@@ -11,16 +11,16 @@ from teleop.view.colours import STATES
 from teleop.view.sender import Sender
 
 LOGGED: tuple[AnyTopic, ...] = (EVENT, STOP, SETTING, ANSWER)
-_AGAIN_NS = 10_000_000_000  # [ns] a state is said again, for whoever sees only the recent past
+_AGAIN_NS = 10_000_000_000  # [ns] a state is repeated, for views of the recent past
 _LEVELS = {"fault": "ERROR", "stopped": "CRITICAL", "holding": "WARN"}
 
 
 def log_rows(sender: Sender, topic: AnyTopic, rows: Rows) -> None:
-    """Send messages that are words."""
-    said = [_said(topic, row) for row in rows]
+    """Send text messages."""
+    texts = [_message_text(topic, row) for row in rows]
     columns = rr.TextLog.columns(
-        text=[f"{clock(row)}  {text}" for row, (text, _) in zip(rows, said, strict=True)],
-        level=[level for _, level in said],
+        text=[f"{clock(row)}  {text}" for row, (text, _) in zip(rows, texts, strict=True)],
+        level=[level for _, level in texts],
     )
     sender.columns("log", rows, columns)
 
@@ -31,7 +31,7 @@ def clock(row: np.void) -> str:
     return str(moment).split("T")[1]
 
 
-def _said(topic: AnyTopic, row: np.void) -> tuple[str, str]:
+def _message_text(topic: AnyTopic, row: np.void) -> tuple[str, str]:
     """Return the line of one message, and its level."""
     if topic is STOP:
         action = int(row["action"])
@@ -52,11 +52,11 @@ def state_name(number: int) -> str:
 
 
 class StateLanes:
-    """Draws the state of each side under `state/<role>`, when it changes and now and then."""
+    """Draws the state of each side under `state/<role>`, on changes and periodically."""
 
     def __init__(self, sender: Sender) -> None:
         self._sender = sender
-        self._shown: dict[Role, tuple[int, int]] = {}  # role -> state, stamp [ns] when last said
+        self._shown: dict[Role, tuple[int, int]] = {}  # role -> state, stamp [ns] of the last row
 
     def draw(self, role: Role, rows: Rows) -> None:
         """Draw the states in messages of one side, every one of them."""

@@ -1,8 +1,8 @@
-"""The page of the web view, on loopback, kept from talking to anyone else.
+"""The page of the web view, on loopback, restricted to local connections.
 
 Rerun's page loads a font from Google and posts usage statistics to tel.rerun.io from the browser,
-whatever the settings here. This server hands on the page under a content security policy that lets
-it reach the data on this machine and nothing more; the browser enforces it.
+whatever the settings here. This server adds a content security policy that restricts the page to
+the data on this machine.
 """
 
 import shutil
@@ -25,7 +25,7 @@ class Page:
     Parameters
     ----------
     port : int
-        First choice; a free port is taken if it is in use.
+        Preferred port; a free one if it is in use.
     source_port : int
         Where the viewer program serves the same files, on loopback.
     data_url : str
@@ -68,7 +68,7 @@ class Page:
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
-    block_on_close = False  # a browser that keeps its connection open does not hold us back
+    block_on_close = False  # do not wait for open connections of a browser
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -77,7 +77,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 60
 
     def do_GET(self) -> None:
-        """Hand on one of the viewer's files."""
+        """Serve one of the viewer's files."""
         path = urllib.parse.urlsplit(self.path).path
         if path not in _FILES:
             self.send_error(404)
@@ -98,7 +98,7 @@ class _Handler(BaseHTTPRequestHandler):
             try:
                 shutil.copyfileobj(answer, self.wfile, 1 << 20)
             except (BrokenPipeError, ConnectionResetError):
-                self.close_connection = True  # the browser went away
+                self.close_connection = True  # the browser disconnected
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name
-        """Say nothing: the terminal belongs to the session."""
+        """Do not log to the terminal."""

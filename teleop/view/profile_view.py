@@ -31,8 +31,8 @@ class ProfileView:
         self._plane: Plane | None = None
         self._tail: Rows | None = None  # the newest TendonState rows
 
-    def hear(self, rows: Rows) -> None:
-        """Take in TendonState messages, for the interval at the tip."""
+    def add(self, rows: Rows) -> None:
+        """Add TendonState rows, for the interval at the tip."""
         tail = rows if self._tail is None else np.concatenate([self._tail, rows])
         self._tail = tail[tail["stamp_ns"] >= tail["stamp_ns"][-1] - _TAIL_NS]
 
@@ -87,7 +87,7 @@ class ProfileView:
         self._sender.columns(f"{path}/front", rows, marks)
 
     def _band(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
-        """Draw what is certain of T(x): one broad line, up and down from point to point."""
+        """Draw the certified band of T(x) as one broad zigzag line."""
         ends = self._ends(tendon, rows)
         if tendon not in self._sheaths.friction or ends is None:
             return
@@ -115,7 +115,7 @@ class ProfileView:
         self._sender.columns(path, rows, strips.partition(known.astype(int)))
 
     def _ends(self, tendon: int, rows: Rows) -> tuple[Array, Array] | None:
-        """Return the interval of T_out at each profile; NaN where none was heard near it."""
+        """Return the interval of T_out at each profile; NaN without one near it."""
         if self._tail is None:
             return None
         stamps = self._tail["stamp_ns"]

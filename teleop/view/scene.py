@@ -1,4 +1,4 @@
-"""What is seen: rows of messages become Rerun columns, a batch at a time.
+"""Convert rows of messages to Rerun columns in batches.
 
 Entities, all on the timeline `time` (the stamp its sender gave a message):
 
@@ -35,17 +35,17 @@ from teleop.view.tubes import Tubes
 
 
 class Scene:
-    """Turns decoded batches into what is seen.
+    """Draws decoded batches.
 
-    Keeps only what later messages need: the sheaths, the newest interval at each tip, and what has
-    been said once.
+    Keeps only what later messages need: the sheaths, the newest interval at each tip, and static
+    data.
 
     Parameters
     ----------
     config : ViewConfig
     stream : RecordingStream
     lay_out : callable
-        Told the tendons of each joint when they become known or change.
+        Called with the tendons of each joint when they become known or change.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class Scene:
         return self.pictures(batches) + self.curves(batches)
 
     def pictures(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw what stands in space, and write the log; returns the number of rows shown."""
+        """Update the scene and the log; returns the number of rows shown."""
         shown = 0
         if SHEATH in batches:
             shown += self._learn(batches[SHEATH])
         if TENDONS in batches:
-            self._profiles.hear(batches[TENDONS])
+            self._profiles.add(batches[TENDONS])
             self._loops.draw(thinned(batches[TENDONS], self._config.rate_hz.loop))
         for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
             kept = thinned(rows, self._config.rate_hz.profile)
@@ -97,7 +97,7 @@ class Scene:
         return self._plots.draw(batches)
 
     def _learn(self, rows: Rows) -> int:
-        """Take in the sheaths, and draw all anew if they have changed."""
+        """Process the sheaths, and redraw everything if they have changed."""
         if not self._sheaths.learn(rows):
             return 0
         self._sender.restyle()

@@ -1,4 +1,4 @@
-"""Sending to Rerun: columns of rows, and what is said once about them."""
+"""Send columns of rows and static data to Rerun."""
 
 import rerun as rr
 from rerun import AsComponents
@@ -23,19 +23,19 @@ class Sender:
         self._stream.send_columns(path, [rr.TimeColumn(TIMELINE, timestamp=stamps)], columns)
 
     def static(self, path: str, archetype: AsComponents) -> None:
-        """Send what holds at all times; it replaces what was sent before."""
+        """Send static data, replacing earlier ones."""
         self._stream.log(path, archetype, static=True)
 
     def once(self, path: str, archetype: AsComponents) -> None:
-        """Send what holds at all times, if nothing was sent so for this entity."""
+        """Send static data, if none were sent for this entity."""
         if path not in self._styled:
             self._styled.add(path)
             self.static(path, archetype)
 
     def styled(self, path: str) -> bool:
-        """Return whether `once` has nothing more to say of this entity."""
+        """Return whether static data were sent for this entity."""
         return path in self._styled
 
     def restyle(self) -> None:
-        """Let every `once` be said again: names may have changed."""
+        """Reset, so that static data are sent again."""
         self._styled.clear()

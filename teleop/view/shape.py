@@ -9,7 +9,7 @@ import numpy as np
 from estimator.array_types import Array
 
 
-class Line(NamedTuple):
+class CentreLine(NamedTuple):
     """A sheath's centre line and the frame at its end."""
 
     points: Array  # [m], shape (n, 3)
@@ -23,7 +23,7 @@ def centreline(
     s: Array,
     turn_gap: float = 0.0,
     planes: Sequence[float] = (),
-) -> Line:
+) -> CentreLine:
     """Return the points of a sheath at the given arc lengths.
 
     The sheath starts at the origin along +x. Each section is straight or an arc that turns by
@@ -63,7 +63,7 @@ def centreline(
         position = position + _along(np.array([l_k]), curvature, rise)[0] @ frame
         frame = _turned(l_k * curvature, 2) @ frame
         begin += l_k
-    return Line(points, frame[0], frame[1])
+    return CentreLine(points, frame[0], frame[1])
 
 
 def _along(d: Array, curvature: float, rise: float) -> Array:

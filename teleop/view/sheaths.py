@@ -1,4 +1,4 @@
-"""What is known of the sheaths so far: their shapes, whose they are, and where they are drawn."""
+"""The known sheaths: shapes, joints and places in the scene."""
 
 from estimator.array_types import Array
 from teleop.messages import PROFILE_POINTS
@@ -9,7 +9,7 @@ from teleop.view.stage import Shape, Stage, stage
 
 
 class Sheaths:
-    """Learned from Sheath messages, which come once a second."""
+    """From Sheath messages, once a second."""
 
     def __init__(self, config: ViewConfig) -> None:
         self._config = config
@@ -18,7 +18,7 @@ class Sheaths:
         self.stage: Stage | None = None
 
     def learn(self, rows: Rows) -> bool:
-        """Take in messages; returns whether the scene must be drawn anew."""
+        """Process messages; returns whether the scene must be redrawn."""
         before = dict(self.shapes)
         for row in rows:
             count, tendon = int(row["sections"]), int(row["tendon"])
@@ -44,7 +44,7 @@ class Sheaths:
         return sorted(t for t, shape in self.shapes.items() if shape.joint == joint)
 
     def name(self, tendon: int) -> str:
-        """Return what a tendon is called: by joint and side (1a, 1b, 2a, ...)."""
+        """Return the name of a tendon: joint and side (1a, 1b, 2a, ...)."""
         shape = self.shapes.get(tendon)
         if shape is None:
             return f"{tendon + 1}"

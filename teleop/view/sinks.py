@@ -1,4 +1,4 @@
-"""Where the scene goes: a window, a web page, a file, or nowhere."""
+"""Destinations of the scene: window, web page, file, or none."""
 
 import sys
 import threading
@@ -25,7 +25,7 @@ _LET_GO_S = 1.0
 
 
 class Sink:
-    """An open destination; `stream` takes the data (None = nowhere), `lines` say where to look.
+    """An open destination; `stream` takes the data (None = nowhere), `lines` are for the user.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Sink:
                 self._open_page(stack, config, live)
             if self.file is not None:
                 self._open_file(self.file)
-            # no stream without a sink: it would keep everything for whoever might still come
+            # no stream without a sink: it would buffer everything
             self.stream: rr.RecordingStream | None = None
             if self._sinks:
                 self.stream = rr.RecordingStream(APPLICATION)
@@ -73,7 +73,7 @@ class Sink:
 
     @property
     def watched(self) -> bool:
-        """Whether it is a viewer, which somebody may be looking at."""
+        """Whether it is a viewer."""
         return self._viewer is not None
 
     @property
@@ -97,7 +97,7 @@ class Sink:
             self.stream.send_blueprint(blueprint(self._config, joints))
 
     def stuck(self) -> bool:
-        """Return whether the viewer has stopped taking data, which would pile up here."""
+        """Return whether the viewer has stopped accepting data."""
         if self.stream is None or not self.alive():
             return False
         try:
@@ -107,7 +107,7 @@ class Sink:
         return False
 
     def close(self) -> None:
-        """Bring out what is under way, for a few seconds at most, and end the viewer program."""
+        """Flush for a few seconds at most, and end the viewer program."""
         if self.stream is not None and self.alive():
             try:
                 self.stream.flush(timeout_sec=_FLUSH_S)
@@ -136,7 +136,9 @@ class Sink:
         arguments = ["--serve-web", "--web-viewer-port", str(inner)]
         arguments += ["--server-memory-limit", f"{config.server_memory_mb}MB"]
         if live:
-            arguments.append("--newest-first")  # a browser that opens late begins with the present
+            arguments.append(
+                "--newest-first"
+            )  # a browser that connects later starts with the newest data
         self._viewer = stack.enter_context(ViewerProcess(arguments, port))
         page = stack.enter_context(Page(config.web_port, inner, self._viewer.url))
         self._sinks.append(rr.GrpcSink(self._viewer.url))

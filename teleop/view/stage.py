@@ -1,10 +1,7 @@
-"""Where everything stands in the scene: a joint's sheaths side by side, it at their tips, the hand.
+"""Geometry of the scene: the sheaths of a joint side by side, the joint at their tips, the hand.
 
-Several joints stand in rows and columns across the line of sight, each with all that is its own, so
-that none hides another.
-
-All in metres along the sheath; what has no size of its own (tubes, levers, gaps) is drawn as a
-share of the size of the scene, so that a short sheath and a long one look alike.
+Several joints are arranged in rows and columns across the line of sight, so that none hides
+another. All in metres along the sheath; tubes, levers and gaps scale with the size of the scene.
 """
 
 import math
@@ -25,7 +22,7 @@ _TIP_GAP = 0.05  # from sheath to joint
 EYE = (0.0, -0.8, 0.78)  # where the scene is seen from, in spans from its centre
 RIGHT, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.78, 0.8]) / math.hypot(0.78, 0.8)
 _WIDE = 1.5  # the view's width over its height, a margin taken off
-_ROUNDS = 12  # of fitting the scene into the view
+_FIT_ITERATIONS = 12  # of fitting the scene into the view
 _SCALE_TALL, _SCALE_ASIDE = 0.5, 0.1  # the colour scale's height, and its place from the rest
 _TURN = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
 _LEVER = 0.16  # a joint's link and the hand's handle
@@ -34,7 +31,7 @@ ARROW = 0.25  # of the force at the end of its scale
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What the stage needs to know of one sheath."""
+    """Geometry of one sheath."""
 
     joint: int  # the one it moves
     length: tuple[float, ...]  # [m] of each section
@@ -66,10 +63,10 @@ class Lever:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The places of all that is drawn [m]."""
+    """Positions of everything drawn [m]."""
 
     size: float  # of a sheath
-    span: float  # of all that is drawn, as seen from the eye: 1 fills the view
+    span: float  # of everything drawn, as seen from the eye: 1 fills the view
     centre: Array
     lines: Mapping[int, Array]  # tendon -> points at evenly spread arc lengths
     joints: Mapping[int, Lever]
@@ -79,7 +76,7 @@ class Stage:
 
 
 def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
-    """Return where the sheaths, their joints and the hand stand."""
+    """Return the positions of sheaths, joints and hand."""
     total = {t: float(sum(shape.length)) for t, shape in shapes.items()}
     gap = 0.05 * max(total.values())
     bare = {
@@ -129,7 +126,7 @@ def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
 
 
 def _cells(drawn: Mapping[int, Array], size: float) -> dict[int, Array]:
-    """Return how far each joint is moved so that they stand in rows and columns, the first on top.
+    """Return the offsets of the joints in rows and columns, the first on top.
 
     All cells are as large as the largest; there are as many columns as let them be drawn largest.
     """
@@ -164,7 +161,7 @@ def _framed(drawn: Array) -> tuple[Array, float, float, float]:
     far = float(np.linalg.norm(EYE))
     forward = -np.array(EYE) / far
     centre, span, right, tall = drawn.mean(axis=0), float(np.ptp(drawn)), 0.0, 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(_FIT_ITERATIONS):
         place = (drawn - centre) / span
         place *= far / np.maximum(far + place @ forward, 0.2 * far)[:, None]
         x, y = place @ RIGHT, place @ UP

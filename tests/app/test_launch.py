@@ -14,7 +14,7 @@ from teleop.app.launch import command, watch
 from teleop.app.launch.keys import Keys
 from teleop.app.launch.supervisor import Supervisor, wait_for
 from teleop.errors import PeerError, TeleopError
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.messages import Event, Latency, LoopReport, SlaveState, TendonState, padded, text_bytes
 from teleop.remote.requests import CALL, RESET
 from teleop.session import Reason, State
@@ -169,7 +169,7 @@ def test_words_are_printed_above_the_status_line():
 
 
 def heard(topic, message):
-    return Heard(topic, message.pack(1, 1, 0), 0, 1, 1, 0)
+    return ReceivedMessage(topic, message.pack(1, 1, 0), 0, 1, 1, 0)
 
 
 def event(role, state, text):
@@ -266,7 +266,7 @@ SAY_AND_END = (
     "def end(*_):\n"
     "    for _ in range({}):\n"
     "        time.sleep(0.2)\n"
-    "        print('letting go', flush=True)\n"
+    "        print('lowering the tensions', flush=True)\n"
     "    {}\n"
     "signal.signal(signal.SIGTERM, end)\n"
     "print('here', flush=True)\n"
@@ -282,7 +282,7 @@ def test_a_child_that_still_speaks_is_given_time_and_a_silent_one_is_killed(
     child = family.start("slave", [SAY_AND_END.format(10, after)])
     assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
     family.stop(["slave"])
-    assert family.said.count(("slave", "letting go")) == 10
+    assert family.said.count(("slave", "lowering the tensions")) == 10
     assert (child.exit_code != 0) == killed
     assert any("was killed" in line for _, line in family.said) == killed
 

@@ -201,16 +201,18 @@ def test_no_bytes_from_a_master_move_a_motor_beyond_its_limits(coupling):
         assert all(map(math.isfinite, (*output.state.energy, *output.state.wave)))
         if not output.motor:
             continue
-        (asked,) = output.motor
-        assert math.isfinite(asked)
-        assert min(limits.displacement_min, motor) <= asked <= max(limits.displacement_max, motor)
-        assert abs(asked - motor) <= limits.speed_max * min(dt, 0.005) + 1e-12
+        (requested,) = output.motor
+        assert math.isfinite(requested)
+        assert (
+            min(limits.displacement_min, motor) <= requested <= max(limits.displacement_max, motor)
+        )
+        assert abs(requested - motor) <= limits.speed_max * min(dt, 0.005) + 1e-12
         if slave.state is State.HOLDING:
-            assert asked <= motor
+            assert requested <= motor
         elif slave.state is not State.ENGAGED:
-            assert asked == motor
+            assert requested == motor
         if tension > limits.tension_max:
-            assert asked <= motor
-        moved += asked != motor
-        motor = asked
+            assert requested <= motor
+        moved += requested != motor
+        motor = requested
     assert moved > TICKS / 20

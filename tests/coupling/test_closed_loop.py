@@ -99,7 +99,7 @@ def test_a_tip_that_fell_behind_comes_after_once_it_is_free():
     record = reach(PASSIVITY, MET["hard wall"], 0.300, back=1.0)
     assert_engaged(record)
     assert record.credit.min() >= -1e-9
-    behind = record.asked - record.followed
+    behind = record.commanded - record.followed
     assert np.nanmax(behind) > 1e-3
     assert np.abs(behind[-LAST:]).max() < 0.1e-3
 

@@ -17,7 +17,7 @@ def middling(effect):
 def test_every_effect_comes_back_to_the_bit(tmp_path):
     path = tmp_path / "model.yaml"
     model = Model((0.1 + 0.2, 1.0 / 7000.0, 3e-4), (), tuple(map(middling, CATALOGUE)))
-    saved = model_file.Saved(model, 61.7, ("creep",))
+    saved = model_file.SavedModel(model, 61.7, ("creep",))
     model_file.save(path, saved, "two\nlines")
     assert model_file.load(path) == saved
     assert path.read_text().startswith("# two\n# lines\n")
@@ -26,7 +26,7 @@ def test_every_effect_comes_back_to_the_bit(tmp_path):
 def test_what_single_records_had_is_left_out(tmp_path):
     path = tmp_path / "model.yaml"
     of_two = Model((0.5,), ((1e-3,), (2e-3,)), ())
-    model_file.save(path, model_file.Saved(of_two, 1.0, ()), "")
+    model_file.save(path, model_file.SavedModel(of_two, 1.0, ()), "")
     assert model_file.load(path).model == Model((0.5,), (), ())
 
 

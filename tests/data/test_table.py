@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from teleop.data.table import Columns, read_table, read_tables, write_table
 from teleop.errors import UsageError
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.messages import MAX_TENDONS, TendonState, padded
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
@@ -115,7 +115,7 @@ def test_a_recording_is_a_table(tmp_path):
             bench_distal_displacement=nothing,
         )
         sent_ns = 10**18 + k * 10**8
-        heard.append(Heard(TENDONS, message.pack(1, k, sent_ns), sent_ns, 1, k, sent_ns))
+        heard.append(ReceivedMessage(TENDONS, message.pack(1, k, sent_ns), sent_ns, 1, k, sent_ns))
     with RecordingWriter(RecordConfig(str(tmp_path)), "test", 10**18) as writer:
         writer.write(heard, 10**18)
     path = writer.path
@@ -189,7 +189,7 @@ def test_a_diagnosis_reads_a_zero_that_is_off_and_spikes_but_no_wrong_sign(path)
     path.write_text(rows(spiked))
     assert read_table(path, diagnosed=True).proximal_tension.min() == -8.0
     assert "cannot push" in refusal(path)
-    assert "a zero that is off" in refusal(path, rows(-pull), diagnosed=True)
+    assert "a zero offset" in refusal(path, rows(-pull), diagnosed=True)
 
 
 def test_the_bench_is_checked_too(path):

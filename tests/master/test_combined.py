@@ -151,8 +151,8 @@ def test_a_loss_beside_a_failure_is_a_failure():
 def test_a_failed_write_leaves_no_force_on_the_others():
     left, middle, right = Stylus(1), Stylus(1), Stylus(1)
     device = released(left, middle, right)
-    middle.write_fault = DeviceFault("takes no forces")
-    with pytest.raises(DeviceFault, match=r"^devices\.1: takes no forces$"):
+    middle.write_fault = DeviceFault("no longer accepts forces")
+    with pytest.raises(DeviceFault, match=r"^devices\.1: no longer accepts forces$"):
         device.write((1.0, 2.0, 3.0))
     assert left.written[-1] == right.written[-1] == (0.0,)
 
@@ -248,7 +248,7 @@ def test_two_of_a_kind_are_told_apart_by_their_paths(hidraw):
 def test_one_device_is_not_two_hands(hidraw):
     node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     for find in ("", "1209:ffb0", str(node.path)):
-        with pytest.raises(UsageError, match=r"devices\.1: .*is in use as another device"):
+        with pytest.raises(UsageError, match=r"devices\.1: .*already in use by another device"):
             two_hids(find, find)
     HidDevice(hid(""), lambda _line: None).close()  # the first was let go of
 
@@ -297,7 +297,7 @@ def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw):
     lost(device)
     for _ in nodes:
         hidraw.plug(Arduino(descriptors.arduino()))
-    assert wait_for(lambda: "like it" in lost(device), 8.0)
+    assert wait_for(lambda: "of the same identity" in lost(device), 8.0)
     device.close()
 
 
@@ -308,7 +308,7 @@ def test_one_that_came_back_alone_is_not_taken_for_both(hidraw):
         hidraw.unplug(node)
     lost(device)
     hidraw.plug(Arduino(descriptors.arduino()))
-    assert wait_for(lambda: "like it" in lost(device), 8.0)
+    assert wait_for(lambda: "of the same identity" in lost(device), 8.0)
     device.close()
 
 

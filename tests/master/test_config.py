@@ -68,13 +68,13 @@ def test_the_new_device_in_the_docs_takes_less_than_50_lines_and_runs():
     [
         ("master.force.scale=-1", "scale"),
         ("master.gate.axis_max=0", "axis_max"),
-        ("master.freshness=0", "freshness"),
-        ("master.freshness=0.2", "delay_max"),
+        ("master.state_timeout=0", "state_timeout"),
+        ("master.state_timeout=0.2", "delay_max"),
         ("master.device.type=falcon", "virtual"),
         ("master.device.mas=1", "mass"),
         ("master.device.reference.type=jump", "reaches"),
         ("master.device.engage=[[2, 1]]", "engage"),
-        ("master.device={type: hid, axes: [{name: x}]}", "travel and speed"),
+        ("master.device={type: hid, axes: [{name: x}]}", "travel, speed"),
         ("master.device={type: hid, driver: usb}", "spacemouse"),
         ("master.device={type: hid, buttons: {engage: 0}}", "buttons.engage"),
         ("master.device={type: hid, find: 4711}", "quotes"),
@@ -129,11 +129,11 @@ def test_a_command_is_sent_every_so_many_ticks_of_the_device(rate_hz, device_rat
     [
         (
             ["master.device_rate_hz=2500"],
-            "master.device_rate_hz: 2500: must be a whole multiple of rate_hz (1000 Hz)",
+            "master.device_rate_hz: 2500: must be an integer multiple of rate_hz (1000 Hz)",
         ),
         (
             ["master.device_rate_hz=500"],
-            "master.device_rate_hz: 500: must be a whole multiple of rate_hz (1000 Hz)",
+            "master.device_rate_hz: 500: must be an integer multiple of rate_hz (1000 Hz)",
         ),
         (
             ["master.device_rate_hz=8000"],
@@ -146,8 +146,8 @@ def test_a_command_is_sent_every_so_many_ticks_of_the_device(rate_hz, device_rat
             "100 Hz)",
         ),
         (
-            ["rate_hz=100", "slave.command_timeout=0.04", "master.freshness=0.02"],
-            "master.freshness: 0.02: must be at least 3 periods of rate_hz (0.03 s at 100 Hz)",
+            ["rate_hz=100", "slave.command_timeout=0.04", "master.state_timeout=0.02"],
+            "master.state_timeout: 0.02: must be at least 3 periods of rate_hz (0.03 s at 100 Hz)",
         ),
         (
             ["rate_hz=100", "slave.command_timeout=0.04", "slave.gate.tension_age_max=0.02"],

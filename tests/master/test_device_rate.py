@@ -74,7 +74,7 @@ class Wall:
     def answer(self, command, now_ns, dt):
         """Return the fields of the state that answers a command, as the slave's loop does."""
         self.state = State.ENGAGED if command["state"] == State.ENGAGED else State.READY
-        coupling.hear(self.side, np.uint64(8), command["energy"], command["wave"])
+        coupling.receive(self.side, np.uint64(8), command["energy"], command["wave"])
         asked, speed = command["position"].copy(), command["velocity"].copy()
         force = np.zeros(MAX_JOINTS)
         force[0] = self.force
@@ -95,7 +95,7 @@ class Wall:
             "force_low": force - 0.01,
             "force_high": force + 0.01,
             "energy": [port.passed_on for port in ports],
-            "wave": [port.told_wave for port in ports],
+            "wave": [port.sent_wave for port in ports],
             "coupling": self.settings.signature,
         }
 
@@ -110,7 +110,7 @@ def pressed(config, rate_hz, every, late=0):
         force=FeedbackConfig(scale=SCALE),
         gate=GateConfig(),
         operator=OperatorConfig(position_scale=1.0),
-        freshness=0.2,
+        state_timeout=0.2,
         delay_max=0.5,
     )
     settings = SettingsRecord(master, bilateral).records

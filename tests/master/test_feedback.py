@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from estimator.records import as_record
 from master import feedback
 from master.feedback import FeedbackConfig
-from teleop.force_attenuation import ConfidenceConfig, attenuated
+from teleop.force_attenuation import ConfidenceConfig, attenuate
 from teleop.messages import MAX_JOINTS, SlaveState, padded
 from tests.master.records import eight, message_record
 
@@ -52,7 +52,7 @@ def test_a_force_that_is_no_number_is_not_turned_into_one(bad):
 @given(FORCES, st.floats(0.0, 200.0))
 def test_a_force_is_felt_as_far_as_its_interval_allows(force, width):
     (felt,) = tip_forces(slave_state(force, width=width), 1)
-    assert felt == attenuated(CONFIDENCE, force, force - width, force + width)
+    assert felt == attenuate(CONFIDENCE, force, force - width, force + width)
 
 
 @pytest.mark.parametrize("force", [5.0, math.nan])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from estimator.records import as_record
 from master import gate
-from master.gate import FADE_S, GateConfig, Verdict
+from master.gate import FADE_S, GateConfig, GateFlags
 from teleop.messages import MAX_JOINTS
 from tests.anything import CASES, Anything
 from tests.master.records import eight
@@ -15,7 +15,7 @@ from tests.master.records import eight
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 LIMITS = st.floats(1e-3, 1e3)
 CONFIGS = st.builds(GateConfig, axis_max=LIMITS, total_max=LIMITS, slew_max=st.floats(1e-3, 1e6))
-ZERO = Verdict.NOT_ENGAGED | Verdict.STALE | Verdict.NOT_FINITE
+ZERO = GateFlags.NOT_ENGAGED | GateFlags.STALE | GateFlags.NOT_FINITE
 
 
 class Gated(NamedTuple):
@@ -85,7 +85,7 @@ def test_the_gate_never_pushes_more_or_the_other_way_than_asked(config, run):
 @given(vectors(st.floats(-2.0, 2.0)))
 def test_within_limits_and_slow_passes_untouched(wanted):
     config = GateConfig(axis_max=2.0, total_max=100.0, slew_max=1.0)
-    assert step(config, wanted, wanted, True, True, 0.001) == (wanted, Verdict.PASSED)
+    assert step(config, wanted, wanted, True, True, 0.001) == (wanted, GateFlags.PASSED)
 
 
 @given(vectors(st.floats(-3.0, 3.0)), st.floats(0.0, 1.0))
@@ -102,15 +102,15 @@ def test_growth_follows_the_slew_limit_exactly():
         force, verdict = step(config, force, (2.0,), True, True, 0.001)
         trace.append((force[0], verdict))
     assert [f for f, _ in trace[:20]] == pytest.approx([0.1 * k for k in range(1, 21)])
-    assert trace[10][1] == Verdict.SLEW
-    assert trace[-1] == (2.0, Verdict.PASSED)
+    assert trace[10][1] == GateFlags.SLEW
+    assert trace[-1] == (2.0, GateFlags.PASSED)
 
 
 def test_a_reversal_passes_through_zero_first():
     config = GateConfig(slew_max=100.0)
     force, verdict = step(config, (2.0,), (-2.0,), True, True, 0.001)
     assert force == pytest.approx((-0.1,))
-    assert verdict == Verdict.SLEW
+    assert verdict == GateFlags.SLEW
 
 
 def test_a_skipped_second_does_not_buy_a_jump():
@@ -122,7 +122,7 @@ def test_total_limit_keeps_the_direction():
     config = GateConfig(axis_max=10.0, total_max=1.0, slew_max=1e6)
     force, verdict = step(config, (0.0, 0.0), (3.0, 4.0), True, True, 0.001)
     assert force == pytest.approx((0.6, 0.8))
-    assert verdict == Verdict.TOTAL_LIMIT
+    assert verdict == GateFlags.TOTAL_LIMIT
 
 
 @pytest.mark.parametrize("field", ["axis_max", "total_max", "slew_max"])
@@ -138,7 +138,7 @@ def test_a_force_that_fades_only_shrinks_and_is_gone_in_time(start, dt):
     force, passed = tuple(start), 0.0
     while passed < FADE_S - 1e-9:
         faded, verdict = step(config, force, force, False, False, dt, fades=True)
-        assert verdict == Verdict.NOT_ENGAGED | Verdict.STALE
+        assert verdict == GateFlags.NOT_ENGAGED | GateFlags.STALE
         for was, now in zip(force, faded, strict=True):
             assert now == 0.0 or (abs(now) < abs(was) and now * was > 0.0)
         force, passed = faded, passed + dt
@@ -184,7 +184,7 @@ def test_the_total_limit_holds_where_squares_overflow_or_vanish(size, wanted):
     force, verdict = step(config, wanted, wanted, True, True, 1e-3)
     assert math.hypot(*force) <= 2.0 * size * (1 + 1e-12)
     if abs(math.hypot(*wanted) / size - 2.0) > 1e-9:
-        assert bool(verdict & Verdict.TOTAL_LIMIT) == (math.hypot(*wanted) > 2.0 * size)
+        assert bool(verdict & GateFlags.TOTAL_LIMIT) == (math.hypot(*wanted) > 2.0 * size)
 
 
 def test_a_long_run_of_anything_stays_within_all_limits():

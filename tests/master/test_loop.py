@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from master.config import MasterConfig
 from master.device import HandState
-from master.gate import FADE_S, GateConfig, Verdict
+from master.gate import FADE_S, GateConfig, GateFlags
 from teleop import session
 from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
 from teleop.link import NEVER_NS
@@ -19,7 +19,7 @@ from tests.master.run import EPOCH, MS, Run, answer, hand
 def test_engaged_on_both_sides_the_hand_feels_the_tip():
     run = Run().engaged()
     assert run.answered(hand(), force=5.0).force == pytest.approx((-1.0,))
-    assert run.output.verdict == Verdict.PASSED
+    assert run.output.verdict == GateFlags.PASSED
     assert run.output.command.state == State.ENGAGED
     assert run.output.command.echo_stamp_ns == run.now
 
@@ -31,7 +31,7 @@ def test_before_the_slave_has_engaged_too_nothing_is_felt():
     output = run.answered(hand(), State.READY)
     assert run.state == State.ENGAGED
     assert output.force == (0.0,)
-    assert output.verdict == Verdict.NOT_ENGAGED
+    assert output.verdict == GateFlags.NOT_ENGAGED
 
 
 def test_releasing_lets_go_at_once_and_pressing_again_resumes_without_a_jump():
@@ -135,7 +135,7 @@ def test_after_a_stale_state_the_force_fades_and_nothing_couples_until_let_go(ho
         state = None
     for _ in range(math.ceil(FADE_S / 1e-3)):
         output = run.tick(hand(), state, age)
-        assert output.verdict & Verdict.STALE
+        assert output.verdict & GateFlags.STALE
         assert felt < output.force[0] <= 0.0 or felt == output.force[0] == 0.0
         felt = output.force[0]
     assert felt == 0.0

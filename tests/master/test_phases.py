@@ -12,7 +12,7 @@ from estimator.records import one
 from master import loop
 from master.config import MasterConfig
 from master.device import HandState
-from master.gate import GateConfig, Verdict
+from master.gate import GateConfig, GateFlags
 from teleop import session
 from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
 from teleop.messages import Command, Hand
@@ -53,7 +53,7 @@ def test_what_ended_on_the_other_side_meanwhile_ends_the_force_at_once(state, af
     run.answered(hand())
     output = both(run, hand(), later(run, state))
     assert output.force == (0.0,)
-    assert output.verdict & Verdict.NOT_ENGAGED
+    assert output.verdict & GateFlags.NOT_ENGAGED
     assert run.session == after
     assert output.command.state == State.ENGAGED  # was sent before; the next one tells
     assert run.answered(hand(), state).command.state == after[0]
@@ -86,7 +86,7 @@ def test_a_state_that_grows_too_old_during_the_wait_makes_the_force_fade():
     run = Run().engaged()
     felt = run.answered(hand(), force=10.0).force[0]
     output = run.tick(hand(), answer(run.now + MS), 30 * MS - 10, wait=20)
-    assert output.verdict & Verdict.STALE
+    assert output.verdict & GateFlags.STALE
     assert felt < output.force[0] < 0.0
     assert run.session == (State.HOLDING, Reason.PEER_SILENT)
 
@@ -95,7 +95,7 @@ def test_a_newer_state_that_is_too_old_makes_the_force_fade():
     run = Run().engaged()
     run.answered(hand(), force=10.0)
     output = both(run, hand(), later(run, echo=run.now - 101 * MS))
-    assert output.verdict & Verdict.STALE
+    assert output.verdict & GateFlags.STALE
     assert run.session == (State.HOLDING, Reason.PEER_SILENT)
 
 
@@ -114,7 +114,7 @@ def test_a_slave_that_engages_meanwhile_is_felt_from_the_next_tick_on(coupling):
     output = run.tick(hand(), told(State.READY), later=told(State.ENGAGED))
     assert session.may_render(run.memory.session)
     assert output.force == (0.0,)
-    assert output.verdict & Verdict.NOT_ENGAGED
+    assert output.verdict & GateFlags.NOT_ENGAGED
     assert not run.memory.coupling.coupled
     run.tick(hand(), told(State.ENGAGED))
     assert run.memory.coupling.coupled
@@ -134,7 +134,7 @@ def test_a_hand_that_is_felt_as_long_as_nothing_is_wrong_is_so_after_a_late_answ
     for force in (5.0, 6.0, 7.0):
         output = both(run, hand(), later(run, force=force))
         assert output.force == pytest.approx((-0.2 * force,))
-        assert output.verdict == Verdict.PASSED
+        assert output.verdict == GateFlags.PASSED
 
 
 def test_a_reset_has_its_effect_once():
@@ -175,7 +175,7 @@ def test_a_sample_age_beyond_every_limit_is_not_fresh():
     run.answered(hand())
     for age in (2**63 - 1, 2**62):
         state = replace(answer(run.now + MS), sample_age_ns=age)
-        assert run.tick(hand(), state, 2**62).verdict & Verdict.STALE
+        assert run.tick(hand(), state, 2**62).verdict & GateFlags.STALE
 
 
 def test_what_listeners_are_told_is_the_hand_and_the_force_on_it():

@@ -13,7 +13,7 @@ from master.process import LATE_ANSWERS, TRY_EVERY, WAIT, Master
 from teleop.clock import Grid, now_ns
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
-from teleop.link import Heard, Latest
+from teleop.link import Latest, ReceivedMessage
 from teleop.loop_process import run
 from teleop.messages import (
     STAGE_NAMES,
@@ -48,7 +48,7 @@ from teleop.topics import (
 from tests.one_side import arguments_of, without_traces
 
 
-class Line:
+class DeviceConnection:
     """Stands in for the link: keeps what is published, and answers as an obedient slave would."""
 
     nonce, role = 5, Role.MASTER
@@ -182,7 +182,7 @@ class Until:
 
 
 def driven(device, line=None, ticks=40, rate_hz=2000.0):
-    line = Line() if line is None else line
+    line = DeviceConnection() if line is None else line
     stop = Until(ticks)
     grid = Grid(rate_hz, stop)
     master = Master(MasterConfig(), line, device, grid)
@@ -229,7 +229,7 @@ def ticking(line, device, rate_hz=1000.0):
 
 
 def test_the_force_is_that_of_the_answer_to_the_tick_s_own_command():
-    line, device = Line(), Stylus()
+    line, device = DeviceConnection(), Stylus()
     _, run_on = ticking(line, device)
     run_on(60)
     assert device.forces[-1][0] < -0.1
@@ -241,7 +241,7 @@ def test_the_force_is_that_of_the_answer_to_the_tick_s_own_command():
 
 
 def test_states_that_answer_older_commands_are_not_waited_for_but_looked_behind():
-    class Chatty(Line):
+    class Chatty(DeviceConnection):
         """Between command and answer there are states that a deadline of the slave sent."""
 
         def wait(self, topic, deadline_ns):
@@ -270,7 +270,7 @@ def test_states_that_answer_older_commands_are_not_waited_for_but_looked_behind(
 
 
 def test_a_wait_ends_at_its_time_though_states_keep_coming():
-    class Flood(Line):
+    class Flood(DeviceConnection):
         def wait(self, topic, deadline_ns):  # noqa: ARG002
             return True  # always something, never the answer
 
@@ -282,7 +282,7 @@ def test_a_wait_ends_at_its_time_though_states_keep_coming():
     assert time.monotonic() - begin < 1.0
 
 
-class Late(Line):
+class Late(DeviceConnection):
     """A link on which answers come some commands later."""
 
     commands = 2
@@ -318,7 +318,7 @@ def test_on_a_link_that_is_always_late_no_time_is_spent_waiting_but_now_and_then
 
 
 def test_what_does_not_come_is_waited_for_a_part_of_the_period():
-    line = Line()
+    line = DeviceConnection()
     line.answering = False
     master, run_on = ticking(line, Stylus(), rate_hz=100.0)
     run_on(10)
@@ -335,7 +335,7 @@ def test_what_does_not_come_is_waited_for_a_part_of_the_period():
     ],
 )
 def test_what_an_answer_tells_takes_the_force_off_in_the_tick_that_waited_for_it(told, reason):
-    line, device = Line(), Stylus()
+    line, device = DeviceConnection(), Stylus()
     master, run_on = ticking(line, device)
     run_on(60)
     assert device.forces[-1][0] < -0.5
@@ -347,7 +347,7 @@ def test_what_an_answer_tells_takes_the_force_off_in_the_tick_that_waited_for_it
 
 
 def test_the_stages_of_the_latency_add_up():
-    line = Line()
+    line = DeviceConnection()
     master, _, _ = driven(Stylus(), line, ticks=240, rate_hz=400.0)
     (first, *_) = line.of(LATENCY)
     assert first.role == Role.MASTER
@@ -366,7 +366,7 @@ def test_the_stages_of_the_latency_add_up():
 
 def test_of_each_command_the_stages_are_all_of_its_time():
     added = []
-    line = Line()
+    line = DeviceConnection()
     master, run_on = ticking(line, Stylus())
     master._meter.stages.add = added.append
     run_on(20)
@@ -464,7 +464,7 @@ def test_a_hand_that_let_go_is_without_force_in_that_tick_though_both_decisions_
 
 
 def test_one_that_froze_while_it_waited_renders_nothing_old():
-    class Frozen(Line):
+    class Frozen(DeviceConnection):
         def wait(self, topic, deadline_ns):
             if len(self.of(COMMAND)) == 30:
                 time.sleep(0.1)
@@ -522,7 +522,7 @@ def test_whatever_else_goes_wrong_the_hand_is_left_without_force():
 
 
 def test_a_second_master_ends_the_session():
-    line = Line()
+    line = DeviceConnection()
     line.conflict = "it has a master already"
     device = Stylus()
     master, _, stop = driven(device, line, ticks=200, rate_hz=100.0)
@@ -532,7 +532,7 @@ def test_a_second_master_ends_the_session():
 
 
 def test_a_slave_that_stops_answering_is_felt_no_longer():
-    line = Line()
+    line = DeviceConnection()
     stop = Until(200)
     grid = Grid(1000.0, stop)
     device = Stylus()
@@ -551,11 +551,11 @@ def test_a_slave_that_stops_answering_is_felt_no_longer():
 def called(topic, message, sender=77, sequence=1):
     """What `link` hands over of a message from another process."""
     data = message.pack(sender, sequence, now_ns())
-    return Heard(topic, data, now_ns(), sender, sequence, now_ns())
+    return ReceivedMessage(topic, data, now_ns(), sender, sequence, now_ns())
 
 
 def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset():
-    device, line = Stylus(), Line()
+    device, line = Stylus(), DeviceConnection()
     master = Master(MasterConfig(), line, device, Grid(1000.0, lambda: False))
     ticks = iter(Grid(1000.0, lambda: False))
     for _ in range(30):
@@ -587,7 +587,7 @@ def test_a_call_for_a_stop_is_obeyed_in_the_tick_told_with_its_words_and_reset()
 
 
 def test_our_own_words_come_back_to_us_and_are_not_obeyed():
-    line = Line()
+    line = DeviceConnection()
     requests = RequestListener(line)
     line.heard = [called(STOP, EmergencyStop(action=CALL), sender=line.nonce)]
     assert requests(now_ns()).stop is Reason.NONE
@@ -609,7 +609,7 @@ def test_the_button_of_the_device_is_called_out_once_to_everybody():
 
 
 def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
-    line = Line()
+    line = DeviceConnection()
     master = Master(MasterConfig(), line, Stylus(), Grid(1000.0, lambda: False))
     ticks = iter(Grid(1000.0, lambda: False))
     wishes = [("operator.position_scale", "0.1"), ("force.limit", "9"), ("force.scale", "99")]
@@ -619,7 +619,11 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
     ]
     master.tick(next(ticks))
     answers = line.of(ANSWER)
-    assert [(a.asker, a.asked, a.accepted) for a in answers] == [(77, 1, 1), (77, 2, 0), (77, 3, 0)]
+    assert [(a.asker, a.setting_sequence, a.accepted) for a in answers] == [
+        (77, 1, 1),
+        (77, 2, 0),
+        (77, 3, 0),
+    ]
     texts = [text_of(a.text) for a in answers]
     assert texts[0] == "operator.position_scale = 0.1"
     assert "force.limit: cannot be changed while the master runs (allowed: force.scale" in texts[1]

@@ -37,7 +37,7 @@ CONFIG = MasterConfig(
         buttons=ButtonsConfig(engage=1, clutch=2, stop=3),
     ),
     force=FeedbackConfig(scale=0.2),
-    freshness=0.5,  # [s] on a busy machine a fault that is not meant would end the session
+    state_timeout=0.5,  # [s] on a busy machine a fault that is not meant would end the session
     delay_max=1.0,
 )
 
@@ -200,7 +200,7 @@ def test_hand_to_slave_and_back_unplugged_and_plugged_in_again(console, capsys):
     assert console.node.device.refused == []
 
     told = capsys.readouterr().out.splitlines()
-    assert sum("unplugged" in line and "waiting for it" in line for line in told) == 1
+    assert sum("unplugged" in line and "waiting for the device" in line for line in told) == 1
     assert sum("it is back; let go of everything, then engage" in line for line in told) == 1
     assert sum(Reason.DEVICE_FAULT.text in line for line in told) == 1
     assert console.master.error is None

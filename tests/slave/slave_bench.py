@@ -8,7 +8,7 @@ import numpy as np
 from estimator.records import Records, one
 from slave import loop
 from slave.config import SlaveConfig
-from slave.gate import Verdict
+from slave.gate import GateFlags
 from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import RigSample
 from teleop import session
@@ -24,7 +24,7 @@ class Output(NamedTuple):
     """What a tick asks of the world."""
 
     motor: tuple[float, ...]  # [m] to be written to the rig; empty = nothing yet
-    verdict: Verdict
+    verdict: GateFlags
     state: SlaveState  # the answer, without a head
     rows: Records  # `EstimatedSample` of the samples
 
@@ -78,7 +78,7 @@ class SlaveBench:
             slave.settings, slave.layout, slave.watched, slave.memory, rows, count
         )
         state = SlaveState.unpack(self._state.seal(0, 0, 0))
-        return Output(self.motor, Verdict(verdict), state, rows)
+        return Output(self.motor, GateFlags(verdict), state, rows)
 
     @property
     def motor(self) -> tuple[float, ...]:

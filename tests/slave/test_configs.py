@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from slave.calibration import file
-from slave.config import SlaveConfig, hindrance_of, tendon_configs
+from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs import open_rig
 from teleop.app import cli
 from teleop.config import load
@@ -67,7 +67,7 @@ def test_the_slave_of_the_config_as_it_is_takes_the_file(done):
     use_it = [f"slave.calibration={out}"]
     config = load(FOLDER / f"{name}.yaml", SlaveConfig, "slave", use_it)
     rig = open_rig(config.rig)
-    assert hindrance_of(config, rig) == ""
+    assert not_ready_reason(config, rig) == ""
     true = true_sheaths(config)
     for tendon, (K, _) in zip(tendon_configs(config, rig.tendons), true, strict=True):
         accepted = tendon.model().sheath.K

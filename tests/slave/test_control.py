@@ -14,7 +14,7 @@ from estimator.online.tendon_estimate import Status
 from estimator.records import as_record, one
 from slave import control
 from slave.control import Control, ControlConfig, JointEstimate
-from slave.control.joint import fused
+from slave.control.joint import fuse_travel
 from slave.tendons import EstimatedTendon, rig_layout
 from teleop.messages import MAX_JOINTS, MAX_TENDONS
 
@@ -378,7 +378,7 @@ def test_a_fused_travel_lies_between_what_the_tendons_say(x, y, T_a, T_b):
     if not (math.isfinite(x) and math.isfinite(y) and abs(x) < 1e300 and abs(y) < 1e300):
         return
     tendons = tendons_of([tendon(T_a, elongation=1e-3), tendon(T_b, elongation=1e-4)])
-    travel = fused(layout_of(PAIR).joint[0], tendons, x, y)
+    travel = fuse_travel(layout_of(PAIR).joint[0], tendons, x, y)
     margin = 1e-12 * max(abs(x), abs(y))
     assert min(x, y) - margin <= travel <= max(x, y) + margin
 

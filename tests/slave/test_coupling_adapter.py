@@ -79,7 +79,7 @@ def test_what_the_hand_never_paid_for_is_not_spent_on_a_wall():
     side, asked, speed = Side.new(), np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     force, told = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
     for tick in range(200):
-        coupling.hear(side, 7, told, told)
+        coupling.receive(side, 7, told, told)
         force[:1] = slave_forces(50.0, (10.0, 10.0, 10.0, 0))
         asked[0], speed[0] = 1e-4 * tick, 0.1
         coupling.at_tip(settings, side, asked, speed, force, 1, True, 1e-3)

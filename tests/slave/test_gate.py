@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from estimator.records import as_record, one
 from slave import gate
 from slave.control import JointEstimate
-from slave.gate import GateConfig, Reach, Verdict
+from slave.gate import GateConfig, GateFlags, Reach
 from slave.tendons import rig_layout
 from teleop.messages import MAX_JOINTS, MAX_TENDONS
 from tests.anything import CASES, Anything
@@ -29,7 +29,7 @@ record_of = cache(as_record)
 
 class Gated(NamedTuple):
     displacement: tuple[float, ...]
-    verdict: Verdict
+    verdict: GateFlags
 
 
 def padded(values):
@@ -45,7 +45,7 @@ def step(config, last, wanted, tension, age, may_move, dt, reach=UNLIMITED, may_
         reach, len(reach) > 0, may_yield, out,
     )  # fmt: skip
     assert (out[n:] == UNWRITTEN).all()
-    return Gated(tuple(out[:n].tolist()), Verdict(verdict))
+    return Gated(tuple(out[:n].tolist()), GateFlags(verdict))
 
 
 def reaches(config, joints, position, force):
@@ -72,7 +72,7 @@ def test_any_sequence_of_requests_stays_within_all_limits(start, ticks):
         assert abs(now - was) <= reach * (1 + 1e-9) + 1e-18
         if not may_move:
             assert now == was
-            assert verdict == Verdict.HELD
+            assert verdict == GateFlags.HELD
         if not (tension <= LIMITS.tension_max and age <= LIMITS.tension_age_max):
             assert now <= was  # over the limit, old, or not a number: never pulled further
 
@@ -87,10 +87,10 @@ def test_a_motor_beyond_its_limits_moves_back_only():
     def moved(start, wanted):
         return step(LIMITS, (start,), (wanted,), (5.0,), 0.0, True, dt=0.001)
 
-    assert moved(0.080, 0.07995) == ((0.07995,), Verdict.PASSED)
-    assert moved(0.080, 0.081) == ((0.080,), Verdict.TRAVEL)
-    assert moved(-0.02, -0.01995) == ((-0.01995,), Verdict.PASSED)
-    assert moved(-0.02, -0.03) == ((-0.02,), Verdict.TRAVEL)
+    assert moved(0.080, 0.07995) == ((0.07995,), GateFlags.PASSED)
+    assert moved(0.080, 0.081) == ((0.080,), GateFlags.TRAVEL)
+    assert moved(-0.02, -0.01995) == ((-0.01995,), GateFlags.PASSED)
+    assert moved(-0.02, -0.03) == ((-0.02,), GateFlags.TRAVEL)
 
 
 def test_a_tension_that_is_too_old_pulls_nothing_and_pays_out():
@@ -98,9 +98,9 @@ def test_a_tension_that_is_too_old_pulls_nothing_and_pays_out():
         return step(LIMITS, (0.02,), (wanted,), (5.0,), age, True, dt=0.001)
 
     just, old = LIMITS.tension_age_max, LIMITS.tension_age_max * 1.001
-    assert moved(0.02001, just) == ((0.02001,), Verdict.PASSED)
-    assert moved(0.02001, old) == ((0.02,), Verdict.STALE)
-    assert moved(0.01999, old) == ((0.01999,), Verdict.PASSED)
+    assert moved(0.02001, just) == ((0.02001,), GateFlags.PASSED)
+    assert moved(0.02001, old) == ((0.02,), GateFlags.STALE)
+    assert moved(0.01999, old) == ((0.01999,), GateFlags.PASSED)
 
 
 @given(start=inside, change=st.floats(-0.99e-4, 0.99e-4))
@@ -108,7 +108,7 @@ def test_a_reasonable_request_passes_untouched(start, change):
     wanted = min(max(start + change, LIMITS.displacement_min), LIMITS.displacement_max)
     motor, verdict = step(LIMITS, (start,), (wanted,), (5.0,), 0.0, True, dt=0.001)
     assert motor == (wanted,)
-    assert verdict == Verdict.PASSED
+    assert verdict == GateFlags.PASSED
 
 
 def test_a_long_stall_does_not_become_a_jump():
@@ -120,11 +120,11 @@ def test_verdict_names_each_limit():
     def verdict(wanted, tension=5.0, dt=0.001):
         return step(LIMITS, (0.0,), (wanted,), (tension,), 0.0, True, dt)[1]
 
-    assert verdict(math.nan) == Verdict.NOT_FINITE
-    assert verdict(0.01, tension=math.nan) == Verdict.NOT_FINITE
-    assert verdict(1.0) == Verdict.TRAVEL | Verdict.SPEED
-    assert verdict(0.05) == Verdict.SPEED
-    assert verdict(0.01, tension=26.0) == Verdict.TENSION
+    assert verdict(math.nan) == GateFlags.NOT_FINITE
+    assert verdict(0.01, tension=math.nan) == GateFlags.NOT_FINITE
+    assert verdict(1.0) == GateFlags.TRAVEL | GateFlags.SPEED
+    assert verdict(0.05) == GateFlags.SPEED
+    assert verdict(0.01, tension=26.0) == GateFlags.TENSION
 
 
 def test_an_overloaded_tendon_may_be_paid_out():
@@ -162,25 +162,25 @@ def test_a_joint_at_the_end_of_its_range_goes_nowhere_but_back():
 
     both = (5e-5, -5e-5)  # `a` pulls, `b` is paid out
     back = (-5e-5, 5e-5)
-    assert moved(0.009, 0.0, both) == (both, Verdict.PASSED)
-    assert moved(0.010, 0.0, both) == ((0.0, -5e-5), Verdict.JOINT)
-    assert moved(0.011, 0.0, back) == (back, Verdict.PASSED)
-    assert moved(-0.004, 0.0, back) == ((-5e-5, 0.0), Verdict.JOINT)
-    assert moved(0.0, 7.9, both) == (both, Verdict.PASSED)
-    assert moved(0.0, 8.0, both) == ((0.0, -5e-5), Verdict.FORCE)
-    assert moved(0.0, 8.0, back) == (back, Verdict.PASSED)
-    assert moved(0.0, -8.0, back) == ((-5e-5, 0.0), Verdict.FORCE)
-    assert moved(0.011, 9.0, both)[1] == Verdict.JOINT | Verdict.FORCE
+    assert moved(0.009, 0.0, both) == (both, GateFlags.PASSED)
+    assert moved(0.010, 0.0, both) == ((0.0, -5e-5), GateFlags.JOINT)
+    assert moved(0.011, 0.0, back) == (back, GateFlags.PASSED)
+    assert moved(-0.004, 0.0, back) == ((-5e-5, 0.0), GateFlags.JOINT)
+    assert moved(0.0, 7.9, both) == (both, GateFlags.PASSED)
+    assert moved(0.0, 8.0, both) == ((0.0, -5e-5), GateFlags.FORCE)
+    assert moved(0.0, 8.0, back) == (back, GateFlags.PASSED)
+    assert moved(0.0, -8.0, back) == ((-5e-5, 0.0), GateFlags.FORCE)
+    assert moved(0.011, 9.0, both)[1] == GateFlags.JOINT | GateFlags.FORCE
 
 
 def test_where_a_limited_joint_cannot_be_told_nothing_is_pulled():
     reach = reaches(RANGE, ((0,),), [math.nan], [math.nan])
     motor, verdict = step(RANGE, (0.0,), (5e-5,), (5.0,), 0.0, True, 1e-3, reach)
-    assert (motor, verdict) == ((0.0,), Verdict.JOINT | Verdict.FORCE)
+    assert (motor, verdict) == ((0.0,), GateFlags.JOINT | GateFlags.FORCE)
     unlimited = reaches(LIMITS, ((0,),), [math.nan], [math.nan])
     assert step(LIMITS, (0.0,), (5e-5,), (5.0,), 0.0, True, 1e-3, unlimited) == (
         (5e-5,),
-        Verdict.PASSED,
+        GateFlags.PASSED,
     )
 
 
@@ -188,7 +188,7 @@ def test_a_joint_of_one_tendon_is_not_let_out_beyond_its_range_unless_it_is_too_
     reach = reaches(RANGE, ((0,),), [-0.005], [0.0])
     assert step(RANGE, (0.0,), (-5e-5,), (5.0,), 0.0, True, 1e-3, reach) == (
         (0.0,),
-        Verdict.JOINT,
+        GateFlags.JOINT,
     )
     assert step(RANGE, (0.0,), (-5e-5,), (26.0,), 0.0, True, 1e-3, reach).displacement == (-5e-5,)
 
@@ -203,16 +203,16 @@ def test_what_holds_gives_way_to_too_large_a_tension_only(start, tension, age, d
     if now != start:
         assert tension > LIMITS.tension_max
         assert age <= LIMITS.tension_age_max
-        assert verdict == Verdict.HELD | Verdict.YIELDED
+        assert verdict == GateFlags.HELD | GateFlags.YIELDED
     held = step(LIMITS, (start,), (0.05,), (tension,), age, False, dt)
-    assert held == ((start,), Verdict.HELD)
+    assert held == ((start,), GateFlags.HELD)
 
 
 @given(start=anywhere, tension=anything, age=anything, dt=anything)
 def test_without_a_gain_nothing_gives_way_whatever_the_tension(start, tension, age, dt):
     stiff = GateConfig(yield_gain=0.0)
     held = step(stiff, (start,), (0.05,), (tension,), age, False, dt, may_yield=True)
-    assert held == ((start,), Verdict.HELD)
+    assert held == ((start,), GateFlags.HELD)
 
 
 def test_giving_way_brings_a_tension_back_to_its_limit():
@@ -245,7 +245,7 @@ def test_an_array_that_is_too_short_is_refused_and_never_read_beyond_its_end(sho
 def test_joints_without_a_reach_that_was_told_are_not_pulled():
     unknown = Reach.array(1)
     motor, verdict = step(RANGE, (0.0,), (5e-5,), (5.0,), 0.0, True, 1e-3, unknown)
-    assert (motor, verdict) == ((0.0,), Verdict.JOINT | Verdict.FORCE)
+    assert (motor, verdict) == ((0.0,), GateFlags.JOINT | GateFlags.FORCE)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from estimator.online import online
 from estimator.records import as_bytes
 from slave import loop
 from slave.config import SlaveConfig, TendonConfig
-from slave.gate import GateConfig, Verdict
+from slave.gate import GateConfig, GateFlags
 from slave.rig import RigSample
 from teleop import session
 from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command
@@ -470,9 +470,9 @@ def test_whatever_comes_in_the_motors_stay_within_their_limits(displacement, tic
         assert lowest - 1e-15 <= output.motor[0] <= highest + 1e-15
         assert abs(output.motor[0] - was) <= limits.speed_max * DT * (1 + 1e-9)
         if not (fresh and state == State.ENGAGED):
-            assert Verdict.HELD in output.verdict
+            assert GateFlags.HELD in output.verdict
             if output.motor[0] != was:  # too tight
-                assert output.verdict == Verdict.HELD | Verdict.YIELDED
+                assert output.verdict == GateFlags.HELD | GateFlags.YIELDED
                 assert output.motor[0] < was
                 assert tension >= limits.tension_max
                 assert session.may_yield(slave.memory.session)

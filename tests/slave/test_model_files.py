@@ -11,7 +11,7 @@ import yaml
 from estimator.effects import CATALOGUE, NAMES
 from estimator.online.extension import extended
 from slave import model_files
-from slave.config import SlaveConfig, hindrance_of, tendon_configs
+from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.process import introduced
 from slave.tendon_config import TendonConfig
 from teleop.app import cli
@@ -98,7 +98,7 @@ def test_an_estimate_with_the_model_is_better_than_with_its_law_alone(csv, true_
     assert found["effects"] == [
         "tension_dependent_friction (a power of the tension) is run beside the law"
     ]
-    assert plain["effects"] == ["the law of a sheath, no effects"]
+    assert plain["effects"] == ["sheath model without effects"]
 
 
 def test_what_the_tip_s_cell_gets_wrong_is_taken_out_of_what_is_compared(csv, tmp_path):
@@ -119,9 +119,9 @@ def test_what_the_tip_s_cell_gets_wrong_is_taken_out_of_what_is_compared(csv, tm
 
 
 def test_a_model_file_says_all_of_the_sheath(file):
-    with pytest.raises(ValueError, match=r"^drag: not beside model_file"):
+    with pytest.raises(ValueError, match=r"^drag: conflicts with model_file"):
         TendonConfig(model_file=file, drag=0.1)
-    with pytest.raises(ValueError, match=r"^effective_friction: not beside"):
+    with pytest.raises(ValueError, match=r"^effective_friction: conflicts"):
         TendonConfig(model_file=file, effective_friction=0.5)
     model = TendonConfig(model_file=file, length=2.0).model()
     sheath = model.sheath
@@ -159,7 +159,7 @@ def test_one_tendon_of_several_gets_its_own(file, tmp_path):
     assert [one.model().sheath.K for one in found] == pytest.approx([1.0, 1.0, 0.8, 0.5])
     with pytest.raises(UsageError, match="must be one of 1a, 1b, 2a, 2b, 1, 2, 3, 4"):
         tendon_configs(known, 4, JOINTS, {"3a": file})
-    with pytest.raises(UsageError, match="not of every tendon"):
+    with pytest.raises(UsageError, match="missing for some tendons"):
         tendon_configs(SlaveConfig(), 4, JOINTS, {"2a": file})
 
 
@@ -167,8 +167,8 @@ def test_a_rig_with_a_model_of_each_sheath_needs_no_calibration():
     class Rig:
         name, joints = "bench", ((0,),)
 
-    assert hindrance_of(SlaveConfig(), Rig(), modelled=True) == ""
-    assert "no model" in hindrance_of(SlaveConfig(), Rig())
+    assert not_ready_reason(SlaveConfig(), Rig(), modelled=True) == ""
+    assert "no model" in not_ready_reason(SlaveConfig(), Rig())
 
 
 def test_the_slave_says_what_it_does_with_each_effect(file):
@@ -189,7 +189,7 @@ def test_a_model_of_another_sheath_is_a_warning(file):
         model_files.friction_warnings(near, used) == model_files.friction_warnings(used, used) == []
     )
     (line,) = model_files.friction_warnings(far * 2, used * 2)
-    assert re.search(r"WARNING: .*model\.yaml: its K is 0\.8\d*, the calibrated one 1\.5", line)
+    assert re.search(r"WARNING: .*model\.yaml: its K is 0\.8\d*, the calibrated K is 1\.5", line)
 
 
 def test_a_cause_that_is_one_of_several_is_a_warning(file):
@@ -203,10 +203,13 @@ def test_a_cause_that_is_one_of_several_is_a_warning(file):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--fit", "--model", "x.yaml"], "not with --fit"),
-        (["--model", "x.yaml", "--calibration", "y.yaml", "--config", "z.yaml"], "which sheath"),
+        (["--fit", "--model", "x.yaml"], "conflicts with --fit"),
+        (
+            ["--model", "x.yaml", "--calibration", "y.yaml", "--config", "z.yaml"],
+            "no model of the sheath",
+        ),
         (["--model", "x.yaml"], "x.yaml: cannot read"),
-        (["--model", "x.yaml", "--model", "y.yaml"], "a second model of every tendon"),
+        (["--model", "x.yaml", "--model", "y.yaml"], "there is already a model for every tendon"),
         (["--model", "2a=x.yaml"], "must be one of"),
         (["--model", ""], "missing"),
     ],

@@ -16,7 +16,7 @@ from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
-from teleop.link import Heard, Latest
+from teleop.link import Latest, ReceivedMessage
 from teleop.loop_process import run
 from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
 from teleop.remote.requests import CALL, RESET, RequestListener
@@ -42,7 +42,7 @@ START = 0.013  # [m] where the fake rig's encoder says its motor stands
 PULL = 2e-5  # [m] of every command further than the last
 
 
-class Line:
+class FakeLink:
     """Stands in for the link: keeps what is published, and commands as a master would."""
 
     nonce, role = 5, Role.SLAVE
@@ -126,7 +126,7 @@ class Line:
         return [text_of(event.text) for event in self.of(EVENT)]
 
 
-class Bench:
+class FakeRig:
     """A rig that fails where it is told to, and keeps what is done to it."""
 
     name = "bench"
@@ -201,7 +201,7 @@ def started(rig, line, stop, rate_hz=1000.0):
 
 
 def driven(rig, line=None, ticks=40, rate_hz=1000.0):
-    line = Line(rate_hz=rate_hz) if line is None else line
+    line = FakeLink(rate_hz=rate_hz) if line is None else line
     stop = Until(ticks)
     slave, clock = started(rig, line, stop, rate_hz)
     run(slave, clock, stop.request)
@@ -213,15 +213,15 @@ def side_of(slave):
 
 
 def test_nothing_is_written_before_the_operator_has_engaged():
-    rig = Bench()
-    _, line, _ = driven(rig, Line(pressed_after=1000))
+    rig = FakeRig()
+    _, line, _ = driven(rig, FakeLink(pressed_after=1000))
     assert rig.writes == []
     assert {state.state for state in line.of(STATE)} == {State.OFF, State.READY}
     assert all(math.isnan(m.commanded_displacement[0]) for m in line.of(TENDONS))
 
 
 def test_engaged_the_motor_is_led_from_where_it_stands():
-    rig = Bench()
+    rig = FakeRig()
     slave, line, _ = driven(rig)
     assert rig.writes[0] == pytest.approx([START], abs=1e-12)
     assert np.diff(rig.writes, axis=0)[:, 0] == pytest.approx(PULL, abs=1e-12)
@@ -231,7 +231,7 @@ def test_engaged_the_motor_is_led_from_where_it_stands():
 
 
 def test_the_end_is_told_and_is_not_engaged():
-    _, line, _ = driven(Bench())
+    _, line, _ = driven(FakeRig())
     *_, before, last = line.of(STATE)
     assert before.state == State.ENGAGED
     assert (last.state, last.reason, last.joints) == (State.OFF, Reason.NOT_USABLE, 0)
@@ -240,7 +240,7 @@ def test_the_end_is_told_and_is_not_engaged():
 
 
 def test_a_rig_that_cannot_tell_where_it_stands_is_never_written_to_and_says_why():
-    rig = Bench(encoder=None)
+    rig = FakeRig(encoder=None)
     _, line, _ = driven(rig)
     assert rig.writes == []
     assert {state.state for state in line.of(STATE)} == {State.OFF}
@@ -250,7 +250,7 @@ def test_a_rig_that_cannot_tell_where_it_stands_is_never_written_to_and_says_why
 
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at", "advance_fails_at"])
 def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
-    rig = Bench(**{fails: 20})
+    rig = FakeRig(**{fails: 20})
     slave, line, stop = driven(rig)
     assert isinstance(slave.error, TeleopError)
     assert str(slave.error) == stop.reason == "rig: the amplifier has tripped"
@@ -262,7 +262,7 @@ def test_a_rig_that_fails_ends_the_session_in_fault_and_is_left_alone(fails):
 
 
 def test_a_rig_that_fails_to_advance_has_moved_where_it_was_told_to():
-    rig = Bench(advance_fails_at=20)
+    rig = FakeRig(advance_fails_at=20)
     _, line, _ = driven(rig)
     assert line.of(TENDONS)[-1].commanded_displacement[0] == rig.writes[-1][0]
     assert len(line.of(TENDONS)) == 20
@@ -271,7 +271,7 @@ def test_a_rig_that_fails_to_advance_has_moved_where_it_was_told_to():
 
 def test_a_command_is_answered_with_its_stamp_and_the_time_that_it_took():
     begin = now_ns()
-    _, line, _ = driven(Bench())
+    _, line, _ = driven(FakeRig())
     states = line.of(STATE)[:-1]
     assert [state.echo_stamp_ns for state in states] == line.stamps
     for state in states:
@@ -281,9 +281,9 @@ def test_a_command_is_answered_with_its_stamp_and_the_time_that_it_took():
 
 
 def test_a_tick_that_no_command_asked_for_answers_none():
-    line = Line()
+    line = FakeLink()
     stop = Until(30)
-    slave, clock = started(Bench(), line, stop)
+    slave, clock = started(FakeRig(), line, stop)
     for number, tick in enumerate(clock, start=1):
         slave.tick(tick)
         line.commanding = number < 20
@@ -293,9 +293,9 @@ def test_a_tick_that_no_command_asked_for_answers_none():
 
 
 def test_what_arrives_and_is_no_command_is_not_answered():
-    line = Line()
+    line = FakeLink()
     stop = Until(30)
-    slave, clock = started(Bench(), line, stop)
+    slave, clock = started(FakeRig(), line, stop)
     whole = line.latest_command.take
 
     def damaged(arrived):
@@ -309,7 +309,7 @@ def test_what_arrives_and_is_no_command_is_not_answered():
     assert line.latest_command.counts.corrupted == 10
 
 
-class Witness(Bench):
+class Witness(FakeRig):
     """A rig that notes when it is called, among what its line publishes."""
 
     def __init__(self, line, **fails):
@@ -345,7 +345,7 @@ def order(line):
 
 
 def test_the_answer_is_out_before_the_rig_is_advanced_once_a_tick():
-    line = Line()
+    line = FakeLink()
     driven(Witness(line), line)
     ticks = order(line)
     assert len(ticks) == 40
@@ -364,12 +364,12 @@ def test_the_answer_is_out_before_the_rig_is_advanced_once_a_tick():
     ],
 )
 def test_a_rig_is_not_advanced_after_a_fault(fails, error, last):
-    line = Line()
+    line = FakeLink()
     driven(Witness(line, **{fails: 20}, error=error), line)
     assert order(line)[-1] == last
 
 
-class Foresighted(Bench):
+class Foresighted(FakeRig):
     """A rig of known samples; of reads now and then none is given, or two, whatever was foreseen.
 
     With `tells` it says in advance which one the next read should give.
@@ -411,13 +411,13 @@ def test_what_is_estimated_in_advance_is_what_would_be_estimated_from_the_sample
 
 
 def test_what_a_failed_write_asked_for_is_not_told_as_done():
-    rig = Bench(write_fails_at=20)
+    rig = FakeRig(write_fails_at=20)
     _, line, _ = driven(rig)
     assert line.of(TENDONS)[-1].commanded_displacement[0] == rig.writes[-1][0]
 
 
 def test_the_last_sample_ends_the_session_without_error():
-    rig = Bench(read_fails_at=20, error=RigFinished)
+    rig = FakeRig(read_fails_at=20, error=RigFinished)
     slave, line, stop = driven(rig)
     assert slave.error is None
     assert stop.reason == Reason.RIG_FINISHED.text
@@ -429,9 +429,9 @@ def test_the_last_sample_ends_the_session_without_error():
 
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at", "advance_fails_at"])
 def test_whatever_else_goes_wrong_the_others_are_told(fails):
-    line = Line()
+    line = FakeLink()
     with pytest.raises(ZeroDivisionError):
-        driven(Bench(**{fails: 20}, error=ZeroDivisionError), line)
+        driven(FakeRig(**{fails: 20}, error=ZeroDivisionError), line)
     assert line.of(STATE)[-2].state == State.ENGAGED
     assert line.of(STATE)[-1].state == State.OFF
     assert line.said()[-1].startswith("off: ")
@@ -454,7 +454,7 @@ def freezing(monkeypatch, at, decided):
 def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
     decided = []
     freezing(monkeypatch, (20,), decided)
-    rig = Bench()
+    rig = FakeRig()
     _, line, _ = driven(rig)
     assert decided[19] not in [written for (written,) in rig.writes]
     assert rig.writes[14] == rig.writes[13]
@@ -464,12 +464,12 @@ def test_a_process_that_froze_after_it_decided_decides_again(monkeypatch):
 def test_one_that_froze_twice_moves_nothing_in_that_tick(monkeypatch):
     decided = []
     freezing(monkeypatch, (20, 21), decided)
-    rig = Bench()
+    rig = FakeRig()
     driven(rig)
     assert rig.writes[14] == rig.writes[13]
 
 
-class Loaded(Bench):
+class Loaded(FakeRig):
     """A rig with a clock of its own, whose tendon is pulled and let go."""
 
     def read(self, time_s):
@@ -488,15 +488,15 @@ def test_a_tick_that_is_taken_back_leaves_no_trace_in_the_estimates(monkeypatch)
 
 
 def test_a_second_slave_ends_the_session():
-    line = Line()
+    line = FakeLink()
     line.conflict = "it has a slave already"
-    slave, _, stop = driven(Bench(), line, ticks=200, rate_hz=100.0)
+    slave, _, stop = driven(FakeRig(), line, ticks=200, rate_hz=100.0)
     assert isinstance(slave.error, PeerError)
     assert stop.reason == line.conflict
 
 
 def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master_s_help():
-    rig, line = Bench(), Line()
+    rig, line = FakeRig(), FakeLink()
     slave, clock = started(rig, line, lambda: False)
     ticks = iter(clock)
 
@@ -509,7 +509,7 @@ def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master
             role=Role.REMOTE, action=action, text=text_bytes("a nurse"), **settings
         )
         data = message.pack(sender, sequence, now_ns())
-        line.heard = [Heard(STOP, data, now_ns(), sender, sequence, now_ns())]
+        line.heard = [ReceivedMessage(STOP, data, now_ns(), sender, sequence, now_ns())]
 
     run_on(30)
     assert rig.writes[-1] != rig.writes[-2]
@@ -535,25 +535,25 @@ def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master
 
 
 def test_a_stop_ends_a_calibration_at_the_start_where_the_motors_are(monkeypatch):
-    line = Line()
+    line = FakeLink()
     config = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(at_start=True))
     message = EmergencyStop(role=Role.REMOTE, action=CALL, text=text_bytes("a nurse"))
     data = message.pack(77, 1, now_ns())
 
     def never_calibrated(_rig, _config, _grid, _start, stopped, progress):
         assert stopped() == ""
-        line.heard = [Heard(STOP, data, now_ns(), 77, 1, now_ns())]
+        line.heard = [ReceivedMessage(STOP, data, now_ns(), 77, 1, now_ns())]
         stopped()
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
     with pytest.raises(TeleopError, match=r"calibration given up: .*remote: a nurse"):
-        process.model_of(config, Bench(), line, RequestListener(line), Until(9), 1000.0, {})
+        process.model_of(config, FakeRig(), line, RequestListener(line), Until(9), 1000.0, {})
     (told,) = line.of(STOP)  # the master may not have heard it
     assert told.action == CALL
 
 
 def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch):
-    line = Line()
+    line = FakeLink()
     line.master_state = State.STOPPED
     config = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(at_start=True))
 
@@ -562,11 +562,11 @@ def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch):
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
     with pytest.raises(TeleopError, match=r"calibration given up: .*emergency stop"):
-        process.model_of(config, Bench(), line, RequestListener(line), Until(9), 1000.0, {})
+        process.model_of(config, FakeRig(), line, RequestListener(line), Until(9), 1000.0, {})
 
 
 def test_the_state_tells_how_old_its_sample_is():
-    class Slow(Bench):
+    class Slow(FakeRig):
         def read(self, time_s):
             samples = super().read(time_s)
             return samples if self.reads % 10 == 1 else ()
@@ -579,7 +579,7 @@ def test_the_state_tells_how_old_its_sample_is():
 
 
 def test_what_goes_out_is_what_the_table_says():
-    _, line, _ = driven(Bench(), ticks=120, rate_hz=200.0)
+    _, line, _ = driven(FakeRig(), ticks=120, rate_hz=200.0)
     assert {topic for topic, _ in line.sent} == {
         *(STATE, TENDONS, PROFILE, SHEATH, EVENT, REPORT, LEDGER)
     }
@@ -613,7 +613,7 @@ def test_the_command_runs_alone_and_leaves_its_summary(tmp_path):
 
 @pytest.mark.usefixtures("quiet_process")
 def test_alone_too_a_fault_that_lasts_to_the_end_is_exit_code_1(monkeypatch):
-    class Silent(Bench):
+    class Silent(FakeRig):
         def read(self, time_s):
             samples = super().read(time_s)
             return samples if self.reads < 20 else ()
@@ -635,7 +635,7 @@ def test_a_rig_that_is_not_there_is_told_in_a_line(monkeypatch):
 
 @pytest.mark.usefixtures("quiet_process")
 def test_a_rig_that_messages_cannot_carry_is_told_in_a_line_and_closed(monkeypatch):
-    rig = Bench()
+    rig = FakeRig()
     rig.joints = tuple((k,) for k in range(MAX_JOINTS + 1))
     monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: rig)
     with pytest.raises(UsageError, match=rf"^slave\.rig: .*must be 1 to {MAX_JOINTS} joints"):
@@ -647,7 +647,7 @@ def test_a_rig_that_messages_cannot_carry_is_told_in_a_line_and_closed(monkeypat
 @pytest.mark.usefixtures("quiet_process")
 @pytest.mark.parametrize("error", [RigFault, ZeroDivisionError])
 def test_the_command_closes_its_rig_and_tells_what_failed(monkeypatch, tmp_path, error):
-    rig = Bench(read_fails_at=20, error=error)
+    rig = FakeRig(read_fails_at=20, error=error)
     monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: rig)
     path = tmp_path / "s.json"
     told = TeleopError if error is RigFault else error

@@ -3,7 +3,7 @@
 import pytest
 
 from slave import loop, telemetry
-from slave.calibration.memory import Phase
+from slave.calibration.procedure_state import Phase
 from slave.calibration.run import Progress
 from slave.config import SlaveConfig
 from slave.telemetry import Telemetry, calibrating

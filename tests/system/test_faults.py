@@ -2,9 +2,17 @@
 
 import numpy as np
 
-from benchmarks.faults.bench import HELD, PERIOD, Bench
+from benchmarks.faults.bench import HELD, PERIOD, FaultSession
 from benchmarks.faults.campaign import failures, harm
-from benchmarks.faults.judge import FRESH_NS, Ticks, Verdict, judge, onsets, silences, unasked
+from benchmarks.faults.judge import (
+    FRESH_NS,
+    CampaignResult,
+    Ticks,
+    judge,
+    onsets,
+    silences,
+    unasked,
+)
 from benchmarks.faults.kinds import Fault
 
 LIMIT_S = 0.050  # what a side has, counted from the last fresh message it heard
@@ -19,7 +27,7 @@ MS = 1_000_000
 
 
 def test_faults_are_taken_in_time_and_nothing_moves_again_unasked(tmp_path, demo_config):
-    with Bench(tmp_path, demo_config) as bench:
+    with FaultSession(tmp_path, demo_config) as bench:
         faults = harm(bench, PLAN, np.random.default_rng(1))
         bench.end()
     verdict = judge(bench.recordings(), faults)
@@ -36,7 +44,7 @@ def test_faults_are_taken_in_time_and_nothing_moves_again_unasked(tmp_path, demo
 
 def test_a_campaign_in_which_nothing_was_seen_has_failed():
     faults = [Fault("cut", "both", 0.2, 0, MS)] * 4
-    nothing = Verdict([], {"master": 0.0, "slave": 0.0}, {}, 0, 0, 0.0, 0.0, 0)
+    nothing = CampaignResult([], {"master": 0.0, "slave": 0.0}, {}, 0, 0, 0.0, 0.0, 0)
     assert len(failures(nothing, faults)) == 2
     seen = [(fault, side, 0.028) for fault in faults for side in ("master", "slave")]
     assert failures(nothing._replace(reactions=seen, engagements=4), faults) == []

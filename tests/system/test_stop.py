@@ -16,7 +16,7 @@ from tests.system.processes import START_S, Processes, pause
 HELD = (
     *("master.device.engage=[[0.5, 1000.0]]", "master.device.engage_period=.inf"),
     # on a busy machine a silence that is not meant would end the session
-    *("master.freshness=0.5", "master.delay_max=1.0", "slave.command_timeout=0.5"),
+    *("master.state_timeout=0.5", "master.delay_max=1.0", "slave.command_timeout=0.5"),
 )
 LIMIT_NS = 50_000_000  # from the call heard by the recorder to no force and no motion
 
@@ -107,7 +107,7 @@ def test_nobody_there_is_told_and_no_success(tmp_path, demo_config):
     with Processes(tmp_path, demo_config) as session:
         code, text = asked(session, "stop")
     assert code == 1
-    assert "neither master nor slave answers" in text
+    assert "no answer from master or slave" in text
     assert len(text.splitlines()) == 1
 
 
@@ -118,7 +118,7 @@ def test_the_end_of_a_watch_stops_both_sides(tmp_path, demo_config, how):
         watch = session.start("stop", "--watch")
         with looking(session) as link:
             log = tmp_path / "3-stop.log"
-            assert wait_for(lambda: "watching over master and slave" in log.read_text(), START_S)
+            assert wait_for(lambda: "watching master and slave" in log.read_text(), START_S)
             pause(0.5)
             assert states(link) == [State.ENGAGED] * 2  # a watch that beats stops nothing
             watch.send_signal(how)
@@ -143,7 +143,7 @@ def test_a_watch_that_leaves_stops_nothing(tmp_path, demo_config):
             text=True,
         )
         with looking(session) as link:
-            assert "watching over" in watch.stdout.readline()
+            assert "watching" in watch.stdout.readline()
             pause(0.5)
             out, _ = watch.communicate("q\n", timeout=10)
             assert (watch.returncode, out) == (0, "")

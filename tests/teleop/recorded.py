@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from teleop.link import Heard, LinkConfig
+from teleop.link import LinkConfig, ReceivedMessage
 from teleop.messages import Message
 from teleop.topics import Topic
 
@@ -34,11 +34,11 @@ def random_message(cls: type[Message], rng: np.random.Generator) -> Message:
 
 def heard(
     topic: Topic[Any], sequence: int, rng: np.random.Generator, sender: int = SENDER
-) -> Heard:
+) -> ReceivedMessage:
     """A message sent on a 1 ms grid and received 0.3 ms later."""
     sent_ns = START_NS + sequence * 1_000_000
     data = random_message(topic.message, rng).pack(sender, sequence, sent_ns)
-    return Heard(topic, data, sent_ns + 300_000, sender, sequence, sent_ns)
+    return ReceivedMessage(topic, data, sent_ns + 300_000, sender, sequence, sent_ns)
 
 
 def free_link() -> LinkConfig:

@@ -19,7 +19,7 @@ DELAY = 5 * MS
 BAD = 99  # the state that only a wrong message has
 
 
-class Line:
+class CentreLine:
     """A receiver, and the wire to it: what is put on it, and what the receiver makes of it."""
 
     def __init__(self):
@@ -61,7 +61,7 @@ def counts(line):
 
 
 def test_a_line_in_order_moves_nothing_but_the_number_received():
-    line = Line().run(50)
+    line = CentreLine().run(50)
     assert moved({}.fromkeys(counts(line), 0), counts(line)) == {"received": 50}
     assert line.acted_upon == 1
 
@@ -85,7 +85,7 @@ def wrong_sequence(line):
 
 def insertion(line):
     """A message of a process that nobody announced, before and after the peer is known."""
-    fresh = Line()
+    fresh = CentreLine()
     fresh.look(fresh.message(BAD, sender=ANOTHER, sequence=1))
     assert fresh.latest.message is None
     assert fresh.latest.counts.unknown == 1
@@ -102,7 +102,7 @@ def masquerade(line):
 
 @pytest.mark.parametrize("error", [corruption, repetition, wrong_sequence, insertion, masquerade])
 def test_a_wrong_message_is_counted_and_never_acted_upon(error):
-    line = Line().run()
+    line = CentreLine().run()
     before = counts(line)
     expected = error(line)
     assert moved(before, counts(line)) == expected
@@ -113,7 +113,7 @@ def test_a_wrong_message_is_counted_and_never_acted_upon(error):
 
 @pytest.mark.parametrize("kind", [Hand, SlaveState])
 def test_wrong_addressing_a_message_of_another_topic_is_none_of_ours(kind):
-    line = Line().run()
+    line = CentreLine().run()
     before = counts(line)
     line.look(kind(state=BAD).pack(OURS, line.sequence + 1, line.now))
     assert moved(before, counts(line)) == {"layout": 1}
@@ -121,14 +121,14 @@ def test_wrong_addressing_a_message_of_another_topic_is_none_of_ours(kind):
 
 
 def test_wrong_addressing_a_message_of_another_session_has_a_sender_unknown_in_ours():
-    line = Line()
+    line = CentreLine()
     line.look(line.message(BAD, sender=ANOTHER, sequence=5))
     assert moved({}.fromkeys(counts(line), 0), counts(line)) == {"unknown": 1}
     assert line.acted_upon is None
 
 
 def test_a_loss_is_counted_and_its_silence_ends_what_is_acted_upon():
-    line = Line().run()
+    line = CentreLine().run()
     before = counts(line)
     line.sequence += 12
     for _ in range(12):
@@ -144,7 +144,7 @@ def test_a_loss_is_counted_and_its_silence_ends_what_is_acted_upon():
 
 
 def test_a_delay_is_counted_and_a_message_that_has_one_is_not_acted_upon():
-    line = Line().run()
+    line = CentreLine().run()
     before = counts(line)
     line.now += 31 * MS
     line.sequence += 1
@@ -157,7 +157,7 @@ def test_a_delay_is_counted_and_a_message_that_has_one_is_not_acted_upon():
 
 def test_a_delay_that_grows_slowly_is_found_too():
     """A queue that fills: each message is a little later than the one before."""
-    line = Line().run(100)
+    line = CentreLine().run(100)
     for k in range(1, 60):
         line.now += MS
         line.sequence += 1
@@ -167,7 +167,7 @@ def test_a_delay_that_grows_slowly_is_found_too():
 
 
 def test_a_clock_that_is_set_back_is_counted_and_nothing_after_it_is_acted_upon():
-    line = Line().run()
+    line = CentreLine().run()
     before = counts(line)
     for _ in range(5):
         line.now += MS
@@ -179,7 +179,7 @@ def test_a_clock_that_is_set_back_is_counted_and_nothing_after_it_is_acted_upon(
 
 
 def test_a_clock_that_is_set_forward_is_counted_and_learnt_anew():
-    line = Line().run()
+    line = CentreLine().run()
     before = counts(line)
     ahead = 2 * CLOCK_JUMP_NS
     for _ in range(5):
@@ -195,7 +195,7 @@ def test_a_clock_that_is_set_forward_is_counted_and_learnt_anew():
 
 
 def test_a_restarted_peer_is_taken_up_only_when_the_old_one_is_gone_and_is_counted():
-    line = Line().run()
+    line = CentreLine().run()
     before = counts(line)
     line.there = {ANOTHER}
     line.look(line.message(2, sender=ANOTHER, sequence=1))

@@ -209,7 +209,7 @@ def test_a_wrong_value_is_named_by_file_key_value_and_remedy(
     [
         (b"slave: {tendons: 1, tendons: 2}", "line 1: the key 'tendons' occurs twice"),
         (b"slave:\n  tendons: 1\nslave:\n  tendons: 2\n", "line 3: the key 'slave' occurs twice"),
-        (b"slave:\n  1: 2\n", "line 2: the key 1 is not a word"),
+        (b"slave:\n  1: 2\n", "line 2: the key 1 is not text"),
         (b"slave:\n  ? [1, 2]\n  : 2\n", "line 2"),
         (b"slave: {tendons: 1", "line 1"),
         (b"slave:\n\ttendons: 1\n", "line 2"),

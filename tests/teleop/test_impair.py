@@ -23,9 +23,9 @@ from teleop.impair import model
 from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue
 from teleop.impair.direction import Direction
-from teleop.impair.model import Fate, Memory
+from teleop.impair.model import Fate, StreamState
 from teleop.link import Link, LinkConfig
-from teleop.link.bridge import ask
+from teleop.link.bridge import send_request
 from teleop.messages import Command, Event, MessageError, SlaveState, text_bytes
 from teleop.process import SUPERVISED
 from teleop.topics import COMMAND, EVENT, STATE, Role
@@ -37,7 +37,7 @@ PERIOD_S = 1e-3
 
 def passed_on(config, count=1000, key=KEY, cut=lambda _: False):
     """Send `count` numbered messages through a way; return deliveries (number, due) and fates."""
-    memory, out, fates = Memory(), [], []
+    memory, out, fates = StreamState(), [], []
     for number in range(count):
         data = number.to_bytes(4, "little")
         deliveries, fate, memory = model.step(
@@ -189,7 +189,7 @@ def test_cuts_are_where_the_clock_says_and_go_round():
 
 def test_a_corrupted_message_is_never_let_in():
     data = Command(position=(0.01,) * 8).pack(7, 1, now_ns())
-    memory = Memory()
+    memory = StreamState()
     for _ in range(2000):
         ((_, changed),), _, memory = model.step(
             DirectionConfig(corrupt=1.0), KEY, memory, 0.0, data
@@ -241,7 +241,9 @@ def test_a_session_has_a_proxy_only_where_its_config_says_so():
 
 
 def test_the_proxy_leaves_the_machine_no_easier_than_a_side():
-    with pytest.raises(UsageError, match=r"^impair\.endpoint: .*plain tcp leaves this machine"):
+    with pytest.raises(
+        UsageError, match=r"^impair\.endpoint: .*plain tcp is only allowed on loopback"
+    ):
         ImpairConfig(endpoint="tcp/10.0.0.1:7449").link(LinkConfig())
 
 
@@ -340,8 +342,8 @@ class Bridged:
             env=os.environ | {SUPERVISED: str(os.getpid())},
         )
 
-    def ask(self, *words):
-        return ask(self.to_proxy, self.session, self.to_proxy.slave, "\n".join(words))
+    def send_request(self, *words):
+        return send_request(self.to_proxy, self.session, self.to_proxy.slave, "\n".join(words))
 
     def end(self):
         """End the proxy and return what it counted."""
@@ -356,7 +358,7 @@ def bridged(tmp_path):
 
     def begin(*arguments):
         began.append(Bridged(tmp_path, *arguments))
-        began[-1].ask("status")  # it is up
+        began[-1].send_request("status")  # it is up
         return began[-1]
 
     yield begin
@@ -411,7 +413,7 @@ def test_the_sides_meet_through_the_proxy_and_hear_what_it_lets_through(bridged)
         heard = listener.drain()
         assert sum(item.topic is EVENT for item in heard) == 1
         counts = listener.counts(COMMAND)
-        told = proxy.ask("status")["to_slave"]["command"]
+        told = proxy.send_request("status")["to_slave"]["command"]
         assert told["came"] > 900  # a stalled machine drops some before they are here
         assert told["sent"] == told["came"] - told["lost"] + told["duplicated"]
         assert 50 < told["lost"] < 170
@@ -432,7 +434,7 @@ def test_the_delay_is_the_one_asked_for(bridged):
         listener = slave.listen((COMMAND,))
         await_way(master, slave, listener)
         for delay_s in (0.0, 0.05):
-            proxy.ask("set", f"to_slave.delay={delay_s}")
+            proxy.send_request("set", f"to_slave.delay={delay_s}")
             publish(master, COMMAND, Command(), 600)
             time.sleep(0.2)
             heard = listener.drain()
@@ -454,17 +456,17 @@ def test_a_cut_on_command_lets_nothing_through_and_takes_the_other_side_away(bri
             return len(listener.drain())
 
         assert heard() > 40
-        proxy.ask("cut", "to_slave")
+        proxy.send_request("cut", "to_slave")
         assert heard() == 0
         assert wait_for(lambda: not slave.present(Role.MASTER), 2.0)
         assert master.present(Role.SLAVE)  # the other way is whole
-        proxy.ask("mend")
+        proxy.send_request("mend")
         assert wait_for(lambda: slave.present(Role.MASTER), 2.0)
         assert heard() > 40
         with pytest.raises(TeleopError, match="allowed are to_slave, to_master"):
-            proxy.ask("cut", "sideways")
+            proxy.send_request("cut", "sideways")
         with pytest.raises(TeleopError, match=r"loss: .*within 0 \.\.\. 1"):
-            proxy.ask("set", "to_slave.loss=2")
+            proxy.send_request("set", "to_slave.loss=2")
     assert 40 < proxy.end()["to_slave"]["command"]["cut"] <= 50
 
 

@@ -144,7 +144,7 @@ def test_a_loop_that_never_sleeps_loses_its_priority_and_says_so():
     kept, ordinary, granted = json.loads(ended.stdout)
     assert kept
     assert ordinary
-    assert granted[-1].startswith("SCHED_FIFO given up")
+    assert granted[-1].startswith("SCHED_FIFO disabled")
     assert ended.stderr == f"WARNING: {granted[-1]}\n"
 
 

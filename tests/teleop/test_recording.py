@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
 from teleop.errors import TeleopError, UsageError
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.messages import LAYOUT, MESSAGES
 from teleop.process import SUPERVISED
 from teleop.recording.config import RecordConfig
@@ -31,7 +31,7 @@ from tests.teleop.recorded import START_NS, heard
 
 
 def chunk_by_chunk(
-    directory: Path, chunks: list[list[Heard]], compression: str = "zstd"
+    directory: Path, chunks: list[list[ReceivedMessage]], compression: str = "zstd"
 ) -> tuple[Path, list[int]]:
     """Record `chunks`; returns the file and its length after each of them."""
     config = RecordConfig(directory=str(directory), chunk_s=0.01, compression=compression)  # type: ignore[arg-type]
@@ -363,7 +363,7 @@ def test_an_earlier_recording_is_never_overwritten(tmp_path):
 def test_a_directory_that_cannot_be_written_is_a_usage_error(tmp_path):
     (tmp_path / "file").touch()
     for directory in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(UsageError, match="cannot record here") as caught:
+        with pytest.raises(UsageError, match="cannot create a recording") as caught:
             RecordingWriter(RecordConfig(directory=str(directory)), "demo", START_NS)
         assert "\n" not in str(caught.value)
 
@@ -398,7 +398,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_is_there(tmp_path):
 
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
     try:
-        with pytest.raises(TeleopError, match="cannot write on") as caught:
+        with pytest.raises(TeleopError, match="write failed") as caught:
             record()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -415,7 +415,7 @@ KILLED = textwrap.dedent(
     import sys, time
     import numpy as np
     from teleop.clock import now_ns
-    from teleop.link import Heard
+    from teleop.link import ReceivedMessage
     from teleop.recording.config import RecordConfig
     from teleop.recording.writer import RecordingWriter
     from teleop.topics import STATE
@@ -427,7 +427,7 @@ KILLED = textwrap.dedent(
         time.sleep(0.02)
         stamp = now_ns()
         data = STATE.message().pack(SENDER, sequence, stamp)
-        writer.write([Heard(STATE, data, stamp, SENDER, sequence, stamp)], stamp)
+        writer.write([ReceivedMessage(STATE, data, stamp, SENDER, sequence, stamp)], stamp)
         sequence += 1
         print(stamp, flush=True)
     """

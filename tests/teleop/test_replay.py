@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from teleop.clock import now_ns
 from teleop.errors import PeerError
-from teleop.link import Heard, Link
+from teleop.link import Link, ReceivedMessage
 from teleop.messages import Event
 from teleop.recording import writer as writer_module
 from teleop.recording.config import RecordConfig
 from teleop.recording.gaps import Gaps
 from teleop.recording.readdress import Readdress
-from teleop.recording.reader import Recorded, open_recording, read_columns, read_messages
+from teleop.recording.reader import RecordedMessage, open_recording, read_columns, read_messages
 from teleop.recording.replay import Player, require_playable
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import RecordingWriter
@@ -29,8 +29,8 @@ HEAD = ("checksum", "sender", "sequence", "stamp_ns")
 PATIENCE_S = 20.0
 
 
-def recorded(item: Heard) -> Recorded:
-    return Recorded(item.topic.name, item.data, item.received_ns, item.stamp_ns)
+def recorded(item: ReceivedMessage) -> RecordedMessage:
+    return RecordedMessage(item.topic.name, item.data, item.received_ns, item.stamp_ns)
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
@@ -72,7 +72,7 @@ def test_only_the_head_of_a_message_changes(topic):
 @pytest.mark.parametrize("role", Role)
 def test_a_shared_topic_goes_where_its_sender_was(role):
     data = Event(role=role).pack(1, 1, START_NS)
-    addressed = Readdress(NONCES)(Recorded("event", data, START_NS, START_NS))
+    addressed = Readdress(NONCES)(RecordedMessage("event", data, START_NS, START_NS))
     assert addressed.role == (Role.MASTER if role == Role.MASTER else Role.SLAVE)
 
 
@@ -87,7 +87,7 @@ def test_numbers_rise_through_restarts_and_loops_and_keep_the_gaps(processes):
             for sequence in sorted(arrived):
                 data = STATE.message().pack(sender, sequence, START_NS)
                 head = STATE.message.schema.check(
-                    readdress(Recorded("state", data, START_NS, START_NS)).data
+                    readdress(RecordedMessage("state", data, START_NS, START_NS)).data
                 )
                 assert head.sender == NONCES[Role.SLAVE]
                 sequences.append(head.sequence)
@@ -125,7 +125,7 @@ def test_listeners_hear_the_session_again_never_early(recording):
         began_ns = now_ns()
         player = Player(open_recording(path), speed, {Role.SLAVE: slave, Role.MASTER: master})
         assert player.play(0, lambda: False, lambda _: None)
-        arrived: list[Heard] = []
+        arrived: list[ReceivedMessage] = []
 
         def all_there() -> bool:
             arrived.extend(listener.drain())
@@ -233,7 +233,7 @@ def test_a_recorder_alone_waits_quietly(tmp_path):
     )  # fmt: skip
     said, complaints = recorder.communicate(timeout=PATIENCE_S)
     assert (recorder.returncode, complaints) == (0, "")
-    assert "nobody published" in said
+    assert "no messages in this session" in said
     assert json.loads((tmp_path / "summary.json").read_text())["messages"] == {}
 
 
@@ -242,7 +242,7 @@ def test_a_recorder_that_cannot_write_says_so_in_one_line(tmp_path):
     recorder = start("teleop.recording.command", free_link(), f"--out={tmp_path / 'file'}")
     _, said = recorder.communicate(timeout=PATIENCE_S)
     assert recorder.returncode == 2
-    assert "cannot record here" in said
+    assert "cannot create a recording" in said
     assert said.count("\n") == 1
 
 

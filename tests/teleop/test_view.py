@@ -16,14 +16,14 @@ from rerun.chunk import RrdReader
 
 from teleop.app import cli
 from teleop.errors import TeleopError, UsageError
-from teleop.link import Heard
+from teleop.link import ReceivedMessage
 from teleop.process import Stop
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.topics import TENDONS
 from teleop.view.batch import decode
 from teleop.view.config import ViewConfig, ViewRates
-from teleop.view.feed import Discard, Paced, from_link, from_recording
+from teleop.view.feed import Discard, PacedMessages, from_link, from_recording
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from teleop.view.viewer_process import ViewerProcess, free_port
@@ -48,7 +48,9 @@ def test_a_recording_is_shown_whole(session, tmp_path, saved):
         for topic, data in session.messages:
             message = topic.message.unpack(data)
             stamp = message.stamp_ns
-            heard = Heard(topic, data, stamp + 1000, message.sender, message.sequence, stamp)
+            heard = ReceivedMessage(
+                topic, data, stamp + 1000, message.sender, message.sequence, stamp
+            )
             writer.write([heard], stamp)
     with Sink("rrd", CONFIG, "demo", tmp_path / "demo.rrd", live=False) as sink:
         fed = from_recording(str(writer.path), Scene(CONFIG, sink.stream), lambda: False, 0.1)
@@ -67,7 +69,7 @@ def test_a_file_keeps_no_index_of_its_chunks_in_memory(session, tmp_path):
 
 
 def test_what_waits_comes_out_in_time_and_all_of_it():
-    paced = Paced(0.1)
+    paced = PacedMessages(0.1)
     out = []
     for k in range(1000):
         paced.add([k])
@@ -81,7 +83,7 @@ class OneBatch:
     """A listener that has heard something once."""
 
     def __init__(self, messages):
-        self.heard = [Heard(topic, data, 0, SENDER, 0, 0) for topic, data in messages]
+        self.heard = [ReceivedMessage(topic, data, 0, SENDER, 0, 0) for topic, data in messages]
 
     def drain(self):
         heard, self.heard = self.heard, []

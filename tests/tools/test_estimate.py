@@ -106,8 +106,8 @@ def one_line(words, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "which sheath"),
-        (["--fit", "--calibration", "x.yaml"], "which sheath"),
+        ([], "no model of the sheath"),
+        (["--fit", "--calibration", "x.yaml"], "no model of the sheath"),
         (["--save", "x.yaml", "--calibration", "y.yaml"], "--fit"),
         (["--fit", "--length", "nan"], "--length"),
         (["--fit", "--length", "1e300"], "--length"),

@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from teleop.tools.motion import MOTIONS, Keep, Memory, Scale, Seen, Sine, Turns
+from teleop.tools.motion import MOTIONS, Keep, MotionSample, MotionState, Scale, Sine, Turns
 
 
 def swings(motion, stiffness, seconds=60.0, dt=0.001):
     """Move a spring by `motion`; return time, position and force."""
-    memory, target, rows = Memory(), 0.0, []
+    memory, target, rows = MotionState(), 0.0, []
     for k in range(int(seconds / dt)):
         rows.append((k * dt, target, stiffness * target))
-        target, memory = motion.step(memory, Seen(k * dt, stiffness * target, dt))
+        target, memory = motion.step(memory, MotionSample(k * dt, stiffness * target, dt))
     return np.array(rows).T
 
 
@@ -46,10 +46,10 @@ def test_the_sine_starts_at_rest_and_returns():
 
 def test_keep_comes_to_its_tension_from_either_side_and_stays_within_its_speed():
     for offset in (-0.01, 0.01):  # slack, and pulled hard
-        memory, target, forces, speeds = Memory(target=offset), offset, [], []
+        memory, target, forces, speeds = MotionState(target=offset), offset, [], []
         for k in range(2000):
             forces.append(max(0.0, 1000.0 * target))
-            new, memory = Keep(0.5, 0.04).step(memory, Seen(k * 1e-3, forces[-1], 1e-3))
+            new, memory = Keep(0.5, 0.04).step(memory, MotionSample(k * 1e-3, forces[-1], 1e-3))
             speeds.append(abs(new - target) / 1e-3)
             target = new
         assert forces[-1] == pytest.approx(0.5, abs=0.11)

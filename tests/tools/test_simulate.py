@@ -124,7 +124,7 @@ def test_it_says_which_effects_were_on_and_that_it_replaced_a_file(tmp_path, cap
     assert "effect slack (length 0.001), joint 1, tendon a, from 0 s" in printed
     assert "replaced" not in printed
     run(config, "--out", path, "--duration", 0.1)
-    assert "faulty.csv: the file that was there has been replaced" in capsys.readouterr().out
+    assert "faulty.csv: replaced the existing file" in capsys.readouterr().out
 
 
 def test_samples_that_are_lost_are_missing_rows(tmp_path):

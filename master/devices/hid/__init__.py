@@ -1,1 +1,1 @@
-"""Haptic devices that speak HID: their bytes, and the one handle that carries them."""
+"""HID haptic devices: report codecs, and the handle that transfers the reports."""

@@ -6,9 +6,9 @@ from master.devices.hid.descriptor import Field
 
 
 def limits(field: Field) -> tuple[int, int]:
-    """Return the least and the greatest value that is both in the field's range and in its bits.
+    """Return the least and greatest value within both the field's range and its bits.
 
-    The least is above the greatest where no bit pattern is in range.
+    The least exceeds the greatest if no bit pattern is in range.
     """
     low, high = representable(field)
     return max(low, field.minimum), min(high, field.maximum)
@@ -22,7 +22,7 @@ def representable(field: Field) -> tuple[int, int]:
 
 
 def get(report: bytes, field: Field, k: int = 0) -> int:
-    """Return the value of the `k`-th of a field's elements; what is cut off reads as zero."""
+    """Return the value of the `k`-th element of a field; truncated bits read as zero."""
     first = field.offset + k * field.size
     last = first + field.size
     bits = int.from_bytes(report[first // 8 : (last + 7) // 8], "little") >> first % 8
@@ -33,10 +33,10 @@ def get(report: bytes, field: Field, k: int = 0) -> int:
 
 
 def put(report: bytearray, field: Field, value: int, k: int = 0) -> None:
-    """Write the `k`-th of a field's elements into `report`, and leave all other bits.
+    """Write the `k`-th element of a field into `report`; other bits are kept.
 
-    A value that the bits cannot hold, or a report that does not reach there, raises `ValueError`.
-    One outside the declared range is written: to many fields that means "none".
+    Raises `ValueError` if the value does not fit the bits or the report is too short. A value
+    outside the declared range is written: in many fields that means "none".
     """
     low, high = representable(field)
     if not low <= value <= high:
@@ -53,7 +53,7 @@ def put(report: bytearray, field: Field, value: int, k: int = 0) -> None:
 
 
 def scaled(share: float, full: int) -> int:
-    """Return `share` (-1 ... 1) of `full`; a share beyond is taken as its end, NaN as zero."""
+    """Return `share` of `full`; the share is clipped to -1 ... 1, NaN is zero."""
     if math.isnan(share):
         return 0
     return round(max(-1.0, min(1.0, share)) * full)

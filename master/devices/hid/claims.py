@@ -1,14 +1,14 @@
-"""Which nodes this process has open as devices, so that no two hands get the same one."""
+"""Registry of the nodes open in this process, so that no device is opened twice."""
 
 import threading
 from collections import Counter
 
 from master.device import DeviceFault
-from master.devices.hid.drivers import Attached
+from master.devices.hid.drivers import AttachedNode
 
 
 class Claims:
-    """The devices that are open; any thread may ask.
+    """The open devices; thread-safe.
 
     A device with buttons alone (`buttons.find`) is not claimed: one pedal may serve two hands.
     """
@@ -16,42 +16,41 @@ class Claims:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._open: dict[str, str] = {}  # identity of the device at each path
-        self._most: Counter[str] = Counter()  # of each identity that were ever open together
+        self._most: Counter[str] = Counter()  # of each identity, largest number open at once
 
-    def claim(self, item: Attached) -> None:
-        """Take a device; `DeviceFault` if another hand has it."""
+    def claim(self, item: AttachedNode) -> None:
+        """Claim a device; `DeviceFault` if it is in use."""
         with self._lock:
             if item.path in self._open:
                 raise DeviceFault(
-                    f"{item}: is in use as another device of this session; name one in find, by "
-                    "serial or path"
+                    f"{item}: already in use by another device of this session; set find to a "
+                    "serial number or path"
                 )
             self._open[item.path] = item.identity
             alike = sum(identity == item.identity for identity in self._open.values())
             self._most[item.identity] = max(self._most[item.identity], alike)
 
-    def release(self, item: Attached) -> None:
-        """Let another hand have it."""
+    def release(self, item: AttachedNode) -> None:
+        """Release a device."""
         with self._lock:
             self._open.pop(item.path, None)
 
     def forget(self) -> None:
-        """Begin anew, as a process that has opened nothing."""
+        """Reset, as in a new process."""
         with self._lock:
             self._open.clear()
             self._most.clear()
 
     def paths(self) -> frozenset[str]:
-        """Return where the devices are that some hand has."""
+        """Return the paths of the claimed devices."""
         with self._lock:
             return frozenset(self._open)
 
-    def is_ambiguous(self, item: Attached) -> bool:
-        """Return whether a device that came back may be any of several that went away.
+    def is_ambiguous(self, item: AttachedNode) -> bool:
+        """Return whether a device that came back may be any of several that were unplugged.
 
-        Two that were open at once and say the same of themselves, having no serial number or the
-        same one, are told apart by their places only. When they went away together, each may come
-        back in the other's.
+        Two devices open at once with the same identity (no serial number, or the same one) differ
+        only in their paths. If both were unplugged, each may come back at the other's path.
         """
         with self._lock:
             here = sum(identity == item.identity for identity in self._open.values())

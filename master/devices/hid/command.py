@@ -1,12 +1,12 @@
-"""See, check and calibrate haptic devices.
+"""List, test and calibrate haptic devices.
 
-  teleop devices list                 what is attached, which driver fits, what you may open
-  teleop devices probe 1209:ffb0      its report descriptor in words, and how often it reports
-  teleop devices test                 try axes and buttons, and find which way its force pushes
+  teleop devices list                 list attached devices, drivers and permissions
+  teleop devices probe 1209:ffb0      print its report descriptor and report rate
+  teleop devices test                 test axes and buttons, find the sign of the force
   teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules
 
-A device is named as `find` in a config names it: vendor:product, serial number or path; without a
-name it is the only one that fits. An axis whose sign was never found with `test` renders no force.
+A device is given like `find` in a config: vendor:product, serial number or path; by default the
+only one that fits. An axis without a sign from `test` renders no force.
 """
 
 import argparse
@@ -22,8 +22,8 @@ from master.device import DeviceFault
 from master.devices.hid import rules, search, signs, trial
 from master.devices.hid.descriptor import DescriptorError, parse
 from master.devices.hid.driver import Controls
-from master.devices.hid.drivers import DRIVERS, Attached
-from master.devices.hid.line import Line
+from master.devices.hid.drivers import DRIVERS, AttachedNode
+from master.devices.hid.line import DeviceConnection
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.report_text import describe
@@ -37,39 +37,39 @@ _ANSWERS = {"l": 1, "s": -1, "n": 0}
 
 
 class Person(NamedTuple):
-    """Who stands at the device: told things and asked others."""
+    """Console dialogue with the person at the device."""
 
-    tell: Callable[[str], None] = print
-    ask: Callable[[str], str] = input
+    write: Callable[[str], None] = print
+    prompt: Callable[[str], str] = input
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what `teleop devices` can do."""
+    """Add the subcommands of `teleop devices`."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    actions.add_parser("list", help="what is attached, which driver fits, what you may open")
-    probe = actions.add_parser("probe", help="the report descriptor in words, and the report rate")
-    test = actions.add_parser("test", help="try axes and buttons, find the sign of the force")
+    actions.add_parser("list", help="list attached devices, drivers and permissions")
+    probe = actions.add_parser("probe", help="print the report descriptor and the report rate")
+    test = actions.add_parser("test", help="test axes and buttons, find the sign of the force")
     actions.add_parser("rules", help="print udev rules that let you open haptic devices (Linux)")
-    for action, watched in ((probe, "count reports"), (test, "watch the inputs")):
+    for action, purpose in ((probe, "count reports"), (test, "watch the inputs")):
         action.add_argument("find", nargs="?", default="", help="which device")
         action.add_argument(
-            "--seconds", type=seconds, metavar="S", default=None, help=f"{watched} so long"
+            "--seconds", type=seconds, metavar="S", default=None, help=f"duration: {purpose}"
         )
-    test.add_argument("--driver", choices=("auto", *DRIVERS), default="auto", help="try this one")
+    test.add_argument("--driver", choices=("auto", *DRIVERS), default="auto", help="driver to use")
     test.add_argument(
-        "--signs", type=Path, metavar="FILE", help=f"where to keep signs ({signs.default_path()})"
+        "--signs", type=Path, metavar="FILE", help=f"file of force signs ({signs.default_path()})"
     )
 
 
 def main(args: argparse.Namespace) -> int:
-    """Do what was asked; returns the exit code."""
+    """Run the subcommand; returns the exit code."""
     try:
         if args.action == "list":
-            print("\n".join(listed(search.attached())))
+            print("\n".join(format_nodes(search.attached())))
         elif args.action == "rules":
             print(rules.rules(fitting(search.attached())), end="")
         elif args.action == "probe":
-            print("\n".join(probed(the_one(args.find), args.seconds or 2.0)))
+            print("\n".join(probe_device(select_device(args.find), args.seconds or 2.0)))
         else:
             test(args.find, args.driver, args.signs, args.seconds or 10.0, Person())
     except DeviceFault as fault:
@@ -77,10 +77,10 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def listed(items: Sequence[Attached]) -> list[str]:
-    """Return a table of what is attached."""
+def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
+    """Return a table of the attached devices."""
     if not items:
-        return ["no HID device is attached"]
+        return ["no HID device attached"]
     rows = [("path", "model", "driver", "may be opened", "serial", "name")]
     for one in map(search.examine, items):
         item, driver = one.item, next(iter(one.fits), "-")
@@ -93,8 +93,8 @@ def listed(items: Sequence[Attached]) -> list[str]:
     ]
 
 
-def fitting(items: Sequence[Attached]) -> list[tuple[int, int, str]]:
-    """Return vendor, product and name of what a driver fits."""
+def fitting(items: Sequence[AttachedNode]) -> list[tuple[int, int, str]]:
+    """Return vendor, product and name of the devices that a driver fits."""
     return [
         (item.vendor, item.product, item.name or item.model)
         for item in items
@@ -102,24 +102,26 @@ def fitting(items: Sequence[Attached]) -> list[tuple[int, int, str]]:
     ]
 
 
-def the_one(find: str) -> Attached:
-    """Return the device that is meant, whether a driver fits it or not."""
+def select_device(find: str) -> AttachedNode:
+    """Return the selected device, with or without a driver."""
     everything = search.attached()
     if not everything:
-        raise UsageError("no HID device is attached")
+        raise UsageError("no HID device attached")
     meant = [item for item in everything if search.matches(item, find)]
     if len(meant) > 1:
         driven = [item for item in meant if search.examine(item).fits]
         meant = driven if len(driven) == 1 else meant
     if len(meant) == 1:
         return meant[0]
-    table = "\n".join(listed(meant or everything))
-    wanted = f"{find!r} is not attached" if not meant else "which of these is meant? name its path"
+    table = "\n".join(format_nodes(meant or everything))
+    wanted = (
+        f"{find!r} is not attached" if not meant else "several devices match; give the path of one"
+    )
     raise UsageError(f"{wanted}\n{table}")
 
 
-def probed(item: Attached, watched_s: float) -> list[str]:
-    """Return what a device says of itself, and how often it says anything."""
+def probe_device(item: AttachedNode, watched_s: float) -> list[str]:
+    """Return a device's descriptor as text, and its report rate."""
     one = search.examine(item)
     data = one.descriptor
     if not data:
@@ -133,8 +135,8 @@ def probed(item: Attached, watched_s: float) -> list[str]:
     return [*lines, "", one.not_ready_reason or rate(item, watched_s)]
 
 
-def rate(item: Attached, watched_s: float) -> str:
-    """Count the reports of a device for some time; return what came."""
+def rate(item: AttachedNode, watched_s: float) -> str:
+    """Count the reports of a device for some time; return the result as text."""
     node = Node(item.path, str(item))
     try:
         node.drain()
@@ -155,36 +157,36 @@ def rate(item: Attached, watched_s: float) -> str:
 
 
 def test(find: str, driver: str, file: Path | None, watched_s: float, person: Person) -> None:
-    """Guide a person through all inputs and forces of a device, and keep the signs found."""
+    """Guide a person through a test of all inputs and forces; save the signs found."""
     found = search.choose(find, driver)
     known = signs.load(file) if file is None or file.exists() else signs.Signs()
-    line = Line(found, PidConfig())
+    line = DeviceConnection(found, PidConfig())
     try:
-        person.tell(f"{found.item}, driver {found.kind}")
-        person.tell(f"Move every axis to both ends and press every button ({watched_s:g} s).")
-        for said in watched(line, watched_s):
-            person.tell(said)
+        person.write(f"{found.item}, driver {found.kind}")
+        person.write(f"Move every axis to both ends and press every button ({watched_s:g} s).")
+        for line_text in show_inputs(line, watched_s):
+            person.write(line_text)
         if not line.driver.forces:
-            person.tell("It has no force to be tried.")
+            person.write("It has no force output.")
         for axis in line.driver.forces:
             sign = asked_sign(line, axis, person)
             if not sign:
-                person.tell(f"{axis}: sign not found, so it will render no force")
+                person.write(f"{axis}: sign not found; it will render no force")
                 continue
             known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
             signs.save(file, known)
-            person.tell(f"{axis}: sign {sign:+d}, kept in {file or signs.default_path()}")
+            person.write(f"{axis}: sign {sign:+d}, saved in {file or signs.default_path()}")
             if not found.item.serial:
-                person.tell(
-                    "It has no serial number: another one of its kind, wired the other way, would "
-                    "be taken for it. Test anew whatever you plug in instead."
+                person.write(
+                    "It has no serial number: another device of this model, wired the other way, "
+                    "would get the same sign. Test again after replacing it."
                 )
     finally:
         line.end(1.0)
 
 
-def watched(line: Line, watched_s: float) -> list[str]:
-    """Show the inputs for some time; return how far each axis went and which buttons were seen."""
+def show_inputs(line: DeviceConnection, watched_s: float) -> list[str]:
+    """Show the inputs for some time; return the range of each axis and the buttons pressed."""
     status, start = StatusLine(), time.monotonic()
     low: dict[str, float] = {}
     high: dict[str, float] = {}
@@ -201,7 +203,7 @@ def watched(line: Line, watched_s: float) -> list[str]:
     status.clear()
     axes = [
         f"  {name:8s} {low[name]:+.2f} ... {high[name]:+.2f}" if name in low
-        else f"  {name:8s} never reported"
+        else f"  {name:8s} no report"
         for name in line.driver.axes
     ]  # fmt: skip
     buttons = [str(k + 1) for k in range(line.driver.buttons) if pressed >> k & 1]
@@ -212,7 +214,7 @@ def watched(line: Line, watched_s: float) -> list[str]:
     ]
 
 
-def _shown(line: Line, controls: Controls) -> str:
+def _shown(line: DeviceConnection, controls: Controls) -> str:
     axes = " ".join(
         f"{name} {share:+.2f}" for name, share in zip(line.driver.axes, controls.axes, strict=True)
     )
@@ -220,13 +222,13 @@ def _shown(line: Line, controls: Controls) -> str:
     return f"{axes}  buttons {' '.join(held)}"
 
 
-def asked_sign(line: Line, axis: str, person: Person) -> int:
-    """Push one axis and see where it goes, or else ask; return its sign, 0 = not found."""
+def asked_sign(line: DeviceConnection, axis: str, person: Person) -> int:
+    """Find the sign of one axis by pushing it, or else by asking; 0 = not found."""
     most = f"{trial.GENTLE[-1]:.0%}"
     answer = _answer(
         person,
-        f"Let go of the device and keep clear of it: {axis} is pushed with up to {most} of its "
-        "force. Enter to go on, s to leave it out: ",
+        f"Release the device and keep clear: {axis} is pushed with up to {most} of its force. "
+        "Enter to go on, s to leave it out: ",
     )
     if answer.startswith("s"):
         return 0
@@ -235,32 +237,30 @@ def asked_sign(line: Line, axis: str, person: Person) -> int:
     sign = trial.find_sign(line, place, force, count, time.monotonic, time.sleep)
     if sign:
         return sign
-    person.tell(f"{axis} did not move by itself.")
+    person.write(f"{axis} did not move.")
     answer = _answer(
         person,
-        "Hold it half-way, or pull it slowly through if it is a trigger; it is pushed twice for "
-        "2 s. Enter to go on, s to leave it out: ",
+        "Hold it half-way (pull a trigger slowly through); it is pushed twice for 2 s. Enter to "
+        "go on, s to leave it out: ",
     )
     if answer.startswith("s"):
         return 0
     for share, way in ((trial.GENTLE[-1], 1), (-trial.GENTLE[-1], -1)):
         trial.hold(line, force, count, share, time.monotonic, time.sleep)
-        felt = ""
-        while felt[:1] not in _ANSWERS:
-            felt = _answer(
+        reply = ""
+        while reply[:1] not in _ANSWERS:
+            reply = _answer(
                 person,
                 "Did it push to [l]arger values, to [s]maller ones, or did you feel [n]one? ",
             )
-        if _ANSWERS[felt[0]]:
-            return way * _ANSWERS[felt[0]]
+        if _ANSWERS[reply[0]]:
+            return way * _ANSWERS[reply[0]]
     return 0
 
 
 def _answer(person: Person, question: str) -> str:
     sys.stdout.flush()
     try:
-        return person.ask(question).strip().lower()
+        return person.prompt(question).strip().lower()
     except EOFError as error:
-        raise UsageError(
-            "teleop devices test: needs someone to answer; run it in a terminal"
-        ) from error
+        raise UsageError("teleop devices test: needs a terminal for the answers") from error

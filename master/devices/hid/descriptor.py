@@ -1,10 +1,10 @@
-"""A report descriptor, read: which bits of which report mean what.
+"""Parser of HID report descriptors: which bits of which report mean what.
 
-Device Class Definition for Human Interface Devices 1.11, section 6.2.2 (USB-IF). Where it leaves
-room, this follows Linux, whose reading every device on sale has met: a maximum is unsigned unless
-its minimum is negative, and a short usage belongs to the page that is in force when its field is
-declared. A device may send anything, so sizes are bounded: by what Linux accepts for a report, and
-by a number of fields that no device comes near.
+Device Class Definition for Human Interface Devices 1.11, section 6.2.2 (USB-IF). Ambiguities are
+resolved as in Linux, with which every device on sale works: a maximum is unsigned unless its
+minimum is negative, and a short usage belongs to the page in force when its field is declared. A
+device may send anything, so sizes are bounded by what Linux accepts and by a number of fields far
+above that of any device.
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ _CONSTANT, _VARIABLE, _RELATIVE, _NULL = 0x01, 0x02, 0x04, 0x40
 
 
 class DescriptorError(ValueError):
-    """These bytes are no report descriptor; the message says where and why."""
+    """Invalid report descriptor; the message gives place and reason."""
 
 
 class Kind(Enum):
@@ -35,7 +35,7 @@ class Kind(Enum):
 
 
 class Collection(NamedTuple):
-    """What fields are grouped under."""
+    """A collection of fields."""
 
     usage: int  # page in the high word; 0 = none
     kind: int  # 0 physical, 1 application, 2 logical, ...
@@ -49,18 +49,18 @@ class Field:
     Attributes
     ----------
     usages : tuple of int
-        What it means. Of a variable the one usage, or none. Of an array what its value selects:
+        Its meaning. Of a variable the one usage, or none. Of an array the usages its value selects:
         `minimum` the first, `minimum` + 1 the second, ...
     offset : int
-        Its first bit, in the bytes as they are read and written.
+        Its first bit in the bytes of the report.
     size : int
-        Its bits.
+        Number of bits.
     count : int
-        How many of the same follow one another.
+        Number of consecutive equal elements.
     minimum, maximum : int
         Range of the value, as declared; there are devices on which no bit pattern reaches it.
     physical_minimum, physical_maximum : int
-        What the range stands for; both 0 = the same.
+        Physical range; both 0 = the logical one.
     unit, exponent : int
         Of the physical range: code of HID 1.11, 6.2.2.7, and power of ten.
     path : tuple of Collection
@@ -89,13 +89,13 @@ class Field:
         return self.usages[0] if self.usages else 0
 
     def within(self, usage: int) -> bool:
-        """Return whether a collection of this usage is around the field."""
+        """Return whether the field is inside a collection of this usage."""
         return any(collection.usage == usage for collection in self.path)
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The fields that travel together; those that only fill are left out."""
+    """The fields of one report, without padding."""
 
     kind: Kind
     number: int  # 0 = the device does not number its reports
@@ -121,11 +121,11 @@ class Descriptor:
 
 
 class _Globals(NamedTuple):
-    """What holds until it is declared anew."""
+    """Global items of the parser."""
 
     page: int = 0
     minimum: int = 0
-    maximum: bytes = b""  # its sign depends on `minimum`, which may come later
+    maximum: bytes = b""  # its sign depends on `minimum`, which may follow
     physical_minimum: int = 0
     physical_maximum: bytes = b""
     unit: int = 0
@@ -167,7 +167,7 @@ _LONG = 0xFE
 
 
 def parse(data: bytes) -> Descriptor:
-    """Return what a report descriptor says; `DescriptorError` if it is none, and nothing else."""
+    """Parse a report descriptor; raises `DescriptorError` and nothing else."""
     if not 0 < len(data) <= DESCRIPTOR_MAX:
         raise DescriptorError(f"{len(data)} bytes long, must be 1 ... {DESCRIPTOR_MAX}")
     parser = _Parser()
@@ -177,7 +177,7 @@ def parse(data: bytes) -> Descriptor:
 
 
 def _items(data: bytes) -> Iterator[_Item]:
-    """Cut the bytes into short items; long ones mean nothing yet, and are skipped."""
+    """Split the bytes into short items; long ones are reserved and skipped."""
     at = 0
     while at < len(data):
         prefix, start = data[at], at + 1
@@ -192,7 +192,7 @@ def _items(data: bytes) -> Iterator[_Item]:
 
 
 class _Parser:
-    """The state that items change, and the fields found so far."""
+    """Parser state, and the fields found so far."""
 
     def __init__(self) -> None:
         self._globals = _Globals()
@@ -207,7 +207,7 @@ class _Parser:
         self._begin_locals()
 
     def take(self, item: _Item) -> None:
-        """Move on by one item."""
+        """Process one item."""
         kind = item.tag & 0x0C
         if kind == 0x00:
             self._main(item)
@@ -218,7 +218,7 @@ class _Parser:
             self._local(item)
 
     def finish(self, end: int) -> Descriptor:
-        """Return all that was found."""
+        """Return the parsed descriptor."""
         if self._path:
             raise DescriptorError(f"byte {end}: ends within a collection")
         numbered = any(number for _, number in self._bits)
@@ -285,7 +285,7 @@ class _Parser:
             self._first = None
 
     def _declare(self, first: _Item, last: _Item) -> None:
-        """Note usages; of alternatives between delimiters only the first, which is preferred."""
+        """Add usages; of alternatives between delimiters only the first, preferred one."""
         self._alternatives += 1
         if self._delimited and self._alternatives > 1:
             return
@@ -308,7 +308,7 @@ class _Parser:
             self._add(_MAIN[item.tag], item)
 
     def _repage(self) -> None:
-        """Give short usages at the end of the list the page that was declared after them."""
+        """Complete short usages at the end of the list with the page declared after them."""
         page = self._globals.page
         for k in reversed(range(len(self._usages))):
             usage = self._usages[k]
@@ -327,7 +327,7 @@ class _Parser:
         self._collections += 1
 
     def _add(self, kind: Kind, item: _Item) -> None:
-        """Append what an input, output or feature item declares to its report."""
+        """Append the fields of an input, output or feature item to its report."""
         now, flags = self._globals, item.unsigned
         key = kind, now.number
         fields = self._fields.setdefault(key, [])
@@ -385,7 +385,7 @@ class _Parser:
 
 
 def _runs(names: tuple[int, ...], count: int) -> list[tuple[tuple[int, ...], int]]:
-    """Return one usage after the other with how many fields it names: the last, all that remain."""
+    """Return the usages with their number of fields; the last one gets all remaining."""
     if not names:
         return [((), count)]
     last = len(names) - 1
@@ -397,6 +397,6 @@ def _upper(data: bytes, minimum: int) -> int:
 
 
 def _exponent(item: _Item) -> int:
-    """Return a power of ten: four bits by the standard, a whole byte as many devices write it."""
+    """Return a power of ten: four bits by the standard, a whole byte in many devices."""
     value = item.unsigned
     return (value ^ 8) - 8 if value < 16 else item.signed

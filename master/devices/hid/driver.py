@@ -1,7 +1,7 @@
-"""What a driver is: the bytes of one kind of device, and nothing else.
+"""The driver interface: the report codec of one kind of device.
 
-A driver is a codec. It owns no handle, no thread and no clock; `begin` alone talks to the device,
-through the `Features` it is lent. `master.devices.hid.device` carries the bytes.
+A driver owns no handle, no thread and no clock; only `begin` talks to the device, through its
+`Features` argument. `master.devices.hid.device` transfers the reports.
 """
 
 import math
@@ -11,24 +11,24 @@ Share = float  # of full scale, -1 ... 1
 
 
 class DriverError(ValueError):
-    """The device does not do what its driver needs; the message says what."""
+    """The device lacks something its driver needs; the message says what."""
 
 
 class Controls(NamedTuple):
-    """What a device's inputs say."""
+    """The inputs of a device."""
 
     axes: tuple[Share, ...]  # in the order of `Driver.axes`; a one-sided axis is 0 ... 1
     buttons: int  # those held; bit k is button k + 1
-    known: int  # those of which the device has told whether they are held
+    known: int  # mask of the buttons reported so far
 
 
 def unknown(axes: int) -> Controls:
-    """Return what is known of a device that has not reported anything yet."""
+    """Return the inputs of a device that has not reported yet."""
     return Controls((math.nan,) * axes, 0, 0)
 
 
 class Features(Protocol):
-    """The way to a device while it is set up. All bytes begin with the report id."""
+    """Access to a device during setup. All bytes begin with the report id."""
 
     def write(self, report: bytes) -> None:
         """Send an output report; raises `DeviceFault` if it could not be sent."""
@@ -48,9 +48,9 @@ class Driver(Protocol):
     axes : tuple of str
         Names of the inputs, as a config gives them (`x`, `rz`, `l2`, ...).
     forces : tuple of str
-        Those of `axes` that can be pushed; may be empty.
+        Those of `axes` with a force; may be empty.
     buttons : int
-        How many there are.
+        Their number.
     """
 
     axes: tuple[str, ...]
@@ -58,21 +58,21 @@ class Driver(Protocol):
     buttons: int
 
     def begin(self, device: Features) -> None:
-        """Set the device up, without force; `DriverError` if it cannot do it, `DeviceFault`."""
+        """Set the device up, without force; raises `DriverError` or `DeviceFault`."""
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return what `report` changes in `controls`; a report of another kind changes nothing.
+        """Return `controls` updated with `report`; other reports are ignored.
 
-        Never raises, whatever the bytes: what does not fit the layout is ignored.
+        Never raises; bytes that do not fit the layout are ignored.
         """
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:
-        """Return the reports that make the device push with `force`: a share for each of `forces`.
+        """Return the reports that render `force`: a share for each of `forces`.
 
-        Positive pushes towards larger values of the axis, as far as the driver knows. A share
-        beyond -1 ... 1 is taken to the nearer end, one that is not a number is no force. With `arm`
-        the reports also restart the device's own clock, after which its force runs out.
+        Positive pushes towards larger values of the axis, as far as the driver knows. Shares are
+        clipped to -1 ... 1, NaN is zero. With `arm` the reports also restart the device's own force
+        timeout.
         """
 
     def silence(self) -> tuple[bytes, ...]:
-        """Return the reports that take all force away and let go of the device."""
+        """Return the reports that remove all force and release the device."""

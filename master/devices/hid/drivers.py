@@ -1,4 +1,4 @@
-"""The drivers: one line each, and which device each is for."""
+"""Table of the drivers and the devices they fit."""
 
 import math
 from collections.abc import Callable
@@ -18,8 +18,8 @@ _JOYSTICK, _GAMEPAD, _MULTI_AXIS = (0x01, 0x04), (0x01, 0x05), (0x01, 0x08)  # p
 _VENDOR_PAGES = 0xFF00  # and above
 
 
-class Attached(NamedTuple):
-    """One HID node, as the system lists it."""
+class AttachedNode(NamedTuple):
+    """One HID node as listed by the system."""
 
     path: str
     vendor: int
@@ -37,28 +37,30 @@ class Attached(NamedTuple):
 
     @property
     def identity(self) -> str:
-        """What it says that it is: another one without a serial number says the same."""
+        """Identity; not unique without a serial number."""
         return f"{self.model}:{self.serial}" if self.serial else self.model
 
-    def same_as(self, other: "Attached") -> bool:
-        """Return whether this is `other`, wherever it is plugged in now."""
+    def same_as(self, other: "AttachedNode") -> bool:
+        """Return whether this is `other`, possibly at another port."""
         return self[1:] == other[1:]
 
     def __str__(self) -> str:
-        """Return what to call it in messages."""
+        """Return its name in messages."""
         return f"{self.name or 'a HID device'} ({self.model}, {self.path})"
 
 
 class Kind(NamedTuple):
-    """A driver, and what is known of the devices it is for."""
+    """A driver and properties of its devices."""
 
-    misfit: Callable[[Attached, bytes], str]  # (device, its descriptor) -> why not; empty = fits
-    make: Callable[[Attached, bytes, PidConfig], Driver]  # raises DriverError, DescriptorError
-    forgets: bool = True  # whether a force ends by itself when the host falls silent
-    heartbeat: float = math.inf  # [s] by which it has always sent something
+    misfit: Callable[
+        [AttachedNode, bytes], str
+    ]  # (device, its descriptor) -> why not; empty = fits
+    make: Callable[[AttachedNode, bytes, PidConfig], Driver]  # raises DriverError, DescriptorError
+    forgets: bool = True  # whether a force ends by itself without writes of the host
+    heartbeat: float = math.inf  # [s] largest interval between its reports
 
 
-def _not_pid(_item: Attached, descriptor: bytes) -> str:
+def _not_pid(_item: AttachedNode, descriptor: bytes) -> str:
     try:
         PidDriver(descriptor)
     except ValueError as error:  # DescriptorError, DriverError
@@ -66,38 +68,38 @@ def _not_pid(_item: Attached, descriptor: bytes) -> str:
     return ""
 
 
-def _not_ffbeast(item: Attached, _descriptor: bytes) -> str:
+def _not_ffbeast(item: AttachedNode, _descriptor: bytes) -> str:
     if (item.vendor, item.product) != (ffbeast.VENDOR, ffbeast.PRODUCT):
-        return "it is no FFBeast wheel"
+        return "not an FFBeast wheel"
     if any(page < _VENDOR_PAGES for page, _ in item.usages):
-        return "it is not the wheel's vendor interface"
+        return "not the wheel's vendor interface"
     return ""
 
 
-def _not_dualsense(item: Attached, _descriptor: bytes) -> str:
+def _not_dualsense(item: AttachedNode, _descriptor: bytes) -> str:
     fits = item.vendor == dualsense.VENDOR and item.product in dualsense.PRODUCTS
-    return "" if fits else "it is no DualSense"
+    return "" if fits else "not a DualSense"
 
 
-def _not_spacemouse(item: Attached, _descriptor: bytes) -> str:
+def _not_spacemouse(item: AttachedNode, _descriptor: bytes) -> str:
     fits = item.vendor == spacemouse.VENDOR or (
         item.vendor == spacemouse.LOGITECH and item.product in spacemouse.LOGITECH_PRODUCTS
     )
     if not fits:
-        return "it is no SpaceMouse"
+        return "not a SpaceMouse"
     if item.usages and _MULTI_AXIS not in item.usages:
-        return "it is another interface of a SpaceMouse"
+        return "another interface of a SpaceMouse"
     return ""
 
 
-def _not_logitech(item: Attached, _descriptor: bytes) -> str:
+def _not_logitech(item: AttachedNode, _descriptor: bytes) -> str:
     fits = item.vendor == logitech.VENDOR and item.product in logitech.PRODUCTS
-    return "" if fits else "it is no classic Logitech wheel"
+    return "" if fits else "not a classic Logitech wheel"
 
 
-def _not_joystick(item: Attached, descriptor: bytes) -> str:
+def _not_joystick(item: AttachedNode, descriptor: bytes) -> str:
     if not {_JOYSTICK, _GAMEPAD, _MULTI_AXIS} & set(item.usages):
-        return "it is no joystick or gamepad"
+        return "not a joystick or gamepad"
     try:
         JoystickDriver(descriptor)
     except ValueError as error:  # DescriptorError, DriverError
@@ -106,9 +108,9 @@ def _not_joystick(item: Attached, descriptor: bytes) -> str:
 
 
 PID = "pid"
-INPUTS_ONLY = "joystick"  # fits what others fit better
+INPUTS_ONLY = "joystick"  # fallback for devices without a driver of their own
 
-# in the order in which they are tried
+# in order of preference
 DRIVERS: dict[str, Kind] = {
     PID: Kind(_not_pid, lambda _, data, config: PidDriver(data, config)),
     "ffbeast": Kind(_not_ffbeast, lambda *_: FFBeastDriver(), forgets=False),

@@ -1,10 +1,9 @@
 """Sony DualSense: sticks, buttons and the two triggers, each with a resistance.
 
-What a trigger renders is a stiffness cue, not a streamed torque: the host sets how hard it resists
-in each of ten zones of its pull (here the same in all), in eight steps, and the trigger does the
-rest by itself. It only ever pushes back, so a force along the pull renders as nothing. It does not
-forget a resistance by itself either. Sources: Linux hid-playstation.c (the layouts, the checksums,
-the sequence number), Nielk1's notes on trigger effects.
+A trigger renders a stiffness cue, not a streamed torque: the host sets its resistance in each of
+ten zones of the pull (here the same in all), in eight steps. It only pushes back, so a force along
+the pull has no effect. It keeps a resistance until it is changed. Sources: Linux hid-playstation.c
+(the layouts, the checksums, the sequence number), Nielk1's notes on trigger effects.
 """
 
 import math
@@ -24,8 +23,8 @@ _USB_IN, _BLUETOOTH_IN = 0x01, 0x31
 _USB_OUT, _BLUETOOTH_OUT = 0x02, 0x31
 _USB_IN_SIZE, _BLUETOOTH_SIZE = 64, 78
 _CALIBRATION, _CALIBRATION_SIZE = 0x05, 41  # reading it makes Bluetooth send full reports
-_TRIGGERS = 0x04 | 0x08  # what of an output report is meant: right and left trigger, nothing else
-_CHECKED = _BLUETOOTH_SIZE - 4  # bytes that the checksum at the end covers, with a seed before them
+_TRIGGERS = 0x04 | 0x08  # valid flags of an output report: right and left trigger only
+_CHECKED = _BLUETOOTH_SIZE - 4  # bytes covered by the checksum, after a seed
 _SEED_IN, _SEED_OUT = zlib.crc32(b"\xa1"), zlib.crc32(b"\xa2")
 _CHECKSUM = struct.Struct("<I")
 _STICK = tuple(max(-1.0, (count - 128) / 127.0) for count in range(256))
@@ -44,7 +43,7 @@ _EFFECTS = tuple(_effect(strength) for strength in range(STEPS + 1))
 
 
 def strength_of(force: Share) -> int:
-    """Return the step of resistance for a share of full force; only pushing back has one."""
+    """Return the step of resistance for a share of full force; zero along the pull."""
     return math.ceil(min(-force, 1.0) * STEPS) if force < 0.0 else 0
 
 
@@ -54,8 +53,8 @@ class DualSenseDriver:
     Buttons from 1: square, cross, circle, triangle, L1, R1, L2, R2, create, options, L3, R3, PS,
     touchpad, mute; 17 to 20 are the Edge's. Sticks count right and down as positive.
 
-    `encode` returns a report when a strength has changed since it was called last: over Bluetooth
-    no two reports are alike, as each has a number. With `arm` it repeats what may have been lost.
+    `encode` returns a report if a strength has changed since the last call; over Bluetooth each
+    report has a sequence number. With `arm` it repeats the report, which may have been lost.
     """
 
     axes: tuple[str, ...] = ("lx", "ly", "rx", "ry", "l2", "r2")
@@ -65,16 +64,16 @@ class DualSenseDriver:
     def __init__(self, bluetooth: bool = False) -> None:
         self._bluetooth = bluetooth
         self._sequence = 0
-        self._strengths = (-1, -1)  # left, right, asked for last
+        self._strengths = (-1, -1)  # left, right, last requested
 
     def begin(self, device: Features) -> None:
-        """Let both triggers go; over Bluetooth, ask for full reports."""
+        """Release both triggers; over Bluetooth, request full reports."""
         if self._bluetooth:
             device.get_feature(_CALIBRATION, _CALIBRATION_SIZE)
         device.write(self._report(0, 0))
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return what a full report says; over Bluetooth one whose checksum is right."""
+        """Return the controls of a full report; over Bluetooth the checksum must match."""
         size, kind = len(report), report[0] if report else 0
         if kind == _USB_IN and size >= _USB_IN_SIZE:
             at = 1
@@ -92,7 +91,7 @@ class DualSenseDriver:
         return Controls((*sticks, _TRIGGER[l2], _TRIGGER[r2]), held, (1 << _BUTTONS) - 1)
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:
-        """Return a report if a resistance changes, and to `arm`."""
+        """Return a report if a resistance changes or with `arm`."""
         strengths = strength_of(force[0]), strength_of(force[1])
         if strengths == self._strengths and not arm:
             return ()
@@ -100,7 +99,7 @@ class DualSenseDriver:
         return (self._report(*strengths),)
 
     def silence(self) -> tuple[bytes, ...]:
-        """Return a report that lets both triggers go."""
+        """Return a report that releases both triggers."""
         return (self._report(0, 0),)
 
     def _report(self, left: int, right: int) -> bytes:

@@ -1,9 +1,8 @@
 """The vendor interface of an FFBeast wheel: torque as a number, the state in every report.
 
 Layout as the maker publishes it (ffbeast.github.io, docs/en/wheel_programming.md). The interface
-has no buttons: those are on the wheel's second interface, a joystick. A wheel that hears no
-direct control for "an extended period" goes back to its default mode by itself; how long that is
-the maker does not say.
+has no buttons: those are on the wheel's second interface, a joystick. Without direct control for
+"an extended period" a wheel returns to its default mode; the maker does not specify the time.
 """
 
 import struct
@@ -34,20 +33,20 @@ class FFBeastDriver:
     buttons = 0
 
     def begin(self, device: Features) -> None:
-        """Take over from the games' interface, without force."""
+        """Switch to direct control, without force."""
         device.write(_control(0.0))
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return the wheel's position, a share of its motion range."""
+        """Return the wheel's position as a share of its motion range."""
         if len(report) < _SHORTEST or report[0] != _REPORT:
             return controls
         (position,) = _POSITION.unpack_from(report, _POSITION_AT)
         return Controls((max(-1.0, min(1.0, position / _FULL)),), 0, 0)
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
-        """Return one report of direct control; any of them restarts the wheel's own clock."""
+        """Return one report of direct control; each restarts the wheel's own timeout."""
         return (_control(force[0]),)
 
     def silence(self) -> tuple[bytes, ...]:
-        """Return direct control without force; the wheel takes itself back afterwards."""
+        """Return direct control without force; the wheel then returns to its default mode."""
         return (_control(0.0),)

@@ -1,9 +1,8 @@
-"""A process that takes the force off a device when the process that pushes it is dead or stopped.
+"""Watchdog process: removes the force of a device when its controlling process is dead or stopped.
 
-Most devices forget a force when their host falls silent. For one that does not, nothing inside a
-killed, or a stopped, process can help. This file is run as a script of its own, which imports
-nothing that is slow. While a force is held it wants to hear a beat; it takes the force away when
-none comes, and again at every later silence, and for good when its standard input is closed.
+Most devices drop a force when their host stops writing. For those that do not, this file runs as a
+separate script without slow imports. While a force is active it expects heartbeats; it removes the
+force when they stop, at every later silence again, and finally when its standard input is closed.
 """
 
 import os
@@ -13,18 +12,18 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-SILENT_S = 0.15  # [s] without a beat: the process that pushed is not there any more
+SILENT_S = 0.15  # [s] heartbeat timeout
 _READY = b"ready\n"
 _BEAT = b"."
 
 
 class Guard:
-    """The process, as its owner sees it; `OSError` if the node at `path` cannot be opened.
+    """Handle of the watchdog process; `OSError` if the node at `path` cannot be opened.
 
     Parameters
     ----------
     reports : sequence of bytes
-        What takes the force away.
+        Reports that remove the force.
     """
 
     def __init__(self, path: str, reports: Sequence[bytes]) -> None:
@@ -35,26 +34,26 @@ class Guard:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is not meant for it
+            start_new_session=True,  # so that Ctrl-C does not reach it
         )
         assert self.process.stdin is not None  # noqa: S101 - given as PIPE above
         assert self.process.stdout is not None  # noqa: S101
         self._pipe = self.process.stdin
-        with self.process.stdout as said:
-            ready = said.readline() == _READY
+        with self.process.stdout as stdout:
+            ready = stdout.readline() == _READY
         if not ready:
             self.end()
-            raise OSError(f"{path}: nobody would take the force away")
+            raise OSError(f"{path}: the force watchdog does not start")
 
     def beat(self) -> None:
-        """Say that a force is held on purpose; before it is, and then within `SILENT_S` again.
+        """Send a heartbeat: before a force is applied, then at least every `SILENT_S`.
 
-        `OSError` if nobody hears it.
+        `OSError` if the watchdog is not running.
         """
         self._pipe.write(_BEAT)
 
     def end(self) -> bool:
-        """Let it write its reports and go; return whether it has, a device that hangs apart."""
+        """Let it write its reports and exit; return whether it did (False if a device hangs)."""
         self._pipe.close()
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(1.0)
@@ -62,18 +61,18 @@ class Guard:
 
 
 def main(path: str, *reports: str) -> None:
-    """Write whenever beats stop coming, and when nobody holds the other end of standard input."""
+    """Write the reports whenever heartbeats stop, and when standard input is closed."""
     node = os.open(path, os.O_WRONLY)
     os.write(1, _READY)
-    patience: float | None = None  # [s]; no force is held before the first beat
-    heard = True
-    while heard:
+    patience: float | None = None  # [s]; no force is active before the first heartbeat
+    alive = True
+    while alive:
         due = not select.select([0], [], [], patience)[0]
-        heard = due or bool(os.read(0, 4096))
+        alive = due or bool(os.read(0, 4096))
         patience = None if due else SILENT_S
-        if due or not heard:
+        if due or not alive:
             for report in reports:
-                with suppress(OSError):  # it is gone, and its force with it
+                with suppress(OSError):  # unplugged, so without force
                     os.write(node, bytes.fromhex(report))
 
 

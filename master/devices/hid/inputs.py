@@ -1,4 +1,4 @@
-"""Axes, buttons and hats of any joystick, as its report descriptor lays them out."""
+"""Axes, buttons and hats of any joystick, from its report descriptor."""
 
 from typing import NamedTuple
 
@@ -36,7 +36,7 @@ class _Axis(NamedTuple):
 
 
 class _Buttons(NamedTuple):
-    """A row of bits that are buttons one after the other."""
+    """A row of consecutive button bits."""
 
     offset: int  # [bit]
     mask: int
@@ -58,11 +58,11 @@ class _Plan(NamedTuple):
     axes: tuple[_Axis, ...]
     buttons: tuple[_Buttons, ...]
     hats: tuple[_Hat, ...]
-    told: int  # mask of the buttons that it tells of
+    reported: int  # mask of the buttons in this report
 
 
 class Inputs:
-    """What a device tells of its operator.
+    """Axes and buttons of a device.
 
     Attributes
     ----------
@@ -95,10 +95,10 @@ class Inputs:
                     next_hat += 4
             rows = _rows([field for field in fields if _is_button(field)])
             if axes or rows or hats:
-                told = sum(row.mask << row.first for row in rows)
-                told |= sum(0b1111 << hat.first for hat in hats)
+                reported = sum(row.mask << row.first for row in rows)
+                reported |= sum(0b1111 << hat.first for hat in hats)
                 plans[report.number] = _Plan(
-                    report.length, tuple(axes), tuple(rows), tuple(hats), told
+                    report.length, tuple(axes), tuple(rows), tuple(hats), reported
                 )
         self.axes = tuple(names)
         self.buttons = next_hat
@@ -106,7 +106,7 @@ class Inputs:
         self._plans = plans
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return what `report` changes in `controls`; never raises."""
+        """Return `controls` updated with `report`; never raises."""
         if not report:
             return controls
         plan = self._plans.get(report[0] if self._numbered else 0)
@@ -126,14 +126,14 @@ class Inputs:
                     value = low if value < low else high
                 values[place] = (value - centre) / half
             axes = tuple(values)
-        buttons = controls.buttons & ~plan.told
+        buttons = controls.buttons & ~plan.reported
         for offset, mask, first in plan.buttons:
             buttons |= (bits >> offset & mask) << first
         for offset, mask, low, ways, first in plan.hats:
             way = (bits >> offset & mask) - low
             if 0 <= way < len(ways):
                 buttons |= ways[way] << first
-        return Controls(axes, buttons, controls.known | plan.told)
+        return Controls(axes, buttons, controls.known | plan.reported)
 
 
 def _is_button(field: Field) -> bool:

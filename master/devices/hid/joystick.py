@@ -1,4 +1,4 @@
-"""Any joystick, gamepad or pedal, for its axes and buttons alone: by its report descriptor."""
+"""Any joystick, gamepad or pedal: axes and buttons, no force, from its report descriptor."""
 
 from master.devices.hid.descriptor import parse
 from master.devices.hid.driver import Controls, DriverError, Features, Share
@@ -19,7 +19,7 @@ class JoystickDriver:
     def __init__(self, descriptor: bytes) -> None:
         inputs = Inputs(parse(descriptor))
         if not inputs.axes and not inputs.buttons:
-            raise DriverError("it has neither axes nor buttons")
+            raise DriverError("no axes and no buttons")
         self.axes, self.buttons = inputs.axes, inputs.buttons
         self._inputs = inputs
 
@@ -27,11 +27,11 @@ class JoystickDriver:
         """Nothing to set up."""
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return what `report` changes in `controls`."""
+        """Return `controls` updated with `report`."""
         return self._inputs.decode(controls, report)
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
-        """Return nothing: it is never pushed."""
+        """Return nothing: it has no force."""
         return ()
 
     def silence(self) -> tuple[bytes, ...]:

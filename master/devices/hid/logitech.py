@@ -1,6 +1,6 @@
 """Logitech's classic wheels: commands of seven bytes, no report id, a force of eight bits.
 
-hidapi wants a zero in place of the id. The wheel holds a force until it is told otherwise. Source:
+hidapi expects a zero in place of the id. The wheel holds a force until the next command. Source:
 Linux hid-lg4ff.c. Wheels with the HID++ protocol (G920, G923 for Xbox, G Pro) are others.
 """
 
@@ -23,13 +23,13 @@ _ZERO = 0x80
 class LogitechDriver:
     """A `master.devices.hid.driver.Driver`: inputs by descriptor, force on the steering.
 
-    Pedals read 1 while they are released. Which side a level above 0x80 pushes to is not
-    documented; it is found by trying, as with any device.
+    Pedals read 1 while released. The direction of a level above 0x80 is not documented; `teleop
+    devices test` finds it.
 
     Parameters
     ----------
     descriptor : Descriptor
-        Of the wheel; `DriverError` if there is no steering in it.
+        Of the wheel; `DriverError` if it has no steering axis.
     """
 
     forces: tuple[str, ...] = (_STEERING,)
@@ -42,12 +42,12 @@ class LogitechDriver:
         self._inputs = inputs
 
     def begin(self, device: Features) -> None:
-        """Turn off the spring that centres it, and stop what another program left playing."""
+        """Turn off the centring spring, and stop effects of other programs."""
         device.write(_CENTRE_OFF)
         device.write(_STOP)
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return what `report` changes in `controls`."""
+        """Return `controls` updated with `report`."""
         return self._inputs.decode(controls, report)
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002

@@ -1,14 +1,13 @@
-"""From a device's inputs to the hand, and from forces on the hand to shares of full scale. Pure.
+"""Map a device's inputs to the hand, and forces on the hand to shares of full scale. Pure.
 
-An axis with `travel` says where the hand is: x = travel * share. One with `speed` says how fast it
-moves, while the engage button is held: x' = speed * share. The velocity of the former is that of
+An axis with `travel` gives the position of the hand: x = travel * share. One with `speed` gives its
+velocity while the engage button is held: x' = speed * share. The velocity of the former is that of
 its position through a first-order filter, smoothing * v' = x' - v, in backward-Euler steps.
 
-What the device has not reported yet is not known. An unknown input moves nothing, and until every
-button that means something and every axis with `travel` is known, the engage button counts as
-held: a session that begins, or is at fault, then wants to see it open before anything engages. In
-any other session this would be a switch that nobody has pressed, so it must be a fault when what
-was known becomes unknown: `Memory.knows` tells.
+Inputs not reported yet are unknown. An unknown input moves nothing, and until every assigned button
+and every axis with `travel` is known, the engage button counts as held: a session that starts, or
+is at fault, requires an open switch first. In any other session that would be a false press, so it
+must be a fault if a known input becomes unknown: see `MappingState.knows`.
 """
 
 import math
@@ -21,11 +20,11 @@ from master.devices.hid.driver import Controls, Driver, Share
 
 
 class Lane(NamedTuple):
-    """The way between one input of the device and one joint."""
+    """Mapping between one input of the device and one joint."""
 
     joint: int
     axis: int  # its place in `Driver.axes`
-    rate: bool  # whether the input is a speed
+    rate: bool  # whether the input is a velocity
     scale: float  # [m] or [m/s] of the joint at full scale, signed
     dead_zone: float
     force: int  # its place in `Driver.forces`, -1 = none
@@ -33,7 +32,7 @@ class Lane(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """All that is fixed while a device is open."""
+    """Constants of an open device."""
 
     joints: int
     lanes: tuple[Lane, ...]
@@ -42,35 +41,35 @@ class Plan(NamedTuple):
     smoothing: float  # [s]
 
 
-class Memory(NamedTuple):
-    """What one read hands to the next, a number for each joint."""
+class MappingState(NamedTuple):
+    """State between reads, one number per joint."""
 
     position: Axes  # [m]
     velocity: Axes  # [m/s]
-    known: tuple[bool, ...]  # whether the position is one that was reported
-    knows: bool = False  # whether all is known that must be, to say what the hand does
+    known: tuple[bool, ...]  # whether the position was reported
+    knows: bool = False  # whether all needed inputs are known
 
 
 def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, int]) -> Plan:
-    """Return the way from a device to the hand.
+    """Return the mapping from a device to the hand.
 
     Parameters
     ----------
     buttons : int
-        How many the device with the buttons has.
+        Number of buttons of the device with the buttons.
     signs : mapping of str to int
-        Which way each of its axes pushes, where that is known.
+        Force sign of each axis, if known.
 
     Raises
     ------
     DeviceFault
-        The device does not have what the config asks for; the message names the key.
+        The device lacks an input of the config; the message names the key.
     """
-    for name, number in config.buttons.given.items():
+    for name, number in config.buttons.assigned.items():
         if number > buttons:
             raise DeviceFault(
                 f"buttons.{name}: there is no button {number}; the device has {buttons or 'none'}"
-                + "; name another for them in buttons.find" * (not buttons)
+                + "; set buttons.find to another device for them" * (not buttons)
             )
     lanes = tuple(
         _lane(axis, joint, driver, signs)
@@ -80,7 +79,7 @@ def plan(config: HidConfig, driver: Driver, buttons: int, signs: Mapping[str, in
         joints=max(config.joints) + 1,
         lanes=lanes,
         forces=len(driver.forces),
-        buttons=tuple((name, 1 << (n - 1)) for name, n in config.buttons.given.items()),
+        buttons=tuple((name, 1 << (n - 1)) for name, n in config.buttons.assigned.items()),
         smoothing=config.smoothing,
     )
 
@@ -92,7 +91,7 @@ def _lane(axis: AxisConfig, joint: int, driver: Driver, signs: Mapping[str, int]
     place, per_newton = -1, 0.0
     if axis.force > 0.0:
         if axis.name not in driver.forces:
-            known = ", ".join(driver.forces) or "no axis at all"
+            known = ", ".join(driver.forces) or "no axis"
             raise DeviceFault(f"axes: force: the device cannot push {axis.name!r}, but {known}")
         place = driver.forces.index(axis.name)
         per_newton = axis.sign * signs.get(axis.name, 0) / axis.force
@@ -113,14 +112,14 @@ def _knows(plan: Plan, controls: Controls, switches: Controls) -> bool:
     )
 
 
-def start(joints: int) -> Memory:
-    """Return the memory before the first read."""
-    return Memory((0.0,) * joints, (0.0,) * joints, (False,) * joints)
+def start(joints: int) -> MappingState:
+    """Return the initial state."""
+    return MappingState((0.0,) * joints, (0.0,) * joints, (False,) * joints)
 
 
 def step(
-    plan: Plan, memory: Memory, controls: Controls, switches: Controls, dt: float
-) -> tuple[HandState, Memory]:
+    plan: Plan, memory: MappingState, controls: Controls, switches: Controls, dt: float
+) -> tuple[HandState, MappingState]:
     """Return the hand after `dt` [s]; `switches` are the controls that have the buttons."""
     held = {name: bool(mask & switches.buttons) for name, mask in plan.buttons}
     knows = _knows(plan, controls, switches)
@@ -146,11 +145,11 @@ def step(
         velocity=tuple(velocity),
         **{**held, "engage": held["engage"] or not knows},
     )
-    return hand, Memory(hand.position, hand.velocity, tuple(known), knows)
+    return hand, MappingState(hand.position, hand.velocity, tuple(known), knows)
 
 
 def beyond(share: Share, dead_zone: float) -> Share:
-    """Return how far `share` is beyond the dead zone, as a share of what is left; no jump."""
+    """Return `share` with a continuous dead zone, rescaled to full scale."""
     way = (abs(share) - dead_zone) / (1.0 - dead_zone)
     return math.copysign(way, share) if way > 0.0 else 0.0
 
@@ -158,8 +157,7 @@ def beyond(share: Share, dead_zone: float) -> Share:
 def shares(plan: Plan, force: Axes) -> tuple[Share, ...]:
     """Return forces on the joints [N] as shares of the device's full scale.
 
-    Beyond full scale it is the end of it, what is not a number is zero, and so is an axis whose
-    sign is not known.
+    Clipped to full scale; NaN and axes of unknown sign are zero.
     """
     out = [0.0] * plan.forces
     for lane in plan.lanes:
@@ -171,5 +169,5 @@ def shares(plan: Plan, force: Axes) -> tuple[Share, ...]:
 
 
 def unsigned(config: HidConfig, signs: Mapping[str, int]) -> list[str]:
-    """Return the axes that would push if their sign were known."""
+    """Return the axes without force because their sign is unknown."""
     return [a.name for a in config.axes if a.force > 0.0 and a.name not in signs]

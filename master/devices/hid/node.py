@@ -1,4 +1,4 @@
-"""One open HID node: bytes in and out, and every failure a `DeviceFault`."""
+"""One open HID node; every failure is a `DeviceFault`."""
 
 import importlib
 import sys
@@ -7,16 +7,16 @@ from typing import Any
 
 from master.device import DeviceFault
 
-QUEUE = 64  # reports that Linux keeps for a reader; what comes while it is full is dropped
+QUEUE = 64  # length of Linux's report queue; further reports are dropped
 _LONGEST = 4096  # bytes, of any report
-REMEDY = "let it be opened by a udev rule (docs/devices.md), and plug it in anew"
+REMEDY = "add a udev rule (docs/devices.md) and plug it in again"
 
 
 def backend() -> Any:
     """Return hidapi's module for this system; `DeviceFault` if it is not installed.
 
-    On Linux that is `hidraw`: `hid` is the libusb back end there, which takes the device away from
-    the kernel's drivers.
+    On Linux that is `hidraw`: `hid` is the libusb back end there, which detaches the kernel's
+    drivers.
     """
     name = "hidraw" if sys.platform == "linux" else "hid"
     try:
@@ -28,16 +28,16 @@ def backend() -> Any:
 class Node:
     """An open node; `master.devices.hid.driver.Features` of a driver being set up.
 
-    One thread may read while another writes, as long as neither goes on after a failure of its own:
-    hidapi keeps one error text for both (which is why that text is not asked for). Nobody may use
-    a node that is being closed.
+    One thread may read while another writes, as long as neither continues after its own failure:
+    hidapi keeps one error text for both (so it is not used). A node must not be used while it is
+    closed.
 
     Parameters
     ----------
     path : str
         As `master.devices.hid.search` gives it.
     name : str
-        What to call it in messages.
+        Its name in messages.
     """
 
     def __init__(self, path: str, name: str) -> None:
@@ -47,21 +47,21 @@ class Node:
             self._handle.open_path(path.encode())
         except OSError as error:
             raise DeviceFault(f"{name}: cannot be opened; {REMEDY}") from error
-        if self._handle.set_nonblocking(1) != 0:  # a read would wait for ever
+        if self._handle.set_nonblocking(1) != 0:  # a read would block
             self.close()
-            raise DeviceFault(f"{name}: cannot be read without waiting")
+            raise DeviceFault(f"{name}: non-blocking reads are not supported")
 
     def descriptor(self) -> bytes:
         """Return the report descriptor."""
         try:
             return bytes(self._handle.get_report_descriptor())
         except (OSError, ValueError) as error:
-            raise DeviceFault(f"{self.name}: does not give its report descriptor") from error
+            raise DeviceFault(f"{self.name}: cannot read its report descriptor") from error
 
     def drain(self) -> list[bytes]:
-        """Return what has come since the last call, oldest first, without waiting.
+        """Return the reports since the last call, oldest first, without waiting.
 
-        At most `QUEUE` reports: if there are as many, newer ones may have been lost.
+        At most `QUEUE` reports; if there are that many, newer ones may have been lost.
         """
         reports: list[bytes] = []
         read = self._handle.read
@@ -77,21 +77,21 @@ class Node:
 
     def write(self, report: bytes) -> None:
         """Send an output report; may wait for a USB frame, and for 5 s on a device that hangs."""
-        self._sent(self._handle.write, report, "takes no reports")
+        self._sent(self._handle.write, report, "rejects reports")
 
     def send_feature(self, report: bytes) -> None:
         """Send a feature report."""
-        self._sent(self._handle.send_feature_report, report, "takes no feature reports")
+        self._sent(self._handle.send_feature_report, report, "rejects feature reports")
 
     def get_feature(self, number: int, length: int) -> bytes:
         """Return feature report `number`, at most `length` bytes, its id first."""
         try:
             return bytes(self._handle.get_feature_report(number, length))
         except (OSError, ValueError) as error:
-            raise DeviceFault(f"{self.name}: does not give feature report {number}") from error
+            raise DeviceFault(f"{self.name}: cannot read feature report {number}") from error
 
     def close(self) -> None:
-        """Let go of the node."""
+        """Close the node."""
         with suppress(OSError, ValueError):
             self._handle.close()
 

@@ -1,8 +1,8 @@
-"""Any force-feedback device of the USB PID class, driven as its own report descriptor says.
+"""Any force-feedback device of the USB PID class, driven by its report descriptor.
 
 One constant-force effect for each axis, made once and updated by its magnitude. Its duration is
-finite and short: the device itself lets go when nobody starts it again, so a dead host is a dead
-force. A spring and a damper can be left to the device, whose own loop is faster than ours.
+finite and short: the force ends if the host does not restart it. A spring and a damper can be
+rendered by the device, whose loop is faster than ours.
 """
 
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ _SIGNS = {"x": -1, "y": 1}
 
 @dataclass(frozen=True, slots=True)
 class PidConfig:
-    """What the device renders by itself, about its centre, while it is pushed with a force."""
+    """Effects rendered by the device about its centre while a force is active."""
 
-    spring: float = 0.0  # share of the strongest coefficient and force, 0 = none
-    damper: float = 0.0  # share of the strongest coefficient and force, 0 = none
+    spring: float = 0.0  # share of the largest coefficient and force, 0 = none
+    damper: float = 0.0  # share of the largest coefficient and force, 0 = none
 
     def __post_init__(self) -> None:
-        """Refuse shares that are none."""
+        """Check the values; raises `ValueError`."""
         for name in ("spring", "damper"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: must be within 0 ... 1")
@@ -40,7 +40,7 @@ class _Push(NamedTuple):
 
     zero: bytes  # Set Constant Force without a magnitude
     bits: int  # the same as a little-endian number
-    full: int  # magnitude of a whole share, with the sign of the axis
+    full: int  # magnitude at full scale, with the sign of the axis
 
 
 class PidDriver:
@@ -51,12 +51,12 @@ class PidDriver:
     descriptor : bytes
         The device's report descriptor.
     config : PidConfig
-        What else than the force it shall render.
+        Effects in addition to the force.
 
     Raises
     ------
     DriverError
-        Naming all that the device lacks, or what is wrong with its descriptor.
+        Lists everything that the device lacks, or the error in its descriptor.
     """
 
     def __init__(self, descriptor: bytes, config: PidConfig | None = None) -> None:
@@ -71,7 +71,7 @@ class PidDriver:
         self._off = _commands(layout.control, U.STOP_ALL_EFFECTS, U.DISABLE_ACTUATORS)
         wanted = {U.SPRING: config.spring, U.DAMPER: config.damper}
         self._conditions = {usage: share for usage, share in wanted.items() if share}
-        # what can be found wrong is found now, and not once the device is in use
+        # detect errors now, not while the device is in use
         for usage in (U.CONSTANT_FORCE, *self._conditions):
             layout.creation.choose(usage)
             pid_effects.described(layout, usage, 1, layout.forces[0])
@@ -86,8 +86,8 @@ class PidDriver:
     def begin(self, device: Features) -> None:
         """Reset the device, enable it, and make the effects, none of them started.
 
-        A reset does not end a pause that someone before us began, on the Arduino library. Nor may
-        the pool be read there: that frees all effects.
+        With the Arduino library a reset does not end an earlier pause, and reading the pool frees
+        all effects.
         """
         self._forget()
         for report in self._on:
@@ -101,15 +101,14 @@ class PidDriver:
             self._add_condition(device, usage, share)
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return what `report` changes in `controls`."""
+        """Return `controls` updated with `report`."""
         return self._inputs.decode(controls, report)
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:
         """Return one magnitude for each of `forces`, and with `arm` a start for each effect.
 
-        Spring and damper run only with a force, and are stopped without: no force is asked for
-        before the session is engaged, at a fault and at a stop. Nothing before `begin`: there is no
-        effect to push with.
+        Spring and damper run only while a force is requested, that is not before engagement, at a
+        fault or at a stop. Returns nothing before `begin`.
         """
         offset, mask = self._magnitude.offset, (1 << self._magnitude.size) - 1
         reports = [
@@ -125,7 +124,7 @@ class PidDriver:
     def silence(self) -> tuple[bytes, ...]:
         """Return zero magnitudes, a stop for each effect, and a stop for the device.
 
-        All of them, since what one firmware heeds another ignores.
+        All of them, as each firmware ignores some.
         """
         zeros = [push.zero for push in self._pushes]
         return (*zeros, *self._stops, *self._condition_stops, *self._frees, *self._off)
@@ -157,10 +156,10 @@ class PidDriver:
         self._pushes.append(_Push(zero, int.from_bytes(zero, "little"), full))
 
     def _add_condition(self, device: Features, usage: int, share: Share) -> None:
-        """Make a spring or a damper on all axes at once, each with parameters of its own.
+        """Make a spring or a damper on all axes, each with its own parameters.
 
-        OpenFFBoard turns a condition by the direction of its effect, a spring along y into one
-        that pushes away, unless it knows the parameters first; others want the effect first.
+        OpenFFBoard rotates a condition by the direction of its effect (a spring along y then pushes
+        away) unless the parameters come first; other firmware needs the effect first.
         """
         block = self._create(device, usage)
         self._condition_starts.append(pid_effects.start(self._layout, block))

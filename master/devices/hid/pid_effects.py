@@ -1,4 +1,4 @@
-"""Effects in the memory of a PID device: how they are made, described, started and freed."""
+"""Effects in the memory of a PID device: create, set, start and free."""
 
 from collections.abc import Container
 
@@ -8,15 +8,15 @@ from master.devices.hid.descriptor import Field
 from master.devices.hid.driver import DriverError, Features, Share
 from master.devices.hid.pid_layout import FORCE_AXES, Choice, Part, PidLayout
 
-DURATION = 0.2  # [s] of every effect; to be armed again well within
+DURATION = 0.2  # [s] of every effect; must be restarted well within
 _SECONDS = (0x1001, 0x1003)  # unit codes
 _LOAD_READS = 60  # hid-pidff of Linux asks as often
 
 
 def create(layout: PidLayout, device: Features, usage: int, ours: Container[int]) -> int:
-    """Return the number of a new effect; `DriverError` if the device has none for us.
+    """Return the number of a new effect; `DriverError` if the device has none free.
 
-    Where its memory is full, what someone before us left is freed: all numbers but `ours`.
+    If its memory is full, effects of earlier programs are freed: all numbers except `ours`.
     """
     report = layout.creation.packed([layout.creation.choose(usage)])
     device.send_feature(report)
@@ -31,14 +31,14 @@ def create(layout: PidLayout, device: Features, usage: int, ours: Container[int]
     if full:
         raise DriverError("its memory for effects is full")
     if not block:
-        raise DriverError(f"it did not make the effect ({U.name(usage)})")
+        raise DriverError(f"it did not create the effect ({U.name(usage)})")
     return block
 
 
 def _loaded(part: Part, device: Features) -> tuple[int, bool]:
     """Return the number of the effect just made, 0 = none, and whether memory is full.
 
-    The first good answer counts: to some firmware, reading it is forgetting it.
+    The first valid answer is used: some firmware clears it on reading.
     """
     status, index = part.need(U.LOAD_SUCCESS), part.need(U.BLOCK_INDEX)
     success = part.choose(U.LOAD_SUCCESS).value
@@ -47,18 +47,18 @@ def _loaded(part: Part, device: Features) -> tuple[int, bool]:
         reply = device.get_feature(part.number, part.length)
         if len(reply) < part.length or reply[0] != part.number:
             continue
-        said, block = get(reply, status), get(reply, index)
-        if said == success and block > 0:
+        load_status, block = get(reply, status), get(reply, index)
+        if load_status == success and block > 0:
             return block, False
-        if said == full:
+        if load_status == full:
             return 0, True
     return 0, False
 
 
 def described(layout: PidLayout, usage: int, block: int, axis: str) -> bytes:
-    """Return Set Effect: of `DURATION`, at full gain, at once, by no button, along `axis`.
+    """Return Set Effect: `DURATION`, full gain, no delay, no trigger button, along `axis`.
 
-    With the direction enabled no axis may be: the Arduino library takes the angle only then.
+    No axis may be enabled with the direction: the Arduino library uses the angle only then.
     """
     part = layout.set_effect
     duration = part.need(U.DURATION)
@@ -80,19 +80,19 @@ def described(layout: PidLayout, usage: int, block: int, axis: str) -> bytes:
 
 
 def ticks(duration: Field) -> int:
-    """Return `DURATION` as the field counts it; `DriverError` if it cannot."""
+    """Return `DURATION` in units of the field; `DriverError` if it does not fit."""
     exponent = duration.exponent if duration.unit in _SECONDS else -3
     tick = 10.0 ** max(-9, min(9, exponent))  # [s]
     count = round(DURATION / tick)
-    if not 1 <= count <= limits(duration)[1]:  # none at all would be without end
-        raise DriverError(f"its effects cannot end after {DURATION} s")
+    if not 1 <= count <= limits(duration)[1]:  # zero would be infinite
+        raise DriverError(f"its effects cannot have a duration of {DURATION} s")
     return count
 
 
 def conditions(layout: PidLayout, block: int, share: Share) -> tuple[bytes, ...]:
-    """Return Set Condition for each axis: centred, no dead band, `share` of all that can be set.
+    """Return Set Condition for each axis: centred, no dead band, `share` of the maximum.
 
-    `DriverError` if the device takes no conditions, or cannot tell the axes apart.
+    `DriverError` if the device has no conditions, or not per axis.
     """
     part = layout.condition
     if part is None:
@@ -117,12 +117,12 @@ def _fields(part: Part, usages: tuple[int, ...]) -> list[Field]:
 
 
 def magnitude_zero(layout: PidLayout, block: int) -> bytes:
-    """Return Set Constant Force with no force."""
+    """Return Set Constant Force with zero force."""
     return _about(layout.constant_force, block)
 
 
 def start(layout: PidLayout, block: int) -> bytes:
-    """Return what starts an effect, or its clock again. Once is enough: it is started often."""
+    """Return the report that starts or restarts an effect, with a loop count of one."""
     part = layout.operation
     loops = part.find(U.LOOP_COUNT)
     once = [Choice(loops, 1)] if loops is not None else []
@@ -130,12 +130,12 @@ def start(layout: PidLayout, block: int) -> bytes:
 
 
 def stop(layout: PidLayout, block: int) -> bytes:
-    """Return what stops an effect."""
+    """Return the report that stops an effect."""
     return _about(layout.operation, block, layout.operation.choose(U.OP_STOP))
 
 
 def free(layout: PidLayout, block: int) -> tuple[bytes, ...]:
-    """Return what gives the memory of an effect back, if the device wants to be told."""
+    """Return the report that frees an effect, if the device has one."""
     return (_about(layout.block_free, block),) if layout.block_free is not None else ()
 
 

@@ -1,7 +1,7 @@
-"""Where a force-feedback device of the PID class wants which value.
+"""Layout of the reports of a PID class force-feedback device.
 
-No report number, width or range is the same on all devices: everything is found by what the
-descriptor calls it. Device Class Definition for Physical Interface Devices 1.0 (USB-IF).
+Report numbers, widths and ranges differ between devices: all fields are found by their usages in
+the descriptor. Device Class Definition for Physical Interface Devices 1.0 (USB-IF).
 """
 
 from collections.abc import Iterable
@@ -34,18 +34,18 @@ class Part:
     fields: tuple[Field, ...]
 
     def find(self, usage: int) -> Field | None:
-        """Return the field that means `usage`, or can select it."""
+        """Return the field of `usage`, or the array that can select it."""
         return next((field for field in self.fields if usage in field.usages), None)
 
     def need(self, usage: int) -> Field:
-        """Return the field that means `usage`; `DriverError` if there is none."""
+        """Return the field of `usage`; `DriverError` if there is none."""
         field = self.find(usage)
         if field is None:
             raise DriverError(f"{self.name} has no {U.name(usage)}")
         return field
 
     def choose(self, usage: int) -> Choice:
-        """Return what selects `usage`: its place in an array, or a bit of its own."""
+        """Return the value that selects `usage`: its index in an array, or its own bit."""
         field = self.need(usage)
         return Choice(field, field.minimum + field.usages.index(usage) if field.array else 1)
 
@@ -54,7 +54,7 @@ class Part:
         return tuple(field for field in self.fields if field.within(usage))
 
     def packed(self, choices: Iterable[Choice]) -> bytes:
-        """Return the report with these values and zeros; `DriverError` if one does not fit."""
+        """Return the report with these values, else zeros; `DriverError` if one does not fit."""
         report = bytearray(self.length)
         report[0] = self.number
         for field, value in choices:
@@ -68,15 +68,14 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class PidLayout:
-    """The parts of a device that can be driven.
+    """The reports and fields of a PID device.
 
     Attributes
     ----------
     forces : tuple of str
-        The axes it can push, of those that it reads.
+        The axes with a force, of those that it reads.
     polar : bool
-        An effect is turned into its axis by an angle. Else it is confined to it by the one bit of
-        the axes that is set.
+        Whether effects are directed by an angle; otherwise by an axes-enable bit.
     """
 
     set_effect: Part
@@ -93,7 +92,7 @@ class PidLayout:
 
 
 def speaks_pid(descriptor: Descriptor) -> bool:
-    """Return whether anything in the descriptor is of the PID class."""
+    """Return whether the descriptor has a PID collection."""
     return any(
         usage >> 16 == U.PID
         for report in descriptor.reports
@@ -103,7 +102,7 @@ def speaks_pid(descriptor: Descriptor) -> bool:
 
 
 def lay_out(descriptor: Descriptor, inputs: Inputs) -> PidLayout:
-    """Return where everything is; `DriverError` names all that is missing."""
+    """Return the layout; `DriverError` lists everything that is missing."""
     if not speaks_pid(descriptor):
         raise DriverError("no force feedback of the USB PID class")
     missing: list[str] = []
@@ -128,10 +127,10 @@ def lay_out(descriptor: Descriptor, inputs: Inputs) -> PidLayout:
 
     magnitude = constant_force.find(U.MAGNITUDE)
     if magnitude is not None and not limits(magnitude)[0] < 0 < limits(magnitude)[1]:
-        missing.append("its constant force pushes one way only")
+        missing.append("its constant force has one direction only")
     forces = _forces(set_effect, inputs)
     if not forces:
-        missing.append("it pushes none of the axes that it reads")
+        missing.append("it has no force on any axis that it reads")
     if missing:
         raise DriverError("; ".join(missing))
     block_free = _part(descriptor, out, U.BLOCK_FREE)
@@ -153,7 +152,7 @@ def lay_out(descriptor: Descriptor, inputs: Inputs) -> PidLayout:
 
 
 def _part(descriptor: Descriptor, kind: Kind, purpose: int) -> Part | None:
-    """Return the fields of the first report that has some in a collection of this name."""
+    """Return the fields of the first report with a collection of this usage."""
     purposes = (purpose, U.DEVICE_CONTROL_REPORT) if purpose == U.DEVICE_CONTROL else (purpose,)
     for report in descriptor.reports:
         if report.kind is not kind:
@@ -167,7 +166,7 @@ def _part(descriptor: Descriptor, kind: Kind, purpose: int) -> Part | None:
 def _forces(set_effect: Part, inputs: Inputs) -> tuple[str, ...]:
     """Return the axes that effects can act along.
 
-    The axes-enable bits name them; a device without those has one for each direction it takes.
+    From the axes-enable bits, or else one per direction field.
     """
     enabled = {U.AXES.get(field.usage) for field in set_effect.within(U.AXES_ENABLE)}
     if not enabled:

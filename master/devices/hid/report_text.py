@@ -1,16 +1,16 @@
-"""A report descriptor in words, for people who want to know what a device offers."""
+"""Text of a report descriptor, for `teleop devices probe`."""
 
 from itertools import takewhile
 
 from master.devices.hid import usages
 from master.devices.hid.descriptor import Collection, Descriptor, Field, Report
 
-_CHOICES_MAX = 16  # of an array are written out
+_CHOICES_MAX = 16  # of an array that are listed
 _SECONDS, _DEGREES = (0x1001, 0x1003), (0x14, 0x12)  # unit codes; rotation in degrees or radians
 
 
 def describe(descriptor: Descriptor) -> list[str]:
-    """Return lines of text: what the device is, then one block for each report."""
+    """Return lines of text: the device, then one block per report."""
     lines = [f"{usages.name(usage)}" for usage in descriptor.applications]
     for report in descriptor.reports:
         lines.append(_headline(report))
@@ -25,7 +25,7 @@ def _headline(report: Report) -> str:
 
 
 def _purpose(report: Report) -> str:
-    """Return the name of the innermost collection that is around all fields."""
+    """Return the name of the innermost collection common to all fields."""
     paths = [field.path for field in report.fields]
     if not paths:
         return ""
@@ -37,7 +37,7 @@ def _purpose(report: Report) -> str:
 
 
 def _groups(report: Report) -> list[list[Field]]:
-    """Return the fields in order, with rows of buttons and the like taken together."""
+    """Return the fields in order, with rows of similar fields grouped."""
     groups: list[list[Field]] = []
     for field in report.fields:
         if groups and _continues(groups[-1][-1], field):
@@ -87,7 +87,7 @@ def _flags(field: Field) -> tuple[tuple[str, bool], ...]:
     return (
         ("constant", field.constant),
         ("relative", field.relative),
-        ("may say none", field.nullable),
+        ("may be none", field.nullable),
     )
 
 
@@ -100,7 +100,7 @@ def _choices(field: Field) -> str:
 
 
 def _unit(field: Field) -> str:
-    """Return the physical range where it says more than the logical one."""
+    """Return the physical range if it differs from the logical one."""
     symbol = " s" if field.unit in _SECONDS else ""
     if field.unit in _DEGREES:
         symbol = " deg" if field.unit == _DEGREES[0] else " rad"
@@ -108,5 +108,5 @@ def _unit(field: Field) -> str:
     ranged = (low, high) not in ((0, 0), (field.minimum, field.maximum))
     power = f"e{field.exponent}" if field.exponent else ""
     if ranged:
-        return f" (stands for {low}{power} ... {high}{power}{symbol})"
+        return f" (physical {low}{power} ... {high}{power}{symbol})"
     return f" (times 1{power}{symbol})" if symbol else ""

@@ -53,16 +53,16 @@ KNOWN: tuple[tuple[int, int | None, str], ...] = (
 
 
 def rules(others: Iterable[tuple[int, int | None, str]] = ()) -> str:
-    """Return the rules file: for the models known here, and for `others` (vendor, product, name).
+    """Return the rules file for the known models and for `others` (vendor, product, name).
 
-    Whoever sits at the machine may open these devices, and nobody else (`uaccess`).
+    Only the user logged in at the machine may open these devices (`uaccess`).
     """
     known = {one[:2]: one for one in KNOWN}
     for one in others:
         known.setdefault(one[:2], one)
     lines = [
-        "# Haptic devices that whoever sits at this machine may open (tendon-teleop).",
-        "# sudo udevadm control --reload && plug the device in anew",
+        "# Haptic devices that the user at this machine may open (tendon-teleop).",
+        "# sudo udevadm control --reload , then plug the device in again",
     ]
     for vendor, product, name in known.values():
         lines += ["", f"# {' '.join(name.split())}", _usb(vendor, product)]

@@ -1,4 +1,4 @@
-"""What is attached, which driver fits it, and why not."""
+"""Find attached devices and the drivers that fit them."""
 
 import hashlib
 import os
@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, Attached
+from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, AttachedNode
 from master.devices.hid.node import REMEDY, Node, backend
 from master.devices.hid.signs import Pusher
 
-_SYSTEM = Path("/sys/class/hidraw")  # where Linux shows descriptors to everyone
+_SYSTEM = Path("/sys/class/hidraw")  # Linux's world-readable descriptors
 _BLUETOOTH = 2  # hidapi's number of that bus
 
 
@@ -19,29 +19,27 @@ class NotThereError(DeviceFault):
     """A device is not attached."""
 
 
-class Found(NamedTuple):
-    """A device, and the driver for it."""
+class FoundDevice(NamedTuple):
+    """A device and its driver."""
 
-    item: Attached
+    item: AttachedNode
     kind: str  # key of `DRIVERS`
     descriptor: bytes
 
     @property
     def pusher(self) -> Pusher:
-        """By which the file of force signs knows it."""
+        """Its key in the file of force signs."""
         layout = hashlib.sha256(self.descriptor).hexdigest()[:12]
         return Pusher(self.item.identity, self.kind, layout)
 
 
-class Examined(NamedTuple):
-    """What is known of a node from outside."""
+class ExaminedNode(NamedTuple):
+    """A node examined without opening it."""
 
-    item: Attached
+    item: AttachedNode
     descriptor: bytes
-    misfits: dict[str, str]  # for each driver why it does not fit; empty if it does
-    not_ready_reason: (
-        str  # why this user must not open it, with the remedy; empty if that is not known
-    )
+    misfits: dict[str, str]  # by driver, the reason why it does not fit; empty if it fits
+    not_ready_reason: str  # why this user cannot open it, with the remedy; empty if it can
 
     @property
     def fits(self) -> list[str]:
@@ -49,17 +47,17 @@ class Examined(NamedTuple):
         return [name for name, why_not in self.misfits.items() if not why_not]
 
 
-def attached() -> tuple[Attached, ...]:
+def attached() -> tuple[AttachedNode, ...]:
     """Return all HID nodes of this machine, by path; `DeviceFault` without hidapi."""
-    nodes: dict[str, Attached] = {}
+    nodes: dict[str, AttachedNode] = {}
     for entry in backend().enumerate():
         path = os.fsdecode(entry["path"])
         usage = (entry.get("usage_page", 0), entry.get("usage", 0))
         known = nodes.get(path)
-        if known is not None:  # once for each of its outermost collections
+        if known is not None:  # listed once per outermost collection
             nodes[path] = known._replace(usages=(*known.usages, usage))
             continue
-        nodes[path] = Attached(
+        nodes[path] = AttachedNode(
             path,
             entry["vendor_id"],
             entry["product_id"],
@@ -76,11 +74,11 @@ def attached() -> tuple[Attached, ...]:
     return tuple(nodes[path] for path in sorted(nodes))
 
 
-def beside(found: Found) -> frozenset[str]:
-    """Return the paths of what is attached besides a device, and may be a device too.
+def beside(found: FoundDevice) -> frozenset[str]:
+    """Return the paths of other attached nodes that may be devices.
 
-    For the moment in which it goes away, so without asking the system for more than names: where
-    these are no files, nothing is known.
+    Called when a device is unplugged, so it only lists names; empty on systems without device
+    files.
     """
     folder = os.path.dirname(found.item.path)
     try:
@@ -89,8 +87,8 @@ def beside(found: Found) -> frozenset[str]:
         return frozenset()
 
 
-def descriptor(item: Attached) -> bytes:
-    """Return a device's report descriptor; `DeviceFault` if nothing tells it without permission."""
+def descriptor(item: AttachedNode) -> bytes:
+    """Return a device's report descriptor; `DeviceFault` if it needs a permission."""
     try:
         return (_SYSTEM / Path(item.path).name / "device/report_descriptor").read_bytes()
     except OSError:
@@ -101,44 +99,43 @@ def descriptor(item: Attached) -> bytes:
         node.close()
 
 
-def examine(item: Attached) -> Examined:
+def examine(item: AttachedNode) -> ExaminedNode:
     """Return which drivers fit a device, and whether it may be opened."""
     try:
         data = descriptor(item)
     except DeviceFault as fault:
         why = str(fault).removeprefix(f"{item}: ")
-        return Examined(item, b"", dict.fromkeys(DRIVERS, why), why)
+        return ExaminedNode(item, b"", dict.fromkeys(DRIVERS, why), why)
     misfits = {name: kind.misfit(item, data) for name, kind in DRIVERS.items()}
-    return Examined(item, data, misfits, _barred(item))
+    return ExaminedNode(item, data, misfits, _barred(item))
 
 
-def _barred(item: Attached) -> str:
+def _barred(item: AttachedNode) -> str:
     path = Path(item.path)
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):
-        return f"you may not open {item.path}; {REMEDY}"
+        return f"no permission to open {item.path}; {REMEDY}"
     return ""
 
 
-def choose(find: str, driver: str) -> Found:
-    """Return the device that a config means.
+def choose(find: str, driver: str) -> FoundDevice:
+    """Return the device that a config selects.
 
     Parameters
     ----------
     find : str
         vendor:product, serial number or path; empty means the only one that fits.
     driver : str
-        Which one to use; `auto` takes the first that fits, and a device without a driver of its
-        own only if there is no other.
+        Driver to use; `auto` takes the first that fits, generic drivers last.
 
     Raises
     ------
     DeviceFault
-        There is none, or more than one, or it must not be opened; with the remedy.
+        There is none, or more than one, or it cannot be opened; with the remedy.
     """
     everything = attached()
     meant = [examine(item) for item in everything if matches(item, find)]
     fitting = _one_of_each(
-        Found(one.item, name, one.descriptor)
+        FoundDevice(one.item, name, one.descriptor)
         for one in meant
         for name in one.fits
         if driver in ("auto", name)
@@ -149,92 +146,96 @@ def choose(find: str, driver: str) -> Found:
         raise DeviceFault(_missing(find, driver, meant, everything))
     if len(fitting) > 1:
         names = _listed(found.item for found in fitting)
-        raise DeviceFault(f"several devices fit; name one in find, by serial or path: {names}")
+        raise DeviceFault(f"several devices fit; set find to a serial number or path: {names}")
     why = _barred(fitting[0].item)
     if why:
         raise DeviceFault(f"{fitting[0].item}: {why}")
     return fitting[0]
 
 
-def again(found: Found, before: frozenset[str], taken: frozenset[str] = frozenset()) -> Found:
-    """Return the same device where it is now.
+def again(
+    found: FoundDevice, before: frozenset[str], taken: frozenset[str] = frozenset()
+) -> FoundDevice:
+    """Return the same device at its present path.
 
     Parameters
     ----------
     before : frozenset of str
-        Paths of what was attached when it went away. What looks like it at another of these was
-        there beside it, and is another one.
+        Paths attached when it was unplugged; a device of the same identity at another of these is a
+        different one.
     taken : frozenset of str
         Paths of devices that are in use.
 
     Raises
     ------
     NotThereError
-        It is not back.
+        It is not attached.
     DeviceFault
-        There are several like it, or it must not be opened.
+        There are several of the same identity, or it cannot be opened.
     """
     known = found.item
     like = [item for item in attached() if item.same_as(known) and item.path not in taken]
     same = [item for item in like if item.path == known.path or item.path not in before]
     if not same:
-        raise NotThereError(f"{known}: is not attached")
+        raise NotThereError(f"{known}: not attached")
     if len(same) > 1:
-        raise DeviceFault(f"{known}: several like it are attached: {_listed(same)}")
+        raise DeviceFault(
+            f"{known}: several devices of this identity are attached: {_listed(same)}"
+        )
     why = _barred(same[0])
     if why:
         raise DeviceFault(f"{same[0]}: {why}")
     return found._replace(item=same[0])
 
 
-def matches(item: Attached, find: str) -> bool:
-    """Return whether `find` means this device."""
+def matches(item: AttachedNode, find: str) -> bool:
+    """Return whether `find` matches this device."""
     if not find:
         return True
     return find.lower() in (item.model, item.serial.lower(), item.path.lower())
 
 
-def _one_of_each(all_found: Iterable[Found]) -> list[Found]:
-    """Keep one way to each device: what has several interfaces may fit several drivers.
+def _one_of_each(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
+    """Keep one interface per device: several interfaces may fit several drivers.
 
-    Nodes of one model and serial number, if any, are of one device as long as each is another
-    interface. If two are the same one, these are two devices.
+    Nodes of one model and serial number are one device as long as their interfaces differ; the same
+    interface twice means two devices.
     """
-    best: dict[str, Found] = {}
+    best: dict[str, FoundDevice] = {}
     for found in all_found:
-        best.setdefault(found.item.path, found)  # the best comes first
-    alike: dict[str, list[Found]] = {}
+        best.setdefault(found.item.path, found)  # the best driver comes first
+    alike: dict[str, list[FoundDevice]] = {}
     for found in best.values():
         alike.setdefault(found.item.identity, []).append(found)
-    kept: list[Found] = []
+    kept: list[FoundDevice] = []
     for group in alike.values():
         one_device = len({found.item.interface for found in group}) == len(group)
         kept += [min(group, key=_rank)] if one_device else group
     return kept
 
 
-def _rank(found: Found) -> int:
+def _rank(found: FoundDevice) -> int:
     return list(DRIVERS).index(found.kind)
 
 
 def _missing(
-    find: str, driver: str, meant: Sequence[Examined], everything: Sequence[Attached]
+    find: str, driver: str, meant: Sequence[ExaminedNode], everything: Sequence[AttachedNode]
 ) -> str:
     if not everything:
-        return "no haptic device is attached; plug one in (no HID device at all is there)"
+        return "no haptic device attached; plug one in (the system lists no HID device)"
     if not meant:
         listed = _listed(everything)
-        return f"no device {find!r} is attached; plug it in, or correct find (attached: {listed})"
-    whys: dict[str, list[Attached]] = {}
+        return f"no device {find!r} attached; plug it in, or correct find (attached: {listed})"
+    whys: dict[str, list[AttachedNode]] = {}
     for one in meant:
         reasons = list(one.misfits.values()) if driver == "auto" else [one.misfits[driver]]
         if len(meant) > 1:
-            del reasons[1:]  # the first stands for all, or the line would have no end
+            del reasons[1:]  # only the first reason, to keep the line short
         whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(one.item)
-    told = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
+    listed = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
     wanted = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
-    return f"{wanted}: {told}" if find else f"{wanted} anything that is attached: {told}"
+    return f"{wanted}: {listed}" if find else f"{wanted} any attached device: {listed}"
 
 
-def _listed(items: Iterable[Attached]) -> str:
+def _listed(items: Iterable[AttachedNode]) -> str:
     return ", ".join(map(str, items))

@@ -1,4 +1,4 @@
-"""Looking for a device that went away, in a thread of its own."""
+"""Thread that searches for an unplugged device."""
 
 import threading
 from collections.abc import Callable
@@ -8,31 +8,31 @@ from master.device import DeviceFault
 from master.devices.hid.search import NotThereError
 
 LOOK_S = 0.1  # between two looks
-_FAILURES = 20  # in a row are told of; a device is not usable in the first moments
+_FAILURES = 20  # consecutive failures before they are reported; a device is not usable at once
 
 
 class Closable(Protocol):
-    """What is looked for."""
+    """An object that can be closed."""
 
     def end(self, patience_s: float = 0.0) -> bool:
-        """Let go of it; return whether that was done in time. May be called again."""
+        """Close it; return whether that was done in time. May be called again."""
 
 
 T = TypeVar("T", bound=Closable)
 
 
 class Seeker(Generic[T]):
-    """Ends what broke, then tries `open_again` until it succeeds.
+    """Closes the failed device, then tries `open_again` until it succeeds.
 
-    What broke is waited for: its last word must not reach what is opened next.
+    The failed device is closed completely first, so that its last report does not reach the next
+    one.
 
     Attributes
     ----------
     found : object or None
-        What was opened, once it was.
+        The opened device, once available.
     trouble : str
-        Why it cannot be opened although it is attached; empty as long as that may be a matter of
-        time.
+        Why an attached device cannot be opened; empty while it may only need time.
     """
 
     def __init__(self, broken: T, open_again: Callable[[], T]) -> None:
@@ -44,7 +44,7 @@ class Seeker(Generic[T]):
         self._thread.start()
 
     def end(self, patience_s: float) -> None:
-        """Stop looking, and let go of what was found but not taken."""
+        """Stop searching, and close a device found but not taken."""
         with self._lock:
             self._over.set()
         self._thread.join(patience_s)
@@ -64,7 +64,7 @@ class Seeker(Generic[T]):
                 failures += 1
                 if failures == _FAILURES:
                     expected = isinstance(error, DeviceFault)
-                    self.trouble = str(error) if expected else f"cannot be looked for: {error!r}"
+                    self.trouble = str(error) if expected else f"search failed: {error!r}"
             self._over.wait(LOOK_S)
 
     def _keep(self, found: T) -> None:

@@ -1,9 +1,9 @@
-"""The file of force signs: which way each device pushes, as found by trying it.
+"""The file of force signs: direction of each device's force, found by test.
 
-Conventions differ between firmwares, and whoever builds a device decides how its motor is wired. A
-force of the wrong sign pushes the hand on instead of back, so an axis that is not in this file
-renders none. Nor does one that is driven another way, or describes itself in another way, than when
-it was tried: both may come with another convention. `teleop devices test` writes the file.
+Conventions and motor wiring differ between firmware and devices. A force of the wrong sign is
+unstable, so an axis that is not in this file renders none; nor does one whose driver or report
+descriptor has changed since the test, as either may change the convention. `teleop devices test`
+writes the file.
 """
 
 import os
@@ -19,7 +19,7 @@ from teleop.process import write_whole
 
 
 class Pusher(NamedTuple):
-    """What pushes: signs that were found for another say nothing of it."""
+    """Identity of a device and driver; signs are valid for this combination only."""
 
     device: str  # vendor:product, or vendor:product:serial
     driver: str
@@ -28,7 +28,7 @@ class Pusher(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ForceSign:
-    """What was found for one axis of one pusher."""
+    """Force sign of one axis of one device and driver."""
 
     device: str  # these three as in `Pusher`
     driver: str
@@ -38,54 +38,55 @@ class ForceSign:
 
     @property
     def pusher(self) -> Pusher:
-        """Whose it is."""
+        """The device and driver it belongs to."""
         return Pusher(self.device, self.driver, self.layout)
 
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """All that was found."""
+    """All force signs."""
 
     signs: tuple[ForceSign, ...] = ()
 
     def of(self, pusher: Pusher) -> dict[str, int]:
-        """Return 1 or -1 for each axis whose sign was found."""
+        """Return 1 or -1 for each axis with a known sign."""
         return {s.axis: s.sign for s in self.signs if s.pusher == pusher}
 
     def having(self, found: ForceSign) -> "Signs":
-        """Return these with one more, in place of what was found for the same axis before."""
+        """Return the signs with one added or replaced."""
         mine = found.pusher, found.axis
         return Signs((*(s for s in self.signs if (s.pusher, s.axis) != mine), found))
 
 
 def default_path() -> Path:
-    """Return where the file is kept if a config does not say."""
+    """Return the default path of the file."""
     home = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(home).expanduser() / "tendon-teleop" / "force-signs.yaml"
 
 
 def load(path: Path | None) -> Signs:
-    """Read the file; an absent one at the default place knows no signs.
+    """Read the file; a missing file at the default path has no signs.
 
     Raises
     ------
     UsageError
-        It says what is not allowed, or a file that was named is not there.
+        The content is invalid, or a given file does not exist.
     """
     if path is None and not default_path().exists():
         return Signs()
     if path is not None and not path.exists():
         raise UsageError(
-            f"{path}: there are no force signs; find them with `teleop devices test --signs {path}`"
+            f"{path}: no such file of force signs; make it with `teleop devices test --signs "
+            f"{path}`"
         )
     return config.load(path or default_path(), Signs, None)
 
 
 def save(path: Path | None, signs: Signs) -> None:
-    """Write the file, whole or not at all."""
+    """Write the file atomically."""
     place = path or default_path()
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{place.parent}: cannot be made: {error.strerror}") from error
+        raise UsageError(f"{place.parent}: cannot be created: {error.strerror}") from error
     write_whole(place, yaml.safe_dump(config.as_tree(signs), sort_keys=False), "the force signs")

@@ -1,9 +1,9 @@
 """3Dconnexion SpaceMouse: six axes of a spring-centred cap, no force.
 
-Older ones send three axes in report 1 and three in report 2, newer ones all six in report 1; the
-length tells. Axes as the device counts them: x right, y towards the user, z down. It speaks only
-while the cap is deflected, and once more when it is let go of: silence is no loss. Sources:
-pyspacemouse's list of devices, usbhid-dumps of 256f:c62e and of a SpaceNavigator.
+Older ones send three axes in report 1 and three in report 2, newer ones all six in report 1,
+distinguished by length. Axes of the device: x right, y towards the user, z down. It reports only
+while the cap is deflected, and once on release, so silence is not a fault. Sources: pyspacemouse's
+list of devices, usbhid-dumps of 256f:c62e and of a SpaceNavigator.
 """
 
 import struct
@@ -11,10 +11,10 @@ import struct
 from master.devices.hid.driver import Controls, Features, Share
 
 VENDOR = 0x256F
-LOGITECH = 0x046D  # made the older ones
+LOGITECH = 0x046D  # vendor of the older models
 LOGITECH_PRODUCTS = (0xC603, 0xC605, 0xC606, 0xC623, 0xC625, 0xC626, 0xC627, 0xC628, 0xC629, 0xC62B)
 
-_FULL = 350.0  # SpaceNavigators reach 500, and so full scale at 70 % of their way
+_FULL = 350.0  # SpaceNavigators reach 500, so full scale is at 70 % of their travel
 _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
 _BUTTONS = 32
 
@@ -30,7 +30,7 @@ class SpaceMouseDriver:
         """Nothing to set up."""
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
-        """Return the axes or the buttons that `report` tells of."""
+        """Return `controls` updated with `report`."""
         size, kind = len(report), report[0] if report else 0
         if kind == 1 and size >= 13:
             return controls._replace(axes=_shares(_SIX, report))
@@ -44,7 +44,7 @@ class SpaceMouseDriver:
         return controls
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:  # noqa: ARG002
-        """Return nothing: it cannot push."""
+        """Return nothing: it has no force."""
         return ()
 
     def silence(self) -> tuple[bytes, ...]:

@@ -1,7 +1,7 @@
-"""Which way a device pushes: found by pushing it gently, once each way, and seeing where it goes.
+"""Find the force sign of an axis: push it gently once each way and observe its motion.
 
-It is pushed harder step by step until it moves, and let go of as soon as it does. A hand that holds
-it, or a spring that brings it back, moves it the same way both times, and nothing is concluded.
+The force is increased in steps until the axis moves, then removed at once. If a hand or a spring
+moves it the same way both times, the result is undecided.
 """
 
 import math
@@ -13,19 +13,19 @@ from master.devices.hid.driver import Controls, Share
 GENTLE = (0.05, 0.1, 0.2)  # shares of full force, tried in turn
 PUSH_S = 0.4  # [s] of one push, at most
 REST_S = 0.4  # [s] before it, for the device to come to rest
-MOVED = 0.02  # of full scale of the axis: a push that is felt
+MOVED = 0.02  # of full scale of the axis: counts as moved
 STEP_S = 0.002  # [s] between two looks
-HOLD_S = 2.0  # [s] of a push that a person is asked about
+HOLD_S = 2.0  # [s] of a push that a person has to judge
 
 
-class Pushed(Protocol):
-    """A device that can be pushed (`master.devices.hid.line.Line`)."""
+class PushableDevice(Protocol):
+    """A device with a force (`master.devices.hid.line.DeviceConnection`)."""
 
     def read(self, time_s: float) -> Controls:
-        """Return what the inputs say."""
+        """Return the inputs."""
 
     def post(self, force: tuple[Share, ...]) -> None:
-        """Have the device push until told otherwise."""
+        """Set the force until the next call."""
 
 
 Clock = Callable[[], float]
@@ -33,7 +33,7 @@ Sleep = Callable[[float], None]
 
 
 def sign_of(forth: Share, back: Share) -> int:
-    """Return 1 or -1 for what a push and the opposite push moved; 0 if they do not say.
+    """Return the sign from the motions of a push and the opposite push; 0 = undecided.
 
     1 means that a positive force pushes towards larger values of the axis.
     """
@@ -43,16 +43,16 @@ def sign_of(forth: Share, back: Share) -> int:
 
 
 def find_sign(
-    device: Pushed, axis: int, force: int, forces: int, clock: Clock, sleep: Sleep
+    device: PushableDevice, axis: int, force: int, forces: int, clock: Clock, sleep: Sleep
 ) -> int:
-    """Push one force axis both ways, ever harder until it moves; return its sign, 0 = not found.
+    """Push one force axis both ways, increasing until it moves; return its sign, 0 = not found.
 
     Parameters
     ----------
     axis, force : int
-        Its place among the driver's axes and among its `forces`.
+        Its index in the driver's axes and in its `forces`.
     forces : int
-        How many of those there are.
+        Number of `forces`.
     """
     for share in GENTLE:
         sign = sign_of(
@@ -65,9 +65,15 @@ def find_sign(
 
 
 def push(
-    device: Pushed, axis: int, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep
+    device: PushableDevice,
+    axis: int,
+    force: int,
+    forces: int,
+    share: Share,
+    clock: Clock,
+    sleep: Sleep,
 ) -> Share:
-    """Push one way until the axis has moved; return how far. The device is left without force."""
+    """Push one way until the axis moves; return how far. The force is zero afterwards."""
     none = (0.0,) * forces
     pushed = tuple(share if k == force else 0.0 for k in range(forces))
     _wait(device, none, clock, sleep)
@@ -83,7 +89,7 @@ def push(
     return 0.0 if math.isnan(moved) else moved
 
 
-def _wait(device: Pushed, none: tuple[Share, ...], clock: Clock, sleep: Sleep) -> None:
+def _wait(device: PushableDevice, none: tuple[Share, ...], clock: Clock, sleep: Sleep) -> None:
     end = clock() + REST_S
     while clock() < end:
         device.post(none)
@@ -91,8 +97,10 @@ def _wait(device: Pushed, none: tuple[Share, ...], clock: Clock, sleep: Sleep) -
         sleep(STEP_S)
 
 
-def hold(device: Pushed, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep) -> None:
-    """Push one way for `HOLD_S`, for a person to feel it; the device is left without force."""
+def hold(
+    device: PushableDevice, force: int, forces: int, share: Share, clock: Clock, sleep: Sleep
+) -> None:
+    """Push one way for `HOLD_S`, for a person to feel it. The force is zero afterwards."""
     pushed = tuple(share if k == force else 0.0 for k in range(forces))
     end = clock() + HOLD_S
     try:

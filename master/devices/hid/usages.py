@@ -29,7 +29,7 @@ HAT = 0x010039
 SET_EFFECT, SET_CONDITION, SET_CONSTANT_FORCE = 0x0F0021, 0x0F005F, 0x0F0073
 EFFECT_OPERATION, DEVICE_CONTROL, DEVICE_GAIN = 0x0F0077, 0x0F0096, 0x0F007D
 CREATE_NEW_EFFECT, BLOCK_LOAD, BLOCK_FREE = 0x0F00AB, 0x0F0089, 0x0F0090
-DEVICE_CONTROL_REPORT = 0x0F0095  # around the other, or instead of it
+DEVICE_CONTROL_REPORT = 0x0F0095  # around the usage above, or instead of it
 BLOCK_INDEX, PARAMETER_BLOCK_OFFSET = 0x0F0022, 0x0F0023
 CONSTANT_FORCE, SPRING, DAMPER = 0x0F0026, 0x0F0040, 0x0F0041
 DURATION, EFFECT_GAIN, TRIGGER_BUTTON = 0x0F0050, 0x0F0052, 0x0F0053
@@ -147,7 +147,7 @@ _NAMES = {
 
 
 def name(usage: int) -> str:
-    """Return what people call `usage`; its page and number if it has no name here."""
+    """Return the name of `usage`; page and number if it is not listed here."""
     known = _NAMES.get(usage) or AXES.get(usage)
     if known:
         return known

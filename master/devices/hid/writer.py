@@ -1,8 +1,7 @@
-"""Writing forces from a thread of its own: a write may wait, a control loop may not.
+"""Writer thread for forces, as a write may block and a control loop must not.
 
-The newest force wins. A device that forgets its force by itself is reminded every `ARM_S` for as
-long as forces are posted; once nobody posts any more, the force is taken away, and then nothing is
-written at all.
+Only the newest force is written. A device with a force timeout is re-armed every `ARM_S` while
+forces are posted; when posting stops, the force is removed and nothing is written any more.
 """
 
 import math
@@ -15,59 +14,59 @@ from typing import NamedTuple, Protocol
 from master.device import DeviceFault
 from master.devices.hid.driver import Driver, Share
 
-ARM_S = 0.050  # [s] after which a device is reminded of its force
-ABANDONED_S = 0.050  # [s] without a post after which a force is taken away
-HANGING_S = 0.2  # [s] in which a device takes a force, if it takes any
+ARM_S = 0.050  # [s] interval of re-arming a device
+ABANDONED_S = 0.050  # [s] without a post after which the force is removed
+HANGING_S = 0.2  # [s] timeout of a write
 
 Force = tuple[Share, ...]
 
 
 class Sink(Protocol):
-    """What reports are written to."""
+    """Destination of reports."""
 
     def write(self, report: bytes) -> None:
-        """Send one; `DeviceFault` if that cannot be done."""
+        """Send a report; raises `DeviceFault` on failure."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
 
 
-class Post(NamedTuple):
-    """A force that somebody wants."""
+class PostedForce(NamedTuple):
+    """A force to be rendered."""
 
     force: Force
     at_s: float
 
 
-class Memory(NamedTuple):
+class WriterState(NamedTuple):
     """What was written last."""
 
     reports: tuple[bytes, ...] = ()
-    armed_s: float = -math.inf  # [s] when the device was last reminded
+    armed_s: float = -math.inf  # [s] when the device was last re-armed
 
 
 def step(
-    driver: Driver, memory: Memory, force: Force, now_s: float
-) -> tuple[tuple[bytes, ...], Memory]:
-    """Return the reports to be written now for `force`: those that change anything, or remind."""
+    driver: Driver, memory: WriterState, force: Force, now_s: float
+) -> tuple[tuple[bytes, ...], WriterState]:
+    """Return the reports to be written now for `force`: changes and re-arming."""
     arm = now_s - memory.armed_s >= ARM_S
     reports = driver.encode(force, arm)
     due = reports if arm else tuple(r for r in reports if r not in memory.reports)
-    return due, Memory(reports, now_s if arm else memory.armed_s)
+    return due, WriterState(reports, now_s if arm else memory.armed_s)
 
 
 class Writer:
-    """Owns the writing end of a node, and closes the node when all is over.
+    """Owns the writing side of a node, and closes the node at the end.
 
     Parameters
     ----------
     beat : callable
-        Called every `ARM_S` before a force is written; a `DeviceFault` of it is one of the device.
+        Called every `ARM_S` before a force is written; its `DeviceFault` fails the device.
 
     Attributes
     ----------
     failure : DeviceFault or None
-        Why it has stopped writing, if it has.
+        Why writing has stopped, if it has.
     """
 
     def __init__(
@@ -81,7 +80,7 @@ class Writer:
         self._node, self._driver, self._beat, self._clock = node, driver, beat, clock
         self._none: Force = (0.0,) * len(driver.forces)
         self._changed = threading.Condition()
-        self._posted: Post | None = None
+        self._posted: PostedForce | None = None
         self._ending = False
         self._writing_since_s = math.inf
         self._thread = threading.Thread(target=self._run, name="hid writer", daemon=True)
@@ -89,20 +88,20 @@ class Writer:
 
     @property
     def hangs(self) -> bool:
-        """Whether the device has not taken a force for too long."""
+        """Whether a write has exceeded `HANGING_S`."""
         return self._clock() - self._writing_since_s > HANGING_S
 
     def post(self, force: Force) -> None:
-        """Have `force` rendered from now on; never waits."""
+        """Set the force from now on; never waits."""
         with self._changed:
-            self._posted = Post(force, self._clock())
+            self._posted = PostedForce(force, self._clock())
             self._changed.notify()
 
     def end(self, patience_s: float = 0.0) -> bool:
-        """Have the force taken away and the node closed; return whether that was done in time.
+        """Remove the force and close the node; return whether that was done in time.
 
-        The caller must not use the node any more. A write that hangs is not waited for longer than
-        `patience_s`; the thread closes the node when it returns.
+        The caller must not use the node any more. Waits at most `patience_s` for a hanging write;
+        the thread closes the node when it returns.
         """
         with self._changed:
             self._ending = True
@@ -115,23 +114,23 @@ class Writer:
             self._write_posts()
         except DeviceFault as fault:
             self.failure = fault
-        finally:  # also after a defect of ours: it must not leave a force behind
+        finally:  # also after a bug: no force must remain
             if not self._ending and self.failure is None:
-                self.failure = DeviceFault("the driver failed, no forces are written")
+                self.failure = DeviceFault("the driver failed; no forces are written")
             for report in self._driver.silence():
-                with suppress(DeviceFault):  # a device that failed once may still listen
+                with suppress(DeviceFault):  # a device that failed once may still accept it
                     self._node.write(report)
             self._await_end()
             self._node.close()
 
     def _write_posts(self) -> None:
-        memory, force = Memory(), self._none
+        memory, force = WriterState(), self._none
         while True:
             posted = self._next(ABANDONED_S if any(force) else None)
             if self._ending:
                 return
             now_s = self._clock()
-            # what was wanted before this process was stopped for a while is not wanted any more
+            # forces from before a suspension of this process are outdated
             fresh = posted is not None and now_s - posted.at_s <= ABANDONED_S
             force = posted.force if posted is not None and fresh else self._none
             armed_s = memory.armed_s
@@ -143,7 +142,7 @@ class Writer:
                 self._node.write(report)
             self._writing_since_s = math.inf
 
-    def _next(self, patience_s: float | None) -> Post | None:
+    def _next(self, patience_s: float | None) -> PostedForce | None:
         """Return the newest post; None if none comes within `patience_s`, or at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._posted is not None or self._ending, patience_s)

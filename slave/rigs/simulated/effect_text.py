@@ -1,4 +1,4 @@
-"""Effects in words: what they are, and which of them a run was too short for."""
+"""Text descriptions of effects, and warnings for those that a run did not reach."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from slave.rigs.simulated.plant.effects import EffectConfig
 
 
-def described(effect: EffectConfig) -> str:
-    """Return an effect in one line: its name, its numbers, where and since when."""
+def describe_effect(effect: EffectConfig) -> str:
+    """Return an effect in one line: name, parameters, place and start."""
     values = {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect)}
     name, joint, start = (values.pop(key) for key in ("type", "joint", "start"))
     tendon = values.pop("tendon", "both")
@@ -18,10 +18,10 @@ def described(effect: EffectConfig) -> str:
 
 
 def late(effects: Sequence[EffectConfig], span: float) -> list[str]:
-    """Return a warning for each effect that a run of `span` [s] had no time for."""
+    """Return a warning for each effect that starts after a run of `span` [s]."""
     return [
         f"WARNING: slave.rig.effects.{i}: {effect.type} starts at {effect.start:g} s, after the "
-        f"end at {span:.3g} s: it was never on"
+        f"end at {span:.3g} s: it had no effect"
         for i, effect in enumerate(effects)
         if effect.start >= span
     ]

@@ -23,7 +23,7 @@ from slave.rigs.simulated.plant.environment import (
     build_environment,
 )
 from slave.rigs.simulated.plant.joint import Joint, Tendon, Winding, joint_at_rest
-from slave.rigs.simulated.plant.joints import advance_all, joined, replace
+from slave.rigs.simulated.plant.joints import advance_all, join_joints, replace
 from slave.rigs.simulated.plant.motor import MotorConfig, build_motor
 from slave.rigs.simulated.plant.sensors import (
     EncoderConfig,
@@ -36,7 +36,7 @@ from slave.rigs.simulated.plant.sheath import SheathConfig
 from slave.rigs.simulated.plant.tendon import build_chain
 from teleop.messages import MAX_JOINTS
 
-STEPS_AT_ONCE = 10  # of a read that comes late; later still, and the steps grow instead
+STEPS_AT_ONCE = 10  # at a late read; if it is later still, longer steps are taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class JointConfig:
     environment: EnvironmentConfig = field(default_factory=TissueConfig)
 
     def __post_init__(self) -> None:
-        """Refuse a joint that cannot be driven."""
+        """Check the number of tendons; raises `ValueError`."""
         if len(self.tendons) not in (1, 2):
             raise ValueError("tendons: must be 1 or 2")
 
@@ -68,14 +68,14 @@ class SimulatedRigConfig:
     """A rig of one joint or several."""
 
     type: Literal["simulated"] = "simulated"
-    name: str = "simulated"  # by which calibration files know it
+    name: str = "simulated"  # name of the rig in calibration files
     joints: tuple[JointConfig, ...] = (JointConfig(),)
     period: float = 0.001  # [s] step of the plant
     seed: int = 1  # of the sensors' noise
     effects: tuple[EffectConfig, ...] = ()  # faults and deviations, docs/rigs.md
 
     def __post_init__(self) -> None:
-        """Refuse a rig that messages cannot carry, and effects on what it does not have."""
+        """Check joints, period and effects; raises `ValueError`."""
         if not self.name.strip():
             raise ValueError("name: must not be empty")
         if not 1 <= len(self.joints) <= MAX_JOINTS:
@@ -88,14 +88,14 @@ class SimulatedRigConfig:
             longest = min(map(longest_step, joint.tendons))
             if self.period > longest:
                 raise ValueError(
-                    f"period: must be at most {longest:.2g} s for a rotor as light as in joint "
+                    f"period: must be at most {longest:.2g} s for the rotor inertia of joint "
                     f"{number} (motor.rotor_inertia, motor.gear)"
                 )
         require_room(self.effects, [len(joint.tendons) for joint in self.joints])
 
 
 def require_room(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None:
-    """Refuse effects that would act nowhere, or not beside another, on joints of `counts` tendons.
+    """Check effects against joints of `counts` tendons each.
 
     Raises `ValueError`.
     """
@@ -104,21 +104,21 @@ def require_room(effects: Sequence[EffectConfig], counts: Sequence[int]) -> None
             raise ValueError(f"effects[{i}].joint: must be 1 to {len(counts)}")
         chosen = counts if effect.joint is None else counts[effect.joint - 1 : effect.joint]
         if isinstance(effect, AntagonistTension) and 2 not in chosen:
-            raise ValueError(f"effects[{i}].joint: must be one of two tendons")
+            raise ValueError(f"effects[{i}].joint: must have two tendons")
         sides = places(effect, counts)
         if not sides:
-            raise ValueError(f"effects[{i}].tendon: must be a, there is no joint with a b")
+            raise ValueError(f"effects[{i}].tendon: must be a, no joint has a tendon b")
         for k, other in enumerate(effects[:i]):
             alike = other.type == effect.type and not effect.adds_up
             if alike and sides & places(other, counts):
                 raise ValueError(
-                    f"effects[{i}]: must be on another tendon than effects[{k}], two of type "
-                    f"{effect.type} do not add up"
+                    f"effects[{i}]: must be on another tendon than effects[{k}]; two of type "
+                    f"{effect.type} cannot be combined"
                 )
 
 
 def places(effect: EffectConfig, counts: Sequence[int]) -> set[tuple[int, str]]:
-    """Return where an effect acts: joints, counted from 0, and sides; of `counts` tendons each."""
+    """Return the joints, counted from 0, and sides of an effect; joints have `counts` tendons."""
     wanted = getattr(effect, "tendon", "both")
     return {
         (j, side)
@@ -129,7 +129,7 @@ def places(effect: EffectConfig, counts: Sequence[int]) -> set[tuple[int, str]]:
 
 
 def longest_step(config: TendonPlantConfig) -> float:
-    """Return the step [s] beyond which a motor, loaded by the last step's tension, might swing."""
+    """Return the largest stable step [s] of a motor loaded by the last step's tension."""
     stiffness = 1.0 / float(build_chain(config.sheath, 0.0).compliance[0])
     return math.sqrt(build_motor(config.motor, 0.0).mass / stiffness)
 
@@ -154,15 +154,15 @@ def build_joint(config: JointConfig) -> Joint:
 
 
 class SimulatedRig:
-    """The rig of `slave.rig.Rig`, with bench sensors at the tips.
+    """A `slave.rig.Rig` with bench sensors at the tips.
 
-    All displacements count from the start, where every tendon is at its pretension. The same
+    Displacements are relative to the start, where every tendon is at its pretension. The same
     config, reads and writes give the same samples.
 
     Attributes
     ----------
     coarse_reads : int
-        Reads that came so late that the plant went in longer steps than its period.
+        Number of reads so late that the plant took longer steps than its period.
     """
 
     starts_at_zero = True
@@ -174,8 +174,8 @@ class SimulatedRig:
         self.coarse_reads = 0
         self._period = config.period
         self._step = -1  # index of the newest sample that was read
-        self._ahead = False  # whether the plant is one step further than that
-        self._next: RigSample | None = None  # of that step, where no effect takes it or changes it
+        self._ahead = False  # whether the plant is one step ahead of it
+        self._next: RigSample | None = None  # of that step, unless an effect changes it
         self._targets = np.zeros((len(self.joints), 2))
         self._random = np.random.default_rng(config.seed)
         self._paired = np.array([[True, len(tendons) == 2] for tendons in self.joints])
@@ -189,10 +189,10 @@ class SimulatedRig:
             schedule.at(0.0, 0.0, start[: len(tendons)]) or joint
             for schedule, joint, tendons in zip(self._schedules, joints, self.joints, strict=True)
         ]
-        self._joints = joined(joints)
-        replace(self._joints, 0, joints[0])  # compiles what an effect will need
-        self._states = joined([joint_at_rest(joint, -config.period) for joint in joints])
-        self._truth = self._advance(0, config.period)  # compiles what the loop will need
+        self._joints = join_joints(joints)
+        replace(self._joints, 0, joints[0])  # compiles the functions for effects
+        self._states = join_joints([joint_at_rest(joint, -config.period) for joint in joints])
+        self._truth = self._advance(0, config.period)  # compiles the functions for the loop
 
         sensors = build_sensors(
             [(t.load_cell, t.encoder, t.motor) for joint in config.joints for t in joint.tendons]
@@ -200,12 +200,12 @@ class SimulatedRig:
         self._sensor_schedule = SensorSchedule(config.effects, self.joints, sensors)
         self._sensors = self._sensor_schedule.at(0.0) or sensors
         self._sensed = sensors_at_rest(self._truth)
-        self._measure(config.period)  # compiles, too
+        self._measure(config.period)  # compiles
         self._effects = bool(config.effects)
         self._samples = SampleSchedule(config.effects, config.seed)
 
     def read(self, time_s: float) -> tuple[RigSample, ...]:
-        """Advance the plant to `time_s` [s]; return its newest sample, or none if it has no new."""
+        """Advance the plant to `time_s` [s]; return its newest sample, if new."""
         behind = round(time_s / self._period) - self._step
         if behind <= 0:
             return ()
@@ -221,11 +221,11 @@ class SimulatedRig:
         time = self._step * self._period
         if not self._effects:
             return (RigSample(time, *self._sensed.reading),)
-        reading = self._samples.passed(time, self._sensed.reading)
+        reading = self._samples.transmit(time, self._sensed.reading)
         return () if reading is None else (RigSample(time, *reading),)
 
     def advance(self) -> RigSample | None:
-        """Compute the next step, with the targets written last, for the read that asks for it."""
+        """Compute the next step in advance, with the targets written last."""
         if not self._ahead:
             self._simulate(1)
             self._ahead = True
@@ -235,21 +235,21 @@ class SimulatedRig:
         return self._next
 
     def write(self, proximal_displacement: Array) -> None:
-        """Send the motors to these displacements [m], shape (tendons,)."""
+        """Set the motor targets [m], shape (tendons,)."""
         targets = proximal_displacement.tolist()
         if len(targets) != self.tendons or not all(map(math.isfinite, targets)):
-            raise RigFault(f"motors cannot follow {targets}: {self.tendons} finite values needed")
+            raise RigFault(f"invalid motor targets {targets}: {self.tendons} finite values needed")
         self._targets[self._paired] = proximal_displacement
 
     def summary(self) -> dict[str, int | float | str]:
-        """Return how often the plant was not simulated in full."""
+        """Return the number of coarse reads."""
         return {"coarse_reads": self.coarse_reads}
 
     def close(self) -> None:
-        """Leave the motors where they are; there is nothing to let go of."""
+        """Do nothing."""
 
     def _simulate(self, behind: int) -> None:
-        """Take the plant and its sensors so many periods on from the newest sample."""
+        """Advance the plant and its sensors by `steps` periods."""
         steps, dt = behind, self._period
         if behind > STEPS_AT_ONCE:
             steps, dt = STEPS_AT_ONCE, behind * dt / STEPS_AT_ONCE

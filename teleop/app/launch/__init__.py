@@ -1,1 +1,1 @@
-"""Starting a whole session and looking after it until it ends."""
+"""Start and supervise a whole session."""

@@ -2,11 +2,11 @@
 
   teleop run --config configs/demo.yaml                 the simulated rig, until Ctrl-C
   teleop run --config configs/demo.yaml --duration 30 --record recordings --json run.json
-  teleop run --replay bench.csv --calibration sheath.yaml     measured data as the rig
-  teleop run --config rig.yaml --model diagnosis/model.yaml   with what a diagnosis found
-  teleop run --set impair.to_slave.delay=0.02           through a worse network: `teleop impair`
+  teleop run --replay bench.csv --calibration sheath.yaml     replayed data as the rig
+  teleop run --config rig.yaml --model diagnosis/model.yaml   with the model of a diagnosis
+  teleop run --set impair.to_slave.delay=0.02           with a network impairment: `teleop impair`
 
-Each of the four also starts alone, on a machine of its own: see `teleop slave --help` and so on.
+Each of the four can also run alone, on its own machine: see `teleop slave --help` etc.
 """
 
 import argparse
@@ -87,7 +87,7 @@ def main(args: argparse.Namespace) -> int:
         family = Supervisor(scratch, lambda name, line: status.say(f"[{name}] {line}"))
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
-        watch.require_free(link)  # before anything is started that would leave a trace
+        watch.require_free(link)  # before anything is started
         listener, hearing = link.listen((EVENT, REPORT, LATENCY)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
@@ -141,7 +141,7 @@ def _rig_overrides(args: argparse.Namespace) -> list[str]:
     out = []
     if args.replay:
         rig = {"type": "replayed", "file": str(args.replay.absolute())}
-        # a tip that the hand does not move pushes it with energy that nobody put in
+        # a tip that the hand does not move would do work on it without energy in the ledger
         out += [f"slave.rig={json.dumps(rig)}", "coupling={type: direct}"]
     if args.calibration:
         out += [
@@ -152,7 +152,7 @@ def _rig_overrides(args: argparse.Namespace) -> list[str]:
 
 
 def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, Any]:
-    """Put the children's summaries together and decide the exit code."""
+    """Combine the children's summaries and decide the exit code."""
     out: dict[str, Any] = {
         name: summaries.read_child(child.summary)
         for name, child in family.children.items()

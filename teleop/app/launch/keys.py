@@ -12,7 +12,7 @@ HELP = "space: emergency stop, r: reset it, Ctrl-C: end"
 
 
 class Keys:
-    """Reads keys as they are pressed while it is entered; without a terminal of its own, none."""
+    """Context manager that reads single keys; none without a controlling terminal."""
 
     def __init__(self) -> None:
         self._terminal = -1
@@ -22,7 +22,7 @@ class Keys:
         if sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp():
             self._terminal = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._terminal)
-            tty.setcbreak(self._terminal)  # a key at a time, unseen; Ctrl-C still ends
+            tty.setcbreak(self._terminal)  # single keys without echo; Ctrl-C still works
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -32,7 +32,7 @@ class Keys:
 
     @property
     def there(self) -> bool:
-        """Whether keys can be heard."""
+        """Whether keys can be read."""
         return self._terminal >= 0
 
     def wait(self, seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""Child processes: started together, watched, and ended in order."""
+"""Start, supervise and stop child processes."""
 
 import os
 import signal
@@ -13,24 +13,24 @@ from pathlib import Path
 from teleop.errors import UsageError
 from teleop.process import SUPERVISED
 
-VITAL = ("master", "slave", "impair")  # a session does without the others
-COMPLAINT = "teleop: "  # what the command line begins the one line of an error with
-_PATIENCE_S = 5.0  # a child that has not ended by then, nor said a word since, is killed
-_LONGEST_S = 90.0  # and so is one that goes on talking
+VITAL = ("master", "slave", "impair")  # the session continues without the others
+COMPLAINT = "teleop: "  # prefix of an error line of the command line
+_PATIENCE_S = 5.0  # a child that has not ended by then, nor printed since, is killed
+_LONGEST_S = 90.0  # and so is one that keeps printing
 _POLL_S = 0.02
-_READ_S = 1.0  # what a child that has ended still had to say is there by then
+_READ_S = 1.0  # time to read the remaining output of an ended child
 
 
 @dataclass
 class Child:
-    """One of our processes."""
+    """A child process."""
 
     name: str
     process: subprocess.Popen[str]
     summary: Path
-    complaint: str = ""  # the one line of an error, which the launcher says at the end
+    complaint: str = ""  # its error line, which the launcher repeats at the end
     threads: list[threading.Thread] = field(default_factory=list)
-    heard_s: float = field(default_factory=time.monotonic)  # when it was started, or spoke last
+    heard_s: float = field(default_factory=time.monotonic)  # when it started or last printed
 
     @property
     def exit_code(self) -> int | None:
@@ -39,17 +39,17 @@ class Child:
 
     @property
     def fatal(self) -> bool:
-        """Whether its end is that of the session: it was vital, or wrongly called (by us)."""
+        """Whether its end is that of the session: it is vital, or failed by a usage error."""
         code = self.exit_code
         return code is not None and (self.name in VITAL or code == UsageError.exit_code)
 
     def hear_out(self) -> None:
-        """Wait for the last of what a child that has ended had printed."""
+        """Wait for the remaining output of an ended child."""
         for thread in self.threads:
             thread.join(_READ_S)
 
     def how(self) -> str:
-        """Return in what way it ended."""
+        """Return how it ended, as text."""
         code = self.exit_code or 0
         return f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
 
@@ -57,8 +57,8 @@ class Child:
 class Supervisor:
     """Starts children with `teleop COMMAND ...`, relays what they print, and ends them.
 
-    Children live in sessions of their own, so that Ctrl-C reaches the launcher alone and it decides
-    the order of ending. Each child ends by itself when the launcher is gone (`die_with_launcher`).
+    Children run in their own process sessions, so that Ctrl-C reaches only the launcher, which
+    stops them in order. Each child ends by itself if the launcher dies (`die_with_launcher`).
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Supervisor:
         return child
 
     def casualty(self) -> Child | None:
-        """Return a child whose end is that of the session; say of any other that it is gone."""
+        """Return a child whose end ends the session; print a line for any other that ended."""
         for child in self.children.values():
             if child.exit_code is None or child.name in self._missed:
                 continue
@@ -106,9 +106,9 @@ class Supervisor:
         return None
 
     def stop(self, order: Sequence[str]) -> None:
-        """End the children in `order`, each given time to finish its work.
+        """Stop the children in `order`, with time to finish.
 
-        One that still has something to say has more of it: a slave lets tensions down first.
+        A child that still prints has more time: a slave lowers the tensions first.
         """
         for name in order:
             child = self.children.get(name)
@@ -134,7 +134,7 @@ class Supervisor:
 
 
 def ends(child: Child) -> bool:
-    """Return whether a child that was asked to end does, before patience with it is lost."""
+    """Return whether a child told to stop ends within its timeout."""
     asked_s = time.monotonic()
     while child.exit_code is None:
         patience_s = max(asked_s, child.heard_s) + _PATIENCE_S
@@ -145,7 +145,7 @@ def ends(child: Child) -> bool:
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:
-    """Wait until `condition` holds; return whether it came to hold in time."""
+    """Wait until `condition` holds; return whether it does in time."""
     end = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() >= end:

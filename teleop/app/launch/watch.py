@@ -1,4 +1,4 @@
-"""Looking after a session: what its processes report, and when it is to end."""
+"""Supervise a session: collect its reports, decide when it ends."""
 
 import time
 from collections.abc import Iterable
@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from teleop.app.launch.keys import Keys
 from teleop.app.launch.supervisor import Child, Supervisor
 from teleop.errors import PeerError, TeleopError
-from teleop.link import Heard, Link, Listener
+from teleop.link import Link, Listener, ReceivedMessage
 from teleop.messages import Event, Latency, LoopReport, text_of
 from teleop.process import Stop
 from teleop.remote.requests import call_reset, call_stop
@@ -15,27 +15,27 @@ from teleop.session import State
 from teleop.status_line import StatusLine, status_text
 from teleop.topics import LATENCY, REPORT, STATE, TENDONS, Role, role_name
 
-START_S = 240.0  # without a word of the slave; the first start compiles estimator and plant
+START_S = 240.0  # timeout for the slave; the first start compiles estimator and plant
 _LOOK_S = 0.1
 
 
 class Hearing:
-    """What has been heard of a session: the newest reports, the latency, and events in words."""
+    """State of a session as received: newest reports, latency, and events as text."""
 
     def __init__(self) -> None:
         self.reports: dict[Role, LoopReport] = {}
         self.latency: Latency | None = None
-        self._said: dict[int, str] = {}  # last, by each role
+        self._last_text: dict[int, str] = {}  # by role
 
     @property
     def running(self) -> bool:
         """Whether both loops have reported."""
         return Role.MASTER in self.reports and Role.SLAVE in self.reports
 
-    def take(self, heard: Iterable[Heard]) -> list[str]:
-        """Take in events and reports; return what is worth a line."""
+    def take(self, messages: Iterable[ReceivedMessage]) -> list[str]:
+        """Process events and reports; return the lines to print."""
         lines = []
-        for item in heard:
+        for item in messages:
             if item.topic is REPORT:
                 report = LoopReport.unpack(item.data)
                 if report.role in (Role.MASTER, Role.SLAVE):
@@ -45,26 +45,26 @@ class Hearing:
             else:
                 event = Event.unpack(item.data)
                 text = text_of(event.text)
-                if text != self._said.get(event.role):
+                if text != self._last_text.get(event.role):
                     lines.append(f"[{role_name(event.role)}] {text}")
-                self._said[event.role] = text
+                self._last_text[event.role] = text
         return lines
 
 
 class Keyboard:
-    """What the terminal's keys ask of a session: space a stop, `r` to take it back.
+    """Keys of the terminal: space requests an emergency stop, `r` resets it.
 
-    A stop is called for at every look until both sides say that they have stopped: one that is only
-    starting hears of it too. A reset is repeated until it has been obeyed, or a newer stop called.
+    A stop is repeated until both sides report that they have stopped, so a side that is still
+    starting gets it too. A reset is repeated until it has been executed, or a newer stop requested.
     """
 
     def __init__(self, keys: Keys, link: Link) -> None:
         self._keys, self._link = keys, link
         self._wanted = False
-        self._resets: dict[Role, int] = {}  # the stops of each side that are to be taken back
+        self._resets: dict[Role, int] = {}  # by side, number of the stop to be reset
 
     def look(self, seconds: float) -> None:
-        """Wait for keys for `seconds` [s] at most, and do what they ask; of several, a stop."""
+        """Wait for keys for at most `seconds` [s] and execute them; a stop has precedence."""
         pressed = self._keys.wait(seconds)
         stops = {
             side: stops_of(self._link, side)
@@ -77,7 +77,7 @@ class Keyboard:
             self._wanted, self._resets = False, stops
         self._wanted = self._wanted and (" " in pressed or len(stops) < len(SIDES))
         if self._wanted:
-            call_stop(self._link, Role.LAUNCHER, "the space bar of its terminal")
+            call_stop(self._link, Role.LAUNCHER, "space bar of the terminal")
         self._resets = {s: n for s, n in self._resets.items() if stops.get(s) == n}
         for side, number in self._resets.items():
             call_reset(self._link, Role.LAUNCHER, "the terminal", side, number)
@@ -102,9 +102,9 @@ def wait_for_slave(
     stop: Stop,
     keyboard: Keyboard,
 ) -> Child | None:
-    """Wait for the slave to answer; return a child whose end came first, if one's did.
+    """Wait for the slave to answer; return a child that ended before, if any.
 
-    A slave that calibrates its rig first answers late, and says how far it is meanwhile.
+    A slave that calibrates its rig first answers late and prints its progress.
     """
     link.subscribe_latest(STATE)
     while not stop() and link.latest(STATE).message is None:
@@ -129,18 +129,18 @@ def watch(
     duration_s: float | None,
     keyboard: Keyboard,
 ) -> Child | None:
-    """Look after a session until it is to end; return the child that ended it, if one did.
+    """Supervise a session until it ends; return the child that ended it, if any.
 
     Parameters
     ----------
     listener : Listener
         Of events and reports, since before the first child was started.
     hearing : Hearing
-        What has been heard so far.
+        State of the session so far.
     duration_s : float or None
         [s] of running, counted from when both loops have reported; None for ever.
     keyboard : Keyboard
-        Keys that are pressed meanwhile.
+        Reads the keys.
     """
     patience = time.monotonic() + START_S
     end = float("inf")
@@ -156,7 +156,7 @@ def watch(
             stop.request("duration reached")
         if not hearing.running and time.monotonic() > patience:
             raise TeleopError(f"the loops did not start within {START_S:g} s")
-        if status.live:  # else the slave need not send its tendons at every tick
+        if status.live:  # otherwise the slave need not send its tendons at every tick
             state, tendons = link.latest(STATE).message, link.latest(TENDONS).message
             status.show(status_text(hearing.reports, state, tendons, hearing.latency))
         keyboard.look(_LOOK_S)

@@ -1,1 +1,1 @@
-"""Measurements of the loops on this machine, each beside a baseline of the same run."""
+"""Benchmarks of the loops on this machine, each with a baseline in the same run."""

@@ -1,4 +1,4 @@
-"""The baseline of a loop: processes that tick at its rate and priority, and do nothing else."""
+"""The baseline of a loop: idle processes that tick at its rate and priority."""
 
 import json
 import os
@@ -12,11 +12,11 @@ from teleop.process import SUPERVISED, Stop, die_with_launcher
 from teleop.realtime import RealtimeConfig, enter_loop, go_realtime, limit_numeric_threads
 from teleop.timing import Durations
 
-PHASES = (0.0, 0.5)  # of two loops that tick in turns
+PHASES = (0.0, 0.5)  # of two alternating loops
 
 
 def run_bare(rate_hz: float, seconds: float, realtime: RealtimeConfig) -> list[dict[str, Any]]:
-    """Let two processes tick for `seconds` [s]; return rate, overruns, work and CPU of each."""
+    """Run two idle loops for `seconds` [s]; return rate, overruns, work and CPU of each."""
     processes = [
         subprocess.Popen(
             [

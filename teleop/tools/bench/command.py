@@ -1,4 +1,4 @@
-"""Experiments, and measurements of this machine, with something to stand beside.
+"""Experiments and benchmarks with baselines.
 
   teleop bench loop --quick
   teleop bench latency --json new.json --compare old.json
@@ -6,7 +6,7 @@
   teleop bench paper --sheaths 12 --out results
   teleop bench transparency --quick
 
-`teleop bench NAME --help` says what an experiment does and takes.
+`teleop bench NAME --help` describes an experiment and its options.
 """
 
 import argparse
@@ -14,7 +14,7 @@ import importlib
 
 from teleop.app.cli import Parser
 
-# name -> (module with add_arguments and main, what it does); only the one that runs is imported
+# name -> (module with add_arguments and main, summary); imported when run
 BENCHES = {
     "paper": (
         "teleop.tools.paper.command",
@@ -22,25 +22,25 @@ BENCHES = {
     ),
     "transparency": (
         "teleop.tools.transparency.command",
-        "how transparent and how stable each coupling is, over each delay",
+        "transparency and stability of each coupling for each delay",
     ),
     "loop": (
         "teleop.tools.bench.loop",
-        "how both loops keep their time here, beside loops that only tick",
+        "timing of both loops on this machine, with idle loops as baseline",
     ),
     "latency": (
         "teleop.tools.bench.latency",
-        "from command to force in stages, beside bare Zenoh",
+        "latency from command to force by stages, with bare Zenoh as baseline",
     ),
     "scale": (
         "teleop.tools.bench.scale",
-        "the same for 1, 2, 4 and 8 joints",
+        "timing and latency for 1, 2, 4 and 8 joints",
     ),
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
+    """Add the options of the command."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "\n".join(
         ["experiments:", *(f"  {name:12} {summary}" for name, (_, summary) in BENCHES.items())]
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run the experiment named."""
+    """Run the selected experiment."""
     implementation = importlib.import_module(BENCHES[args.experiment][0])
     parser = Parser(
         prog=f"teleop bench {args.experiment}",

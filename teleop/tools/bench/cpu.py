@@ -9,7 +9,7 @@ _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
 
 class Sample(NamedTuple):
-    """Processor time [s] of each process by its id, all threads, and when it was read [s]."""
+    """Processor time [s] of each process by its id, all threads, and the time of reading [s]."""
 
     time_s: float
     used_s: dict[int, float]
@@ -33,7 +33,7 @@ def children(parent: int) -> dict[str, int]:
 
 
 def sample(processes: dict[str, int]) -> Sample:
-    """Read the processor time of the processes that still run."""
+    """Read the processor time of the running processes."""
     used = {}
     for process in processes.values():
         try:
@@ -45,7 +45,7 @@ def sample(processes: dict[str, int]) -> Sample:
 
 
 def percent(processes: dict[str, int], before: Sample, after: Sample) -> dict[str, float]:
-    """Return the share of one core [%] that each process took between two samples."""
+    """Return the CPU load [% of a core] of each process between two samples."""
     span = after.time_s - before.time_s
     return {
         name: 100.0 * (after.used_s[process] - before.used_s[process]) / span

@@ -6,18 +6,18 @@ from typing import Any, NamedTuple
 
 
 class Figure(NamedTuple):
-    """One figure, as each run gave it.
+    """One figure with its value in each run.
 
     Attributes
     ----------
     name, unit : str
-        What it is.
+        Name and unit.
     values : tuple of float
         One of each run.
     baseline : tuple of float
-        The same of the baseline of each run; empty if there is none.
+        Values of the baseline; empty if there is none.
     higher_is_better : bool
-        As a rate is; a duration is not.
+        True for rates, False for durations.
     """
 
     name: str
@@ -28,17 +28,17 @@ class Figure(NamedTuple):
 
     @property
     def median(self) -> float:
-        """The middle one of the values."""
+        """Median of the values."""
         return median(self.values)
 
     @property
     def spread(self) -> float:
-        """From the least of the values to the largest."""
+        """Range of the values."""
         return max(self.values) - min(self.values)
 
     @property
     def ratio(self) -> float | None:
-        """Median of each run's value by its own baseline; None without one, or one of zero."""
+        """Median of value over baseline of each run; None without a baseline or if it is zero."""
         pairs = list(zip(self.values, self.baseline, strict=False))
         return median(v / b for v, b in pairs) if pairs and all(b for _, b in pairs) else None
 
@@ -49,7 +49,7 @@ Row = Mapping[str, tuple[str, float | None, float | None, bool]]
 def gather(rows: Iterable[Row]) -> list[Figure]:
     """Return the figures of runs, each name -> (unit, value, baseline, higher is better).
 
-    A figure that a run does not have (None) is left out of that run.
+    A missing figure (None) is omitted in its run.
     """
     values: dict[str, list[float]] = {}
     baselines: dict[str, list[float]] = {}
@@ -86,7 +86,7 @@ def _line(figure: Figure, width: int) -> str:
 
 
 def tree(figures: Sequence[Figure]) -> dict[str, Any]:
-    """Return the figures as they are written to a file."""
+    """Return the figures as a tree for a file."""
     return {
         figure.name: {
             "unit": figure.unit,
@@ -101,7 +101,7 @@ def tree(figures: Sequence[Figure]) -> dict[str, Any]:
 
 
 def from_tree(tree: Mapping[str, Any]) -> dict[str, Figure]:
-    """Return the figures of a file by their names; `KeyError`, `TypeError` if it has none such."""
+    """Return the figures of a file by name; `KeyError`, `TypeError` if it is invalid."""
     return {
         name: Figure(
             name,
@@ -116,13 +116,13 @@ def from_tree(tree: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def comparison(new: Sequence[Figure], old: Mapping[str, Figure]) -> list[str]:
-    """Return how figures changed, a line each, and whether by more than the runs differ.
+    """Return the changes of the figures as lines, with their significance.
 
-    A change counts if the medians are further apart than the larger of the two spreads.
+    A change is significant if the medians differ by more than the larger spread.
     """
     common = [figure for figure in new if figure.name in old]
     if not common:
-        return ["nothing in common with the older result"]
+        return ["no figures in common with the older result"]
     width = max(len(figure.name) for figure in common)
     lines = [f"{'':{width}}  {'old':>10} {'new':>10} {'ratio':>7}"]
     counts = {"WORSE": 0, "better": 0, "": 0}
@@ -136,8 +136,8 @@ def comparison(new: Sequence[Figure], old: Mapping[str, Figure]) -> list[str]:
             f"{verdict}".rstrip()
         )
     lines.append(
-        f"{counts['WORSE']} worse and {counts['better']} better by more than the runs of one "
-        f"result differ, {counts['']} within that"
+        f"{counts['WORSE']} worse and {counts['better']} better by more than the spread of the "
+        f"runs, {counts['']} within that"
     )
     return lines
 

@@ -1,4 +1,4 @@
-"""Measure the latency from command to force and its stages, beside bare Zenoh.
+"""Measure the latency from command to force and its stages, compared with bare Zenoh.
 
   teleop bench latency
   teleop bench latency --joints 4 --json new.json --compare old.json
@@ -7,7 +7,7 @@
 Each run is a session of `teleop run` on a simulated rig, without a view, and then two processes
 that send messages of the same sizes to and fro, with the same way of waiting and the same priority.
 Latency is from the sending of a command to the write of the force that answers it. The stages are
-those of an answer within the tick, from the reading of the device on (docs/latency.md).
+those of an answer within the tick, from reading the device (docs/latency.md).
 """
 
 import argparse
@@ -57,5 +57,5 @@ def bare_round_trips(seconds: float, shared: RunConfig) -> dict[str, float]:
     sizes = Command.schema.size, SlaveState.schema.size
     bare = ping_pong(*sizes, round(seconds / PERIOD_S), shared.realtime)
     if not bare:
-        raise TeleopError("the bare ping-pong got no answer")
+        raise TeleopError("no answer in the bare ping-pong")
     return bare

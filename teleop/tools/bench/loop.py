@@ -1,13 +1,13 @@
-"""Measure how both loops keep their time, and what a tick costs, beside loops that only tick.
+"""Measure timing and CPU time of both loops, compared with idle loops.
 
   teleop bench loop
   teleop bench loop --joints 4 --json new.json --compare old.json
   teleop bench loop --quick --config configs/demo.yaml
 
-Each run is a session of `teleop run` on a simulated rig, without a view, and then two processes
-that tick at the same rate and priority and do nothing else. Rates, overruns and the work of a tick
-are those of the whole session, its beginning included; the processor time, of all threads, is in
-per cent of one core, after both sides have engaged.
+Each run is a session of `teleop run` on a simulated rig, without a view, and then two idle
+processes that tick at the same rate and priority. Rates, overruns and the work of a tick are those
+of the whole session, its beginning included; the processor time, of all threads, is in per cent of
+one core, after both sides have engaged.
 """
 
 import argparse
@@ -35,7 +35,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
-    """Return the figures of a session and of bare loops after it."""
+    """Return the figures of a session and of idle loops after it."""
     session = run_session(config, seconds)
     bare = dict(zip(SIDES, run_bare(shared.rate_hz, seconds, shared.realtime), strict=True))
     row: dict[str, tuple[str, float | None, float | None, bool]] = {}

@@ -1,4 +1,4 @@
-"""What a measurement was made on: without it a figure says nothing."""
+"""Description of the machine of a measurement."""
 
 import os
 import platform
@@ -27,7 +27,7 @@ def facts() -> dict[str, Any]:
 
 
 def lines(machine: dict[str, Any], realtime: Sequence[str]) -> list[str]:
-    """Return the facts in words; `realtime` is what the loops were granted."""
+    """Return the description as text; `realtime` is the scheduling granted to the loops."""
     packages = ", ".join(f"{name} {number}" for name, number in machine["packages"].items())
     return [
         f"machine   {machine['cpu']}, {machine['cores']} cores, {machine['kernel']}, "

@@ -1,4 +1,4 @@
-"""What the commands of this package have in common: options, repeating, telling the result."""
+"""Common parts of the benchmark commands: options, repetition, report."""
 
 import argparse
 import json
@@ -19,12 +19,12 @@ from teleop.tools.bench.figures import Figure, Row
 
 RUNS, SECONDS = 5, 10.0
 QUICK_RUNS, QUICK_SECONDS = 3, 4.0
-SECONDS_LEAST = 3.0  # [s] of a run: less is all beginning
+SECONDS_LEAST = 3.0  # [s] of a run: shorter ones are mostly start-up
 WARM_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what all of these commands take."""
+    """Add the common options."""
     parser.add_argument("--runs", type=int, metavar="N", help=f"how many (default {RUNS})")
     parser.add_argument(
         "--seconds", type=seconds, metavar="S", help=f"of each run (default {SECONDS:g})"
@@ -42,8 +42,8 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     )
 
 
-class Repeated:
-    """Repeats a measurement as the options say, and tells what came of it."""
+class RepeatedRuns:
+    """Repeats a measurement by the options, and reports the result."""
 
     def __init__(self, name: str, args: argparse.Namespace) -> None:
         self.runs = args.runs or (QUICK_RUNS if args.quick else RUNS)
@@ -59,12 +59,12 @@ class Repeated:
         self._begin_s = time.monotonic()
 
     def say(self, text: str) -> None:
-        """Print a line of progress, which is no part of the result."""
+        """Print a line of progress."""
         print(f"{time.monotonic() - self._begin_s:5.0f} s  {text}", file=sys.stderr, flush=True)
 
     def warm_up(self, config: Path) -> None:
-        """Run a session that is not counted: it compiles what later ones load."""
-        self.say("a first run, not counted")
+        """Run a session that is not counted, to fill the compile cache."""
+        self.say("first run, not counted")
         summary = session.run_session(config, WARM_S).summary
         self.granted = list(summary["slave"]["realtime"])
 
@@ -89,8 +89,8 @@ class Repeated:
 def repeat(
     name: str, args: argparse.Namespace, measure: Callable[[Path, float, RunConfig], Row]
 ) -> int:
-    """Measure one session again and again; `measure` takes its config file, seconds and config."""
-    repeated = Repeated(name, args)
+    """Measure one session repeatedly; `measure` takes its config file, seconds and config."""
+    repeated = RepeatedRuns(name, args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
         config = args.config or rigs.write_config(
             Path(folder) / "session.yaml", joints_of(args.joints)
@@ -107,14 +107,14 @@ def repeat(
 
 
 def joints_of(number: int) -> int:
-    """Return `number` if a session can have so many joints."""
+    """Return `number` if it is a valid number of joints."""
     if not 1 <= number <= 8:
         raise UsageError(f"--joints {number}: must be 1 to 8")
     return number
 
 
 def read(path: Path, name: str) -> dict[str, Figure]:
-    """Return the figures of a result of the bench `name`; `UsageError` if it is none."""
+    """Return the figures of a result of the bench `name`; `UsageError` if it is not one."""
     try:
         result: Any = json.loads(path.read_text())
         if result["bench"] != name:
@@ -123,4 +123,4 @@ def read(path: Path, name: str) -> dict[str, Figure]:
     except OSError as error:
         raise UsageError(f"--compare {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UsageError(f"--compare {path}: is no result of `teleop bench {name}`") from error
+        raise UsageError(f"--compare {path}: not a result of `teleop bench {name}`") from error

@@ -1,4 +1,4 @@
-"""Measure sessions of 1, 2, 4 and 8 joints, two tendons each, beside loops that do nothing.
+"""Measure sessions of 1, 2, 4 and 8 joints, two tendons each, compared with idle loops.
 
   teleop bench scale
   teleop bench scale --joints 1 8 --quick
@@ -6,8 +6,8 @@
 
 Each run has a session of `teleop run` for every number of joints, on a simulated rig with a
 scripted hand of as many axes, and after each of them its baselines: two processes that only tick,
-and a bare ping-pong over Zenoh. The slave's tick is told with the computing of the simulated rig
-and without it; a real rig's plant computes itself.
+and a bare ping-pong over Zenoh. The slave's tick is given with and without the computation of the
+simulated rig.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
     numbers = sorted({runs.joints_of(number) for number in args.joints})
-    repeated = runs.Repeated("scale", args)
+    repeated = runs.RepeatedRuns("scale", args)
     with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
         configs = {n: rigs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
         repeated.warm_up(configs[numbers[0]])

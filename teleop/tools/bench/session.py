@@ -1,4 +1,4 @@
-"""One session of `teleop run`, to its end: its summary, and what its processes took."""
+"""Run one session of `teleop run`: its summary and the CPU load of its processes."""
 
 import json
 import os
@@ -17,20 +17,20 @@ from teleop.errors import TeleopError
 from teleop.tools.bench import cpu
 
 SIDES = ("slave", "master")
-START_S = 300.0  # with all to be compiled, on a busy machine
+START_S = 300.0  # timeout with an empty compile cache, on a busy machine
 _SETTLE_S = 0.5  # after engaging, and before the end
 _ENGAGED = "[master] engaged"
 
 
 class Measured(NamedTuple):
-    """What a session was like."""
+    """Result of a session."""
 
     summary: dict[str, Any]  # of `teleop run --json`
     cpu: dict[str, float]  # share of a core [%] by process: run, slave, master
 
 
 def run_session(config: Path, seconds: float) -> Measured:
-    """Run a session of `seconds` [s] in which forces are felt; `TeleopError` if none are."""
+    """Run an engaged session of `seconds` [s]; `TeleopError` if it does not engage."""
     with ExitStack() as stack:
         out = config.with_suffix(".summary.json")
         master, slave = _free_ports(2)
@@ -46,28 +46,28 @@ def run_session(config: Path, seconds: float) -> Measured:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            start_new_session=True,  # Ctrl-C is for us to handle
+            start_new_session=True,  # Ctrl-C is handled by this process
         )
         stack.callback(_end, process)
-        heard = _Heard(process)
-        heard.await_engaged()
+        output = _SessionOutput(process)
+        output.await_engaged()
         time.sleep(_SETTLE_S)
         processes = {"run": process.pid, **cpu.children(process.pid)}
         before = cpu.sample(processes)
         time.sleep(max(seconds - 2 * _SETTLE_S, _SETTLE_S))
         after = cpu.sample(processes)
-        heard.await_end(seconds)
+        output.await_end(seconds)
         summary = json.loads(out.read_text())
         for side in SIDES:
             if summary.get(side) is None:
                 raise TeleopError(
-                    f"the {side} of the session to measure was killed: {heard.last()}"
+                    f"the {side} of the session to measure was killed: {output.last()}"
                 )
         return Measured(summary, cpu.percent(processes, before, after))
 
 
-class _Heard:
-    """Reads what a session prints."""
+class _SessionOutput:
+    """Reads the output of a session."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -77,13 +77,13 @@ class _Heard:
         self._reader.start()
 
     def await_engaged(self) -> None:
-        """Wait until the hand feels forces."""
+        """Wait until the session is engaged."""
         in_time = self._engaged.wait(START_S)
         if not in_time or not any(line.startswith(_ENGAGED) for line in self._lines):
             raise TeleopError(f"the session to measure did not engage: {self.last()}")
 
     def await_end(self, seconds: float) -> None:
-        """Wait until the session has ended by itself."""
+        """Wait for the end of the session."""
         try:
             code = self._process.wait(seconds + START_S)
         except subprocess.TimeoutExpired as error:
@@ -100,8 +100,8 @@ class _Heard:
         self._engaged.set()
 
     def last(self) -> str:
-        said = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
-        return said[-1].removeprefix(COMPLAINT) if said else "it said nothing"
+        complaints = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
+        return complaints[-1].removeprefix(COMPLAINT) if complaints else "no output"
 
 
 def _end(process: subprocess.Popen[str]) -> None:
@@ -110,7 +110,7 @@ def _end(process: subprocess.Popen[str]) -> None:
         try:
             process.wait(30.0)
         except subprocess.TimeoutExpired:
-            process.kill()  # its children end with it
+            process.kill()  # its children end too
             process.wait()
 
 

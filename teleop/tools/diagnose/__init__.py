@@ -1,1 +1,1 @@
-"""`teleop diagnose`: what is wrong with a model of measured data, said to people and programs."""
+"""`teleop diagnose`: diagnosis of model errors in measured data, with reports."""

@@ -1,4 +1,4 @@
-"""Parameters of a calibration beside those that the data give."""
+"""Compare the parameters of a calibration with those from the data."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,8 +13,8 @@ from slave.calibration import file
 from teleop.errors import UsageError
 
 
-class Compared(NamedTuple):
-    """A number of the sheath, twice."""
+class ComparedParameter(NamedTuple):
+    """A parameter of the sheath from calibration and data."""
 
     accepted: float
     found: Number
@@ -26,28 +26,28 @@ class Compared(NamedTuple):
 
 
 def load(path: Path, tendon: int) -> Sheath:
-    """Return the sheath of a tendon, from 0, of a calibration file; one model is for all."""
+    """Return the sheath of a tendon, from 0, of a calibration file; a single one is for all."""
     tendons = file.load(path).tendons
     if len(tendons) > 1 and tendon >= len(tendons):
         raise UsageError(f"{path}: has {len(tendons)} tendons, not tendon {tendon + 1}")
     return tendons[tendon if len(tendons) > 1 else 0].model().sheath
 
 
-def compared(found: Diagnosis, sheath: Sheath) -> dict[str, Compared]:
-    """Return the numbers that both the calibration and the data have, by name."""
+def compare_parameters(found: Diagnosis, sheath: Sheath) -> dict[str, ComparedParameter]:
+    """Return the parameters in both calibration and data, by name."""
     accepted = {
         FRICTION.name: sheath.K,
         COMPLIANCE.name: sheath.length / sheath.axial_stiffness,
     }
     return {
-        name: Compared(value, found.parameters[name])
+        name: ComparedParameter(value, found.parameters[name])
         for name, value in accepted.items()
         if name in found.parameters
     }
 
 
-def table(numbers: Mapping[str, Compared]) -> Table:
-    """Return them for a person to read."""
+def table(numbers: Mapping[str, ComparedParameter]) -> Table:
+    """Return the comparison as text."""
     rows = [
         (
             name,

@@ -1,4 +1,4 @@
-"""The catalogue of effects as it stands in docs/diagnosis.md, whose last table it is.
+"""Generate the catalogue of effects, the last table of docs/diagnosis.md.
 
 python -m teleop.tools.diagnose.catalogue docs/diagnosis.md
 """
@@ -13,7 +13,7 @@ HEAD = ("name", "what goes on", "what it adds to the model", "parameters and ran
 
 
 def markdown() -> str:
-    """Return the table: a row for each name, what its variants differ in one below the other."""
+    """Return the table: a row per name, with the differences of its variants."""
     rows = [HEAD, ("---",) * len(HEAD), *map(_row, NAMES)]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
@@ -30,12 +30,12 @@ def _row(name: str) -> tuple[str, ...]:
 
 
 def _by_variant(variants: Sequence[Effect], say: Callable[[Effect], str]) -> list[str]:
-    """Return what the variants say; one that says something of its own by its name."""
-    said: dict[str, list[str]] = {}
+    """Return the texts of the variants, with variant names if they differ."""
+    variants_by_text: dict[str, list[str]] = {}
     for effect in variants:
-        said.setdefault(say(effect), []).append(effect.where)
-    own = len(said) == len(variants) > 1
-    return [f"{where[0]}: {text}" if own else text for text, where in said.items()]
+        variants_by_text.setdefault(say(effect), []).append(effect.where)
+    own = len(variants_by_text) == len(variants) > 1
+    return [f"{where[0]}: {text}" if own else text for text, where in variants_by_text.items()]
 
 
 def _cell(lines: Iterable[str]) -> str:
@@ -47,11 +47,11 @@ def _parameter(parameter: Parameter) -> str:
     return f"{parameter.name} {parameter.low:g} to {parameter.high:g}{unit}"
 
 
-def renewed(page: str) -> str:
-    """Return a page with the table at its end made anew."""
+def replace_table(page: str) -> str:
+    """Return a page with the table at its end replaced."""
     return page[: page.index("| " + " | ".join(HEAD))] + markdown() + "\n"
 
 
 if __name__ == "__main__":
     path = Path(sys.argv[1])
-    path.write_text(renewed(path.read_text()))
+    path.write_text(replace_table(path.read_text()))

@@ -1,14 +1,14 @@
-"""Find out what a model of measured data gets wrong, why, and what mending it is worth.
+"""Diagnose model errors in measured data: causes, their size, and the gain of correcting them.
 
-  teleop diagnose bench.csv                                say what is wrong, and what to do
-  teleop diagnose monday.csv tuesday.csv --out diagnosis   ... of one bench, with a report to read
-  teleop diagnose monday.csv --validate tuesday.csv        ... and test it on a day of its own
-  teleop diagnose bench.csv --effects creep,slack          ... among these causes only
+  teleop diagnose bench.csv                                print causes and remedies teleop diagnose
+  monday.csv tuesday.csv --out diagnosis   ... several files of one bench, with a report teleop
+  diagnose monday.csv --validate tuesday.csv        ... and validate on other data teleop
+  diagnose bench.csv --effects creep,slack          ... consider only these causes
 
 The data: tables with time_s and proximal_tension_N, and a travel or the tension at the tip beside
-them, or recordings (docs/data-format.md). Several files are taken to be of one bench and fitted
+them, or recordings (docs/data-format.md). Several files must be of one bench and are fitted
 together. With --out a folder gets report.html, report.json, model.yaml and residuals.rrd
-(docs/diagnosis.md). The exit code is 0 whatever is found.
+(docs/diagnosis.md). The exit code is 0 for any diagnosis.
 """
 
 import argparse
@@ -29,12 +29,12 @@ from teleop.parallel import processors
 from teleop.process import make_folder, write_summary, write_whole
 from teleop.tools import estimate
 from teleop.tools.diagnose import acceptance, effect_choice, report_json
-from teleop.tools.diagnose.acceptance import Compared
+from teleop.tools.diagnose.acceptance import ComparedParameter
 from teleop.tools.report.progress import Progress
 
 
 class Data(NamedTuple):
-    """The records of a diagnosis, and what they were called."""
+    """The records of a diagnosis, and their files."""
 
     files: tuple[str, ...]
     records: tuple[Record, ...]
@@ -42,11 +42,11 @@ class Data(NamedTuple):
 
 
 class Report(NamedTuple):
-    """All that is to be said."""
+    """Content of the report."""
 
     found: Diagnosis
     data: Data
-    accepted: dict[str, Compared]  # of the calibration that was given
+    accepted: dict[str, ComparedParameter]  # comparison with the given calibration
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--effects",
         default="all",
         metavar="NAME,NAME",
-        help="causes to look among (default all; their names are in docs/diagnosis.md)",
+        help="causes to consider (default all; names in docs/diagnosis.md)",
     )
     add_option(parser, "--calibration", "to be compared with what the data say")
     add_options(parser, "--column", "--drop-nonfinite", "--validate", "--out", "--json")
@@ -68,13 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Diagnose, and say what was found; returns the exit code."""
-    effects = effect_choice.chosen(args.effects)
+    """Diagnose and report; returns the exit code."""
+    effects = effect_choice.parse_effects(args.effects)
     if args.out is not None:
         make_folder(args.out, "report.html")
-    tendon = estimate.chosen(args.tendon, (), 1)
+    tendon = estimate.select_tendon(args.tendon, (), 1)
     sheath = None if args.calibration is None else acceptance.load(args.calibration, tendon)
-    columns = estimate.named(args.column, tendon)
+    columns = estimate.column_names(args.column, tendon)
     data = read(args.data, args.validate, columns, args.drop_nonfinite)
     progress, begun = Progress(), time.monotonic()
     try:
@@ -86,7 +86,9 @@ def main(args: argparse.Namespace) -> int:
     finally:
         progress.end()
     seconds = time.monotonic() - begun
-    report = Report(found, data, {} if sheath is None else acceptance.compared(found, sheath))
+    report = Report(
+        found, data, {} if sheath is None else acceptance.compare_parameters(found, sheath)
+    )
     tree = report_json.tree(found, data.files, seconds, report.accepted)
     write_summary(args.json, tree)
     beside = acceptance.table(report.accepted) if report.accepted else None
@@ -106,7 +108,7 @@ def read(
     Raises
     ------
     UsageError
-        If a file cannot be right, cannot be diagnosed, or lacks a channel that another has.
+        If a file is invalid, cannot be diagnosed, or lacks a channel of another.
     """
     tables = [
         read_table(path, columns, drop_nonfinite, diagnosed=True) for path in (*paths, *validate)
@@ -137,7 +139,7 @@ def _write_folder(report: Report, folder: Path) -> None:
     remark = f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.sentence(found)}"
     duration = max(float(record.time[-1]) for record in found.dataset.records)
     unexplained = found.verdict is Verdict.UNEXPLAINED
-    saved = model_file.Saved(found.extended.model, duration, found.ambiguous_with, unexplained)
+    saved = model_file.SavedModel(found.extended.model, duration, found.ambiguous_with, unexplained)
     model_file.save(folder / "model.yaml", saved, remark)
     text = page.render(found, files, report.accepted)
     write_whole(folder / "report.html", text, "the page")

@@ -1,4 +1,4 @@
-"""Which effects `--effects` chooses."""
+"""Parser of `--effects`."""
 
 from collections.abc import Sequence
 
@@ -8,8 +8,8 @@ from teleop.errors import UsageError
 from teleop.suggestions import did_you_mean
 
 
-def chosen(text: str) -> Sequence[Effect]:
-    """Return the effects that `--effects` means: names with commas between them, or all."""
+def parse_effects(text: str) -> Sequence[Effect]:
+    """Return the effects of `--effects`: comma-separated names, or all."""
     if text.strip() == "all":
         return CATALOGUE
     names = [name.strip() for name in text.split(",") if name.strip()]

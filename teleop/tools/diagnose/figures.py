@@ -1,7 +1,7 @@
 """The figures of a diagnosis.
 
-Colours are of Okabe and Ito's set, which readers with any colour vision can tell apart; measured is
-black, and what differs in colour differs in line as well.
+Colours are Okabe and Ito's, safe for any colour vision; measured is black, and line styles differ
+with the colours.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,11 +31,11 @@ MOST_RECORDS = 4  # that are drawn
 MOST_BARS = 14
 POINTS = 4000  # of a line, at most
 BINS = 24  # of medians
-LEAST = 15  # samples in one
+MIN_SAMPLES = 15  # samples in one
 SCATTERED = 1500  # points
 
 
-class Drawn(NamedTuple):
+class DrawnFigure(NamedTuple):
     """A figure."""
 
     name: str
@@ -44,7 +44,7 @@ class Drawn(NamedTuple):
 
 
 def draw(found: Diagnosis, files: Sequence[str], folder: Path) -> dict[str, str]:
-    """Write all figures into `folder`; return what to say below each, by file name."""
+    """Write all figures into `folder`; return their captions by file name."""
     captions = {}
     with mpl.rc_context(STYLE):
         for drawn in _figures(found, files):
@@ -54,35 +54,35 @@ def draw(found: Diagnosis, files: Sequence[str], folder: Path) -> dict[str, str]
     return captions
 
 
-def _figures(found: Diagnosis, files: Sequence[str]) -> Iterator[Drawn]:
+def _figures(found: Diagnosis, files: Sequence[str]) -> Iterator[DrawnFigure]:
     for k, file in enumerate(files[:MOST_RECORDS]):
         number = f"-{k + 1}" if len(files) > 1 else ""
-        yield Drawn(
+        yield DrawnFigure(
             f"over-time{number}",
             over_time(found, k),
-            f"{file}: measured, and simulated before and after; below each channel what is left "
+            f"{file}: measured, and simulated before and after; below each channel the residual "
             "(measured less simulated). Held-out blocks are shaded.",
         )
         if _loop_axes(found.dataset.records[k]) is not None:
-            yield Drawn(f"loop{number}", loop(found, k), f"{file}: the hysteresis loop.")
-    yield Drawn(
+            yield DrawnFigure(f"loop{number}", loop(found, k), f"{file}: the hysteresis loop.")
+    yield DrawnFigure(
         "structure",
         structure(found),
-        "What is left (measured less simulated), before and after, against tension, speed and "
-        "time: points, and their medians. A model that is right leaves noise around zero.",
+        "Residuals (measured less simulated) before and after, against tension, speed and time: "
+        "points and their medians. A correct model leaves noise around zero.",
     )
     if found.ranking:
-        yield Drawn(
+        yield DrawnFigure(
             "ranking",
             ranking(found),
-            "By how much more probable held-out data are with a cause than without, as a natural "
-            "logarithm; its parameters are paid for. Blue are the causes found, pale blue those "
-            "that cannot be told from them.",
+            "Log-likelihood ratio of held-out data with and without a cause, with a penalty for "
+            "its parameters. Blue are the causes found, pale blue those that the data do not "
+            "distinguish from them.",
         )
 
 
 def over_time(found: Diagnosis, k: int) -> Figure:
-    """Draw one record: each channel, and below it what both models leave."""
+    """Draw one record: each channel, and below it the residuals of both models."""
     record = found.dataset.records[k]
     channels = record.compared
     figure = Figure(figsize=(8.2, 0.4 + 3.0 * len(channels)))
@@ -109,7 +109,7 @@ def over_time(found: Diagnosis, k: int) -> Figure:
 
 
 def loop(found: Diagnosis, k: int) -> Figure:
-    """Draw T_out over T_in, or T_in over the travel where no cell was at the tip."""
+    """Draw T_out over T_in, or T_in over the travel without a load cell at the tip."""
     record = found.dataset.records[k]
     axes_of = _loop_axes(record)
     if axes_of is None:
@@ -139,7 +139,7 @@ def loop(found: Diagnosis, k: int) -> Figure:
 
 
 def structure(found: Diagnosis) -> Figure:
-    """Draw what both models leave against tension, speed and time."""
+    """Draw the residuals of both models against tension, speed and time."""
     channels = report_text.compared(found)
     figure = Figure(figsize=(8.2, 0.4 + 2.1 * len(channels)))
     grid = figure.subplots(len(channels), 3, sharey="row", squeeze=False)
@@ -193,7 +193,7 @@ def _loop_axes(record: Record) -> tuple[str, str] | None:
 
 
 def _of(found: Diagnosis, k: int, channel: str) -> tuple[Array, tuple[Array, Array], str]:
-    """Return a channel as measured, as both models have it, and its unit."""
+    """Return a channel measured and from both models, and its unit."""
     measured, factor, unit = _scaled(channel, found.dataset.records[k].signals[channel])
     both = (found.baseline, found.extended)
     before, after = (factor * fit.simulated[k].signals[channel] for fit in both)
@@ -201,13 +201,13 @@ def _of(found: Diagnosis, k: int, channel: str) -> tuple[Array, tuple[Array, Arr
 
 
 def _scaled(channel: str, signal: Array) -> tuple[Array, float, str]:
-    """Return a signal as it is drawn, by which factor, and its unit."""
+    """Return a signal scaled for drawing, the factor, and its unit."""
     factor, unit = (1.0, "N") if report_text.unit_of(channel) == "N" else (1e3, "mm")
     return factor * signal, factor, unit
 
 
 def _left(found: Diagnosis, channel: str, when: int) -> Array:
-    """Return what the model before (0) or after (1) leaves of all records, one behind another."""
+    """Return the concatenated residuals of the model before (0) or after (1)."""
     parts = []
     for k, record in enumerate(found.dataset.records):
         measured, models, _ = _of(found, k, channel)
@@ -216,7 +216,7 @@ def _left(found: Diagnosis, channel: str, when: int) -> Array:
 
 
 def _against(found: Diagnosis, channel: str) -> dict[str, Array]:
-    """Return what a residual may depend on, by the axis's label."""
+    """Return the variables of the residual plots by axis label."""
     records = found.dataset.records
     speed = "mm/s" if records[0].driver == PROXIMAL_DISPLACEMENT else "N/s"
     factor = 1e3 if speed == "mm/s" else 1.0
@@ -232,11 +232,11 @@ def _against(found: Diagnosis, channel: str) -> dict[str, Array]:
 
 
 def _medians(values: Array, off: Array) -> tuple[Array, Array]:
-    """Return the medians of `off` in even stretches of `values`; NaN where there are too few."""
+    """Return the medians of `off` in bins of `values`; NaN with too few samples."""
     edges = np.linspace(values.min(), values.max(), BINS + 1)
     places = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
     groups = [off[places == i] for i in range(BINS)]
-    medians = [np.median(group) if len(group) >= LEAST else np.nan for group in groups]
+    medians = [np.median(group) if len(group) >= MIN_SAMPLES else np.nan for group in groups]
     return 0.5 * (edges[:-1] + edges[1:]), np.array(medians)
 
 

@@ -1,4 +1,4 @@
-"""report.html: a diagnosis on one page, which needs no network and no scripts."""
+"""report.html: a diagnosis on one self-contained page."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,18 +7,20 @@ from tempfile import TemporaryDirectory
 from estimator.diagnosis import report_text
 from estimator.diagnosis.outcome import Diagnosis
 from teleop.tools.diagnose import acceptance, figures
-from teleop.tools.diagnose.acceptance import Compared
+from teleop.tools.diagnose.acceptance import ComparedParameter
 from teleop.tools.report.page import Page
 
 
-def render(found: Diagnosis, files: Sequence[str], calibrated: Mapping[str, Compared]) -> str:
-    """Return the page; `calibrated` is what a calibration says of the sheath, by name."""
+def render(
+    found: Diagnosis, files: Sequence[str], calibrated: Mapping[str, ComparedParameter]
+) -> str:
+    """Return the page; `calibrated` is the comparison with a calibration, by parameter."""
     page = Page(report_text.sentence(found))
     page.text(f"Data: {', '.join(files)}.")
-    page.heading("What to do next")
+    page.heading("Next steps")
     page.points(report_text.next_steps(found))
     if found.steps:
-        page.heading("What it is worth")
+        page.heading("Gain")
         page.table(report_text.gains(found), mark="")
     page.heading("Parameters of the model")
     page.table(report_text.parameters(found), mark="")
@@ -31,7 +33,7 @@ def render(found: Diagnosis, files: Sequence[str], calibrated: Mapping[str, Comp
             page.text(f"The first {figures.MOST_RECORDS} of {len(files)} files are drawn.")
         for file, caption in captions.items():
             page.figure(Path(folder) / file, caption)
-    page.heading("What is left")
+    page.heading("Residuals")
     page.points(report_text.remains(found))
     page.heading("Errors")
     page.text("Largest and mean error in % of the channel's range.")
@@ -43,7 +45,7 @@ def render(found: Diagnosis, files: Sequence[str], calibrated: Mapping[str, Comp
         page.heading("Candidates")
         page.table(report_text.candidates(found), mark="")
     if found.detection_limits:
-        page.heading("What would have been seen")
+        page.heading("Detection limits")
         page.table(report_text.detection_limits(found), mark="")
     if remarks := report_text.remarks(found, files):
         page.heading("Samples")

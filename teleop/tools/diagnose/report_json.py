@@ -1,4 +1,4 @@
-"""report.json: a diagnosis for programs, everything in SI units, nothing that JSON cannot hold."""
+"""report.json: a diagnosis for programs, in SI units."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,26 +7,26 @@ from typing import Any
 
 from estimator.diagnosis import report_text
 from estimator.diagnosis.outcome import Diagnosis, Fitness, Fitnesses, Ranked
-from teleop.tools.diagnose.acceptance import Compared
+from teleop.tools.diagnose.acceptance import ComparedParameter
 
 
 def tree(
     found: Diagnosis,
     files: Sequence[str],
     seconds: float,
-    accepted: Mapping[str, Compared],
+    accepted: Mapping[str, ComparedParameter],
 ) -> dict[str, Any]:
-    """Return the report; what is not finite is None.
+    """Return the report; non-finite numbers are None.
 
     Parameters
     ----------
     found : Diagnosis
     files : sequence of str
-        The data, as they were called.
+        Names of the data files.
     seconds : float
-        That the diagnosis took.
+        Duration of the diagnosis.
     accepted : mapping
-        What a calibration says of the sheath, by the parameter's name.
+        Comparison with a calibration, by parameter.
     """
     report = {
         "verdict": found.verdict.value,
@@ -101,7 +101,7 @@ def _fitness(one: Fitness) -> dict[str, float]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value of what JSON knows: numpy's numbers become Python's, NaN and inf None."""
+    """Return a value for JSON: numpy numbers become Python's, NaN and inf None."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""residuals.rrd: what was measured and what both models make of it, to be looked at closely."""
+"""residuals.rrd: measured and simulated signals of both models, for Rerun."""
 
 from collections.abc import Sequence
 from pathlib import Path

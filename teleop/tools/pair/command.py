@@ -1,13 +1,13 @@
 """Measure how the friction of an antagonistic pair grows with the bend of its sheath.
 
-  teleop pair bend*.csv                          K of each file, its growth, what it predicts
-  teleop pair bend*.csv --out pair               ... with a report to read
-  teleop pair bend*.csv --validate more/*.csv    ... and test the model on further bends
-  teleop pair run_*.csv --columns columns.yaml   ... of data with other columns or names
+  teleop pair bend*.csv                          K of each file, its growth, predictions
+  teleop pair bend*.csv --out pair               ... with a report
+  teleop pair bend*.csv --validate more/*.csv    ... and validate on further bends
+  teleop pair run_*.csv --columns columns.yaml   ... for data with other columns or names
 
 The data: one table for each bend with time, the command, the measured angle of the joint and both
-tensions at the housing. One model is fitted to all files; then each file is predicted by a model
-that has not seen it (docs/endoscope.md). Needs at least three bends.
+tensions at the housing. One model is fitted to all files; then each file is predicted by
+leave-one-out cross-validation (docs/endoscope.md). Needs at least three bends.
 """
 
 import argparse
@@ -36,12 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--columns",
         type=Path,
         metavar="FILE",
-        help="what the columns are, and where the bend stands (see configs/endoscope-pair.yaml)",
+        help="column names, and the pattern of the bend (see configs/endoscope-pair.yaml)",
     )
 
 
 def main(args: argparse.Namespace) -> int:
-    """Study the pair, and say what was found; returns the exit code."""
+    """Study the pair and report; returns the exit code."""
     config = load(args.columns, PairConfig, None)
     records, further = read(args.data, config), read(args.validate, config)
     if args.out is not None:

@@ -1,4 +1,4 @@
-"""What the columns of a pair's data are called, and where the bend of each file stands."""
+"""Column names of a pair's data, and the pattern of the bend in file names."""
 
 import math
 import re
@@ -33,15 +33,15 @@ class FileBend:
 
 @dataclass(frozen=True, slots=True)
 class PairConfig:
-    """How files of a pair are to be read."""
+    """Format of the files of a pair."""
 
     columns: PairColumns = field(default_factory=PairColumns)
     unit: Literal["deg", "rad"] = "deg"  # of command, angle and bend
-    bend: str = "bend{bend}"  # in a file's name, where the bend stands
-    bends: tuple[FileBend, ...] = ()  # of files whose name does not tell
+    bend: str = "bend{bend}"  # pattern of file names with the bend
+    bends: tuple[FileBend, ...] = ()  # of files without the bend in their name
 
     def __post_init__(self) -> None:
-        """Check what a name must say."""
+        """Check the pattern; raises `ValueError`."""
         if self.bend.count(BEND) != 1:
             raise ValueError(f"bend: {self.bend!r}, must have {BEND} once, where the number stands")
 
@@ -51,12 +51,12 @@ class PairConfig:
         return math.radians(1.0) if self.unit == "deg" else 1.0
 
     def bend_of(self, path: Path) -> float:
-        """Return the bend [rad] of a file's sheath, by the list or the file's name.
+        """Return the bend [rad] of a file's sheath, from the list or the file's name.
 
         Raises
         ------
         UsageError
-            Neither tells.
+            Neither has it.
         """
         for one in self.bends:
             if one.file == path.name:
@@ -65,7 +65,7 @@ class PairConfig:
         lead = re.escape(before) + r"(-?\d+(?:\.\d+)?)" if before else _NUMBER
         found = re.search(lead + re.escape(after), path.name)
         if not path.exists():
-            raise UsageError(f"{path}: there is no such file")
+            raise UsageError(f"{path}: file not found")
         if found is None:
             raise UsageError(
                 f"{path}: the name does not tell the sheath's bend as {self.bend!r} would; rename "

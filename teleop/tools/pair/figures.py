@@ -1,4 +1,4 @@
-"""The figures of a study of a pair; measured is black, what differs in colour differs in line."""
+"""The figures of a study of a pair; measured is black."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ ACROSS = 3  # loops in a row
 
 
 def draw(found: PairStudy, folder: Path) -> dict[str, str]:
-    """Write all figures into `folder`; return what to say below each, by file name."""
+    """Write all figures into `folder`; return their captions by file name."""
     makers: dict[str, tuple[Callable[[PairStudy], Figure], str]] = {
         "friction": (
             frictions,
@@ -25,7 +25,7 @@ def draw(found: PairStudy, folder: Path) -> dict[str, str]:
             loops,
             "Angle over command: measured, and predicted by the model of the other records.",
         ),
-        "left": (left, "What is left over time (predicted less measured), each record not fitted."),
+        "left": (left, "Residuals over time (predicted less measured), each record held out."),
     }
     captions = {}
     with mpl.rc_context(STYLE):
@@ -77,7 +77,7 @@ def loops(found: PairStudy) -> Figure:
 
 
 def left(found: PairStudy) -> Figure:
-    """Draw what is left over time, a record each."""
+    """Draw the residuals over time, one panel per record."""
     figure = Figure(figsize=(8.2, 0.4 + 1.2 * len(found.records)))
     grid = figure.subplots(len(found.records), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, record, angle in zip(grid, found.records, found.predicted, strict=True):

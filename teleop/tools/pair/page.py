@@ -1,4 +1,4 @@
-"""report.html: a study of a pair on one page, which needs no network and no scripts."""
+"""report.html: a study of a pair on one self-contained page."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,7 +9,7 @@ from teleop.tools.report.page import Page
 
 
 def render(found: PairStudy, kept: tuple[Validation, ...]) -> str:
-    """Return the page; `kept` are the errors of records kept apart."""
+    """Return the page; `kept` are the errors of validation records."""
     page = Page(report_text.sentence(found))
     page.heading("Friction against bend")
     page.table(report_text.frictions(found), mark="")

@@ -19,7 +19,7 @@ def read(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
     Raises
     ------
     UsageError
-        A file cannot be read, lacks a column or its bend, or holds what cannot be right.
+        A file cannot be read, lacks a column or its bend, or has invalid values.
     """
     return tuple(sorted((_record(path, config) for path in paths), key=lambda one: one.bend))
 

@@ -1,32 +1,32 @@
-"""A study of a pair in words: sentences, and tables of text."""
+"""Text report of a study of a pair."""
 
 import math
 
 import numpy as np
 
-from estimator.pair.pair_fit import Law
+from estimator.pair.pair_fit import PairVariant
 from estimator.pair.pair_structure import offset_share, structure
-from estimator.pair.pair_study import SHARE, LeftOut, Number, PairStudy, Validation
+from estimator.pair.pair_study import SHARE, HeldOutError, Number, PairStudy, Validation
 from estimator.text_table import Table
 
-OURS = Law.FULL.value
-LIMIT = 0.02  # of the span: a mean beyond depends on something
+OURS = PairVariant.FULL.value
+LIMIT = 0.02  # of the span: larger means count as a dependence
 
 
 def sentence(found: PairStudy) -> str:
-    """Return what was found in one sentence."""
+    """Return the result in one sentence."""
     share = mean_share(found.left_out[OURS])
     return (
         f"K grows by {within(found.growth)} per radian of bend, from {found.friction.value:.2f} at "
         f"none; bends that were not fitted are predicted within {share:.1%} of the angle's span "
         f"({degrees(mean_rmse(found.left_out[OURS]))}), where one K for all leaves "
-        f"{mean_share(found.left_out[Law.ONE_K.value]):.1%} and {SHARE} "
+        f"{mean_share(found.left_out[PairVariant.ONE_K.value]):.1%} and {SHARE} "
         f"{mean_share(found.left_out[SHARE]):.1%}."
     )
 
 
 def frictions(found: PairStudy) -> Table:
-    """Return K of each record, and what the straight line makes of it."""
+    """Return K of each record and of the linear model."""
     model = found.fit.model
     rows = tuple(
         (
@@ -61,7 +61,7 @@ def parameters(found: PairStudy) -> Table:
 
 
 def left_out(found: PairStudy) -> Table:
-    """Return the errors of records that were not fitted."""
+    """Return the errors of held-out records."""
     head = ("angle predicted by", *(degrees(r.bend, 0) for r in found.records), "mean")
     rows = []
     for method, errors in found.left_out.items():
@@ -80,7 +80,7 @@ def left_out(found: PairStudy) -> Table:
 
 
 def validation(kept: tuple[Validation, ...]) -> Table:
-    """Return the errors of records kept apart."""
+    """Return the errors of validation records."""
     rows = tuple(
         (
             degrees(one.bend, 0),
@@ -94,7 +94,7 @@ def validation(kept: tuple[Validation, ...]) -> Table:
 
 
 def parts(found: PairStudy) -> Table:
-    """Return what is left of records that were not fitted, by what it depends on."""
+    """Return the residuals of held-out records, by dependence."""
     rows = tuple(
         (part.what, f"{part.mean:+.1%}", f"{part.rms:.1%}")
         for part in structure(found.records, found.predicted)
@@ -103,11 +103,11 @@ def parts(found: PairStudy) -> Table:
 
 
 def wrong(found: PairStudy) -> list[str]:
-    """Return what the model gets wrong."""
+    """Return the errors of the model as text."""
     records, errors = found.records, found.left_out[OURS]
     worst = max(range(len(errors)), key=lambda i: errors[i].share)
     share = offset_share(records, found.predicted)
-    said = [
+    lines = [
         f"Worst is the bend of {degrees(records[worst].bend, 0)}: {errors[worst].share:.1%} of the "
         f"span, {errors[worst].zeroed:.1%} if its zero were known.",
         f"{share:.0%} of the mean square is a constant of each record: a joint with friction rests "
@@ -115,22 +115,22 @@ def wrong(found: PairStudy) -> list[str]:
     ]
     found_parts = structure(records, found.predicted)
     along = sorted(found_parts, key=lambda part: -abs(part.mean))
-    said += [
+    lines += [
         f"Where the {part.what}, the prediction is {abs(part.mean):.1%} of the span too "
         f"{'high' if part.mean > 0.0 else 'low'} on average."
         for part in along
         if abs(part.mean) > LIMIT
     ]
     if all(abs(part.mean) <= LIMIT for part in found_parts):
-        said.append(
+        lines.append(
             "The rest of the residual depends on direction, command and time by less than "
             f"{LIMIT:.0%} of the span."
         )
-    return said
+    return lines
 
 
 def format_report(found: PairStudy, kept: tuple[Validation, ...]) -> str:
-    """Return what was found, for a terminal."""
+    """Return the report for a terminal."""
     tables = [frictions(found), parameters(found), left_out(found), parts(found)]
     if kept:
         tables.insert(3, validation(kept))
@@ -149,11 +149,11 @@ def degrees(angle: float, digits: int = 1) -> str:
     return f"{math.degrees(angle):.{digits}f}°"
 
 
-def mean_share(errors: tuple[LeftOut, ...]) -> float:
+def mean_share(errors: tuple[HeldOutError, ...]) -> float:
     """Return the mean of errors as shares of the span."""
     return float(np.mean([error.share for error in errors]))
 
 
-def mean_rmse(errors: tuple[LeftOut, ...]) -> float:
+def mean_rmse(errors: tuple[HeldOutError, ...]) -> float:
     """Return the mean RMSE [rad]."""
     return float(np.mean([error.rmse for error in errors]))

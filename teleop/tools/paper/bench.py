@@ -1,8 +1,8 @@
 """The bench of the paper's figure 5, simulated: one joint, two tendons, a load motor on the joint.
 
 Both tendons run in sheaths of the same shape, as in one overtube. During initialisation the joint
-is free. In the experiment the load motor, which is torque-controlled, answers with a torque in
-proportion to the joint's travel: something elastic for the joint to pull against.
+is free. In the experiment the load motor, which is torque-controlled, acts as a spring: its torque
+is proportional to the joint's travel.
 """
 
 from slave.rigs.simulated.plant.body import BodyConfig
@@ -18,7 +18,7 @@ from teleop.tools.paper.sheaths import Specimen
 
 PERIOD = 0.001  # [s] of the plant and of every sensor
 PRETENSION = 0.5  # [N] of both tendons when the motors start
-LOAD_STIFFNESS = 3000.0  # [N/m] of what the load motor plays
+LOAD_STIFFNESS = 3000.0  # [N/m] of the spring rendered by the load motor
 BODY = BodyConfig(
     mass=0.02,
     damping=2.0,
@@ -41,5 +41,5 @@ def build(specimen: Specimen, seed: int, loaded: bool) -> SimulatedRig:
 
 
 def stretch_at_rest(specimen: Specimen) -> float:
-    """Return by how much [m] a tendon is longer than slack while the bench is at rest."""
+    """Return the elongation [m] of a tendon while the bench is at rest."""
     return PRETENSION * specimen.length / specimen.sheath.axial_stiffness

@@ -8,13 +8,13 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import drive_proximal, observe, slack_profile, tables, tension_at
-from slave.calibration.run import Refused
+from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.chain import recover, respond
 from slave.rigs.simulated.plant.response import tension_on
 from slave.rigs.simulated.plant.sheath import SectionConfig, SheathConfig, cells
 from slave.rigs.simulated.plant.tendon import at_rest, build_chain, tensions
 from teleop.tools.paper import methods
-from teleop.tools.paper.methods import METHODS, Calibrated, Estimates, Initialisation
+from teleop.tools.paper.methods import METHODS, CalibratedMethod, Estimates, Initialisation
 from teleop.tools.paper.outcome import Outcome
 from teleop.tools.paper.sheaths import Specimen
 from teleop.tools.paper.study import PROFILE, Session, experiment, judge
@@ -51,7 +51,7 @@ class Demonstration(NamedTuple):
 
     session: Session
     initialised: Initialisation
-    calibrated: Calibrated
+    calibrated: CalibratedMethod
     outcome: Outcome
     estimates: dict[str, Estimates]
     distributions: list[Distribution]
@@ -61,14 +61,15 @@ def demonstrate(seed: int) -> Demonstration:
     """Go through the experiment with the sheath of the figures."""
     session = experiment(SPECIMEN, seed)
     initialised = session.initialised
-    if isinstance(initialised, Refused):
+    if isinstance(initialised, CalibrationRefused):
         raise initialised
     calibrated = initialised.ours
-    if isinstance(calibrated, Refused):
+    if isinstance(calibrated, CalibrationRefused):
         raise calibrated
     record = session.records[PROFILE]
     estimates = {
-        method: methods.fitted(method, SPECIMEN, initialised).estimate(record) for method in METHODS
+        method: methods.fit_method(method, SPECIMEN, initialised).estimate(record)
+        for method in METHODS
     }
     distributions = release(SPECIMEN.sheath, calibrated.tendon.model().sheath, LEVELS)
     return Demonstration(session, initialised, calibrated, judge(session), estimates, distributions)

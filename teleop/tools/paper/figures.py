@@ -25,7 +25,7 @@ LINES = {PAPER: (0, (4, 2)), PAPER_AT_BEST: (0, (1, 1)), OURS: "solid"}
 MARKS = {PAPER: "v", PAPER_AT_BEST: "s", OURS: "o"}
 SIGNALS = ("force", "elongation")
 SHADES = ("#ffffff", "#eaf3f9", "#ffffff", "#eaf3f9", "#ffffff")  # of the phases
-LEAST, MOST = 1e-3, 30.0  # full scales that the distribution shows
+AXIS_MIN, AXIS_MAX = 1e-3, 30.0  # full scales that the distribution shows
 
 
 def draw(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[str, str]:
@@ -205,7 +205,7 @@ def over_sheaths(outcomes: list[Outcome]) -> tuple[Figure, str]:
             _line(axes, TARGETS[signal][which], "asked of ours", BLUE, "dashed")
             axes.set_xscale("log")
             axes.set(
-                xlim=(100.0 * LEAST, 100.0 * MOST),
+                xlim=(100.0 * AXIS_MIN, 100.0 * AXIS_MAX),
                 xlabel=f"{item} error of {signal} [% of full scale]",
             )
             axes.xaxis.set_major_formatter("{x:g}")
@@ -274,7 +274,7 @@ def _staircase(
     errors = np.sort(values(outcomes, method, motion, signal, item))
     share = np.arange(1, len(errors) + 1) / len(errors)
     kept = np.isfinite(errors)
-    x = np.concatenate([[LEAST], errors[kept], [MOST]])
+    x = np.concatenate([[AXIS_MIN], errors[kept], [AXIS_MAX]])
     y = np.concatenate([[0.0], share[kept], share[kept][-1:] if kept.any() else [0.0]])
     axes.step(
         100.0 * x,

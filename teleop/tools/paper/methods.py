@@ -8,8 +8,8 @@ equations would jump.
 
 ``ours``: the calibration of `teleop calibrate` and the estimator of `teleop slave`.
 
-The first two are told the true length and stiffness of the sheath, as the paper takes both for
-known; ours is told the length, on which neither of its outputs depends.
+The first two get the true length and stiffness of the sheath, as the paper assumes both known; ours
+gets the length, on which neither of its outputs depends.
 """
 
 from collections.abc import Callable
@@ -24,14 +24,14 @@ from slave.calibration import run as initialisation
 from slave.calibration.analysis import evaluate
 from slave.calibration.config import InitialiseConfig, KnownSheathConfig
 from slave.calibration.file import Direction
-from slave.calibration.memory import Phase
+from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon
-from slave.calibration.run import Refused
+from slave.calibration.run import CalibrationRefused
 from slave.gate import GateConfig
 from slave.tendon_config import TendonConfig
 from teleop.tools.paper import paper_method
 from teleop.tools.paper.bench import PERIOD, build
-from teleop.tools.paper.protocol import LOOSE, Record
+from teleop.tools.paper.protocol import LOOSE, BenchRun
 from teleop.tools.paper.sheaths import Specimen
 
 PAPER, PAPER_AT_BEST, OURS = "paper", "paper at its best", "ours"
@@ -44,7 +44,7 @@ STRAIGHT = 0.4  # of the largest tension, above which the pull against the stop 
 
 
 class Figure(NamedTuple):
-    """What the paper reads off its figure 6, the first pull against the stop."""
+    """Quantities of the paper's figure 6, the first pull against the stop."""
 
     begins: float  # [m] travel where the line of the pull meets the tension of the free joint
     elongation: float  # e_out [m] from there to the end
@@ -53,18 +53,18 @@ class Figure(NamedTuple):
     noise: float  # [N] standard deviation of the load cell
 
 
-class Calibrated(NamedTuple):
-    """What `teleop calibrate` makes of tendon a, by the initialisation of both."""
+class CalibratedMethod(NamedTuple):
+    """The calibration of tendon a by `teleop calibrate`, from the initialisation of both."""
 
     direction: Direction
     tendon: TendonConfig
 
 
 class Initialisation(NamedTuple):
-    """What the procedure has measured of tendon a, and what is made of it."""
+    """Measurements of tendon a, and its calibration."""
 
     pulled: PulledTendon
-    ours: Calibrated | Refused
+    ours: CalibratedMethod | CalibrationRefused
     paper: Figure
 
 
@@ -75,20 +75,20 @@ class Estimates(NamedTuple):
     elongation: Array  # [m]
 
 
-class Fitted(NamedTuple):
-    """A method that has been through initialisation."""
+class FittedMethod(NamedTuple):
+    """A method after initialisation."""
 
     K: float
-    estimate: Callable[[Record], Estimates]
+    estimate: Callable[[BenchRun], Estimates]
 
 
 def initialise(specimen: Specimen, seed: int) -> Initialisation:
-    """Do the paper's initialisation on the bench, its joint free.
+    """Run the paper's initialisation on the bench, its joint free.
 
     Raises
     ------
-    Refused
-        If the procedure was given up.
+    CalibrationRefused
+        If the procedure was aborted.
     """
     known = KnownSheathConfig(specimen.length)
     config = InitialiseConfig(sheaths=(known,), keep=LOOSE)
@@ -96,22 +96,22 @@ def initialise(specimen: Specimen, seed: int) -> Initialisation:
     limits = initialisation.Limits(config, GATE)
     driven = initialisation.drive(rig, limits, initialisation.fast_ticks(1.0 / PERIOD), 0, [0])
     both = [PulledTendon(driven.record, joint=0, side=side) for side in (0, 1)]
-    ours: Calibrated | Refused
+    ours: CalibratedMethod | CalibrationRefused
     try:
         directions, tendons = evaluate(both, config)
-        ours = Calibrated(directions[0], tendons[0])
-    except Refused as refused:
+        ours = CalibratedMethod(directions[0], tendons[0])
+    except CalibrationRefused as refused:
         ours = refused
     return Initialisation(both[0], ours, read_figure(both[0]))
 
 
-def fitted(method: str, specimen: Specimen, initialised: Initialisation) -> Fitted:
-    """Return what a method makes of tendon a's initialisation.
+def fit_method(method: str, specimen: Specimen, initialised: Initialisation) -> FittedMethod:
+    """Return a method fitted to tendon a's initialisation.
 
     Raises
     ------
-    Refused
-        If ours can make nothing of it.
+    CalibrationRefused
+        If the calibration fails.
     ValueError
         If the paper's (13) has no solution.
     """
@@ -121,15 +121,15 @@ def fitted(method: str, specimen: Specimen, initialised: Initialisation) -> Fitt
     M_e = read.slope if at_best else read.elongation / read.tension
     model = paper_method.initialise(M_e, specimen.length, specimen.sheath.axial_stiffness)
 
-    def estimate(record: Record) -> Estimates:
+    def estimate(record: BenchRun) -> Estimates:
         found = paper_method.run(model, record.time, record.tension, read.noise, continued=at_best)
         return Estimates(found.distal_tension, found.elongation)
 
-    return Fitted(model.K, estimate)
+    return FittedMethod(model.K, estimate)
 
 
 def read_figure(pulled: PulledTendon) -> Figure:
-    """Read off the first pull what the paper reads off its figure 6."""
+    """Evaluate the first pull as in the paper's figure 6."""
     seeking = pulled.rows(Phase.SEEK)
     T, q = pulled.tension[seeking], pulled.travel[seeking]
     before = pulled.contact.travel - q
@@ -142,13 +142,13 @@ def read_figure(pulled: PulledTendon) -> Figure:
     return Figure(begins, end - begins, peak, float(slope), signals.noise_sigma(T))
 
 
-def _ours(calibrated: Calibrated | Refused) -> Fitted:
-    if isinstance(calibrated, Refused):
+def _ours(calibrated: CalibratedMethod | CalibrationRefused) -> FittedMethod:
+    if isinstance(calibrated, CalibrationRefused):
         raise calibrated
     prepared = online.prepare(calibrated.tendon.model())
 
-    def estimate(record: Record) -> Estimates:
+    def estimate(record: BenchRun) -> Estimates:
         found = online.run(prepared, record.time, record.tension, record.travel)
         return Estimates(found.distal_tension, found.elongation)
 
-    return Fitted(calibrated.direction.K.value, estimate)
+    return FittedMethod(calibrated.direction.K.value, estimate)

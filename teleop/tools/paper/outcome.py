@@ -1,4 +1,4 @@
-"""What the experiment found on each sheath, and what is asked of it."""
+"""Results of the experiment per sheath, and their targets."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ class Result(NamedTuple):
     """One method on one sheath."""
 
     K: float  # NaN where refused
-    refusal: str  # why it gave no model; empty where it did
+    refusal: str  # reason of a failure; empty if none
     scores: dict[str, dict[str, Score]]  # by motion, then by phase and WHOLE; empty where refused
 
 

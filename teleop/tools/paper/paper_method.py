@@ -59,7 +59,7 @@ class PaperModel:
     axial_stiffness: float  # EA [N]
 
 
-class Memory(NamedTuple):
+class MethodState(NamedTuple):
     """What the method remembers from sample to sample."""
 
     phase: Phase
@@ -98,7 +98,7 @@ def run(
     """
     smooth, sigma = _averaged(time, tension, noise)
     band = max(TURN * sigma, LEAST_TURN)
-    memory = Memory(Phase.PULL, 0.0, 0.0, 0.0, 0.0)
+    memory = MethodState(Phase.PULL, 0.0, 0.0, 0.0, 0.0)
     rows = []
     for T_in in np.maximum(smooth, LEAST_TENSION).tolist():
         memory = advance(model, memory, T_in, band, continued)
@@ -107,7 +107,9 @@ def run(
     return Estimates(np.array(T_out), np.array(e), np.array(phase, dtype=np.int64))
 
 
-def advance(model: PaperModel, memory: Memory, T_in: float, band: float, continued: bool) -> Memory:
+def advance(
+    model: PaperModel, memory: MethodState, T_in: float, band: float, continued: bool
+) -> MethodState:
     """Return the memory after T_in [N], which has turned when `band` [N] from its last extreme."""
     K = model.K
     rising = memory.phase in (Phase.PULL, Phase.RELEASE_TO_PULL)
@@ -126,8 +128,8 @@ def advance(model: PaperModel, memory: Memory, T_in: float, band: float, continu
 
 
 def _turned(
-    model: PaperModel, memory: Memory, phase: Phase, T_in: float, continued: bool
-) -> Memory:
+    model: PaperModel, memory: MethodState, phase: Phase, T_in: float, continued: bool
+) -> MethodState:
     """Return the memory after a reversal at the last extreme, noticed at T_in [N]."""
     at = memory.extreme
     hold = (
@@ -135,14 +137,14 @@ def _turned(
         if phase is Phase.PULL_TO_RELEASE
         else paper.release_to_pull_tip_tension
     )
-    turned = Memory(phase, T_in, at, float(hold(at, model.K)), 0.0)
+    turned = MethodState(phase, T_in, at, float(hold(at, model.K)), 0.0)
     if continued:
         T_out, e = _read(model, memory, at)
         turned = turned._replace(held=T_out, offset=e - _read(model, turned, at)[1])
     return turned
 
 
-def _read(model: PaperModel, memory: Memory, T_in: float) -> tuple[float, float]:
+def _read(model: PaperModel, memory: MethodState, T_in: float) -> tuple[float, float]:
     """Return T_out [N] and the elongation [m]."""
     K, M_e, L, EA = model.K, model.M_e, model.length, model.axial_stiffness
     match memory.phase:

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.law import closed_forms
-from slave.calibration.run import Refused
+from slave.calibration.run import CalibrationRefused
 from teleop.tools.paper import methods, scoring
 from teleop.tools.paper.bench import build, stretch_at_rest
 from teleop.tools.paper.methods import METHODS, Initialisation
 from teleop.tools.paper.outcome import Outcome, Result
-from teleop.tools.paper.protocol import NESTED_TURNS, PAPER_TURNS, Record, perform
+from teleop.tools.paper.protocol import NESTED_TURNS, PAPER_TURNS, BenchRun, perform
 from teleop.tools.paper.scoring import PHASES, WHOLE, Truth
 from teleop.tools.paper.sheaths import Specimen
 
@@ -24,17 +24,17 @@ class Session(NamedTuple):
     """What was done with one sheath."""
 
     specimen: Specimen
-    initialised: Initialisation | Refused
-    records: dict[str, Record]  # by motion
+    initialised: Initialisation | CalibrationRefused
+    records: dict[str, BenchRun]  # by motion
 
 
 def experiment(specimen: Specimen, seed: int) -> Session:
     """Initialise the bench and go through the motions; the same seed gives the same session."""
     seeds = np.random.SeedSequence((seed, specimen.number)).generate_state(1 + len(MOTIONS))
-    initialised: Initialisation | Refused
+    initialised: Initialisation | CalibrationRefused
     try:
         initialised = methods.initialise(specimen, int(seeds[0]))
-    except Refused as refused:
+    except CalibrationRefused as refused:
         initialised = refused
     stretch = stretch_at_rest(specimen)
     records = {
@@ -50,7 +50,7 @@ def judge(session: Session) -> Outcome:
     return Outcome(session.specimen, unevenness(session.specimen), results)
 
 
-def truth_of(motion: str, record: Record) -> Truth:
+def truth_of(motion: str, record: BenchRun) -> Truth:
     """Return what the bench says, and the phases where there are such."""
     counts = scoring.taut(record.tension)
     parts = {WHOLE: counts}
@@ -69,24 +69,24 @@ def unevenness(specimen: Specimen) -> float:
     sheath = specimen.sheath
     lengths = [section.length for section in sheath.sections]
     radii = [min(section.radius, STRAIGHT) for section in sheath.sections]
-    given = (sheath.friction, lengths, radii, sheath.axial_stiffness)
-    ratio = closed_forms.release_constant(*given) / closed_forms.pull_constant(*given)
+    constants = (sheath.friction, lengths, radii, sheath.axial_stiffness)
+    ratio = closed_forms.release_constant(*constants) / closed_forms.pull_constant(*constants)
     return math.log(ratio) - specimen.K
 
 
 def _result(session: Session, method: str) -> Result:
     try:
-        fitted = methods.fitted(method, session.specimen, _initialised(session))
-    except (Refused, ValueError) as error:
+        fit_method = methods.fit_method(method, session.specimen, _initialised(session))
+    except (CalibrationRefused, ValueError) as error:
         return Result(math.nan, str(error), {})
     scores = {
-        motion: scoring.score(truth_of(motion, record), *fitted.estimate(record))
+        motion: scoring.score(truth_of(motion, record), *fit_method.estimate(record))
         for motion, record in session.records.items()
     }
-    return Result(fitted.K, "", scores)
+    return Result(fit_method.K, "", scores)
 
 
 def _initialised(session: Session) -> Initialisation:
-    if isinstance(session.initialised, Refused):
+    if isinstance(session.initialised, CalibrationRefused):
         raise session.initialised
     return session.initialised

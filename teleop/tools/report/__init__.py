@@ -1,1 +1,1 @@
-"""What reports are made of: a page, the style of figures, a progress bar."""
+"""Parts of reports: page, style of figures, progress bar."""

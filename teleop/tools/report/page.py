@@ -1,4 +1,4 @@
-"""One page that shows all: tables and figures in a single file that a browser opens."""
+"""Self-contained HTML pages with tables and figures."""
 
 import base64
 import html
@@ -24,7 +24,7 @@ figcaption { font-size: 0.9rem; color: #444; max-width: 48rem; }
 
 
 class Page:
-    """A page under way; each method adds to its end."""
+    """An HTML page; each method appends to it."""
 
     def __init__(self, title: str) -> None:
         self._title = title

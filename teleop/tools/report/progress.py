@@ -1,4 +1,4 @@
-"""How far a diagnosis is: a bar on a terminal, a line for each thing done elsewhere."""
+"""Progress of a computation: a bar on a terminal, else a line per step."""
 
 import sys
 from typing import TextIO
@@ -7,7 +7,7 @@ WIDTH = 40
 
 
 class Progress:
-    """Shows what is being done, and which share of it is; call it with both."""
+    """Shows the present step and the fraction done."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
@@ -24,6 +24,6 @@ class Progress:
         self._what = what
 
     def end(self) -> None:
-        """Leave the line free for what is printed next."""
+        """Clear the line."""
         if self._bar and self._what:
             print("\r\x1b[K", end="", file=self._stream, flush=True)

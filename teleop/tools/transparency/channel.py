@@ -13,14 +13,14 @@ M = TypeVar("M", bound=Message)
 
 
 class Channel(Generic[M]):
-    """One direction of one topic: real bytes, which arrive late, in another order, or never.
+    """One direction of one topic: message bytes with delay, reordering and loss.
 
     Parameters
     ----------
     topic : Topic
-        What is sent.
+        Topic of the messages.
     sender : int
-        Nonce of who sends it.
+        Nonce of the sender.
     delay, jitter : float
         A message is under way for `delay` +- `jitter` [s], evenly spread, and not below 0.
     loss : float

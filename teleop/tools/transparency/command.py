@@ -67,19 +67,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command."""
-    asked = chosen(args)
+    study_config = parse_study(args)
     if not 1 <= args.jobs <= 256:
         raise UsageError(f"--jobs {args.jobs}: must be 1 to 256")
     make_folder(args.out, "transparency.html")
-    cases = run(asked, args.jobs)
-    print(report.summary(asked, cases).markdown(), flush=True)
-    write_summary(args.out / "transparency.json", report.tree(asked, cases))
-    write_whole(args.out / "transparency.html", page.render(asked, cases), "the page")
+    cases = run(study_config, args.jobs)
+    print(report.summary(study_config, cases).markdown(), flush=True)
+    write_summary(args.out / "transparency.json", report.tree(study_config, cases))
+    write_whole(args.out / "transparency.html", page.render(study_config, cases), "the page")
     print(f"\nwritten: {args.out / 'transparency.html'}")
     return 0
 
 
-def chosen(args: argparse.Namespace) -> Study:
+def parse_study(args: argparse.Namespace) -> Study:
     """Return the study that is asked for."""
     delays = args.round_trips or (QUICK if args.quick else None)
     for name, values, least, most in (
@@ -92,7 +92,7 @@ def chosen(args: argparse.Namespace) -> Study:
         for value in values:
             if not least <= value <= most:  # nor NaN
                 raise UsageError(f"--{name} {value:g}: must be {least:g} to {most:g}")
-    asked = Study(
+    study_config = Study(
         couplings=tuple(dict.fromkeys(args.couplings)),
         jitter=1e-3 * args.jitter,
         loss=args.loss,
@@ -100,19 +100,19 @@ def chosen(args: argparse.Namespace) -> Study:
         position_scale=args.position_scale,
     )
     if delays:
-        asked = replace(asked, round_trips=tuple(sorted({1e-3 * d for d in delays})))
-    return study.quick(asked) if args.quick else asked
+        study_config = replace(study_config, round_trips=tuple(sorted({1e-3 * d for d in delays})))
+    return study.quick(study_config) if args.quick else study_config
 
 
-def run(asked: Study, workers: int) -> list[Case]:
+def run(study_config: Study, workers: int) -> list[Case]:
     """Return what was measured, in so many processes."""
-    tasks, progress = study.tasks(asked), Progress()
+    tasks, progress = study.tasks(study_config), Progress()
     done: dict[Task, Any] = {}
     try:
-        results = parallel_map(partial(study.measure, asked), tasks, workers)
+        results = parallel_map(partial(study.measure, study_config), tasks, workers)
         for task in tasks:
             progress(f"{task.kind}, {task.coupling}", len(done) / len(tasks))
             done[task] = next(results)
     finally:
         progress.end()
-    return study.gather(asked, done)
+    return study.gather(study_config, done)

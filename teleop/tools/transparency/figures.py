@@ -38,7 +38,7 @@ class Label(NamedTuple):
 
 
 def draw(study: Study, cases: list[Case], folder: Path) -> dict[str, str]:
-    """Write all figures into `folder`; return what to say below each, by file name."""
+    """Write all figures into `folder`; return their captions by file name."""
     captions = {}
     with mpl.rc_context(STYLE):
         for name, figure, caption in _figures(study, cases):
@@ -57,7 +57,7 @@ def _figures(study: Study, cases: list[Case]) -> Iterator[tuple[str, Figure, str
 
 
 def pressed(study: Study, cases: list[Case]) -> tuple[Figure, str]:
-    """Draw felt against true stiffness, and over it, a column a coupling."""
+    """Draw rendered against true stiffness and their ratio, a column per coupling."""
     columns = len(study.couplings)
     figure = Figure(figsize=(3.4 * columns + 0.6, 5.4))
     grid = figure.subplots(2, columns, sharex=True, sharey="row", squeeze=False)
@@ -91,7 +91,7 @@ def pressed(study: Study, cases: list[Case]) -> tuple[Figure, str]:
 
 
 def walls(study: Study, cases: list[Case]) -> tuple[Figure, str]:
-    """Draw up to which stiffness walls are stable, against the delay."""
+    """Draw the stiffest stable wall against the delay."""
     count = len(study.dampings)
     figure = Figure(figsize=(3.9 * count + 0.8, 3.6))
     row, ends = np.atleast_1d(figure.subplots(1, count, sharey=True)), []

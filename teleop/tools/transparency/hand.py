@@ -1,4 +1,4 @@
-"""The operator's end: a device, what it tells of its motion, and the hand that holds it.
+"""The operator's end: a device with its encoder, and the hand that holds it.
 
 A device is a mass with a damper to ground; its encoder has a resolution, and the force that it is
 given is held for a tick. The hand is an arm's spring and damper that pull its mass, and the
@@ -6,7 +6,7 @@ device's with it, along a reference r(t),
 
     (m + m_d) x'' = k (r - x) + b (r' - x') - b_d x' + F
 
-or it is infinitely firm, and the motion is given (`Guided`). The numbers of hands are of the
+or it is infinitely firm, and the motion is given (`GuidedHand`). The numbers of hands are of the
 order of those measured for a wrist and fingers that hold a stylus; they are nobody's in particular.
 """
 
@@ -41,7 +41,7 @@ class Device:
     smoothing: float = 0.0  # [s] time constant of its velocity's filter, as in the HID drivers
 
     def __post_init__(self) -> None:
-        """Refuse what no device is."""
+        """Check the values; raises `ValueError`."""
         for name, most, unit in (
             ("mass", 10.0, "kg"),
             ("damping", 1e3, "N s/m"),
@@ -57,33 +57,33 @@ USUAL, IDEAL = HandModel(), Device()
 
 
 class Encoder:
-    """What a device tells of its motion, a tick at a time."""
+    """Encoder and velocity filter of a device."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._told, self._velocity = math.nan, 0.0
+        self._last_position, self._velocity = math.nan, 0.0
 
     def read(self, position: float, velocity: float) -> tuple[float, float]:
-        """Return position [m] and velocity [m/s] as told; `velocity` is the true one."""
+        """Return the measured position [m] and velocity [m/s]; `velocity` is the true one."""
         step, smoothing = self._device.resolution, self._device.smoothing
-        told = round(position / step) * step if step > 0.0 else position
+        measured = round(position / step) * step if step > 0.0 else position
         if step == 0.0 and smoothing == 0.0:
-            return told, velocity
-        way = told - self._told if math.isfinite(self._told) else 0.0
-        self._told = told
+            return measured, velocity
+        way = measured - self._last_position if math.isfinite(self._last_position) else 0.0
+        self._last_position = measured
         self._velocity = (smoothing * self._velocity + way) / (smoothing + DT)
-        return told, self._velocity
+        return measured, self._velocity
 
 
 class Hand(Protocol):
-    """What holds a device."""
+    """Interface of a hand."""
 
     device: Device
     position: float  # [m]
     velocity: float  # [m/s]
 
     def advance(self, force: float) -> None:
-        """Go on by a tick, in which the device is given `force` [N]."""
+        """Advance by a tick with the device's force `force` [N]."""
 
 
 class Arm:
@@ -115,7 +115,7 @@ class Arm:
         self._tick += 1
 
 
-class Guided:
+class GuidedHand:
     """A hand that no force moves off its way: `motion` [m] at a time [s], which must be smooth."""
 
     def __init__(self, motion: Motion, device: Device = IDEAL) -> None:

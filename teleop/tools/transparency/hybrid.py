@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from teleop.tools.transparency.hand import DT, Device, Guided
+from teleop.tools.transparency.hand import DT, Device, GuidedHand
 from teleop.tools.transparency.multisine import (
     Lines,
     Multisine,
@@ -30,7 +30,7 @@ from teleop.tools.transparency.multisine import (
     response,
     spectrum,
 )
-from teleop.tools.transparency.run import SETTLED, Record, part, run
+from teleop.tools.transparency.run import SETTLED, RunData, part, run
 from teleop.tools.transparency.system import System
 
 RISE = 0.3  # [s] in which an input grows to its full amplitude
@@ -81,22 +81,22 @@ def measure(
         force = draw(excitation.period, excitation.harmonics, even, seed)
         pushed += _periods(build(), excitation, device, round_trip, None, force)
     harmonics = np.arange(1, max(excitation.harmonics) + 2)
-    asked = np.isin(harmonics, excitation.harmonics)
+    is_excited = np.isin(harmonics, excitation.harmonics)
     every = harmonics / excitation.period
     of_moved, of_pushed = (
         _Ports(*(np.array(x) for x in zip(*(_ports(r, every, device) for r in part), strict=True)))
         for part in (moved, pushed)
     )
 
-    def told(given: Lines, answer: Lines) -> Response:
-        return response(given[:, asked], answer[:, asked], answer[:, ~asked])
+    def estimate(excited: Lines, answer: Lines) -> Response:
+        return response(excited[:, is_excited], answer[:, is_excited], answer[:, ~is_excited])
 
     return Hybrid(
         frequency,
-        told(of_moved.v_hand, of_moved.f_hand),
-        told(of_pushed.f_tip, of_pushed.f_hand),
-        told(of_moved.v_hand, -of_moved.v_tip),
-        told(of_pushed.f_tip, -of_pushed.v_tip),
+        estimate(of_moved.v_hand, of_moved.f_hand),
+        estimate(of_pushed.f_tip, of_pushed.f_hand),
+        estimate(of_moved.v_hand, -of_moved.v_tip),
+        estimate(of_pushed.f_tip, -of_pushed.v_tip),
     )
 
 
@@ -116,7 +116,7 @@ def _periods(
     round_trip: float,
     motion: Multisine | None,
     force: Multisine | None,
-) -> list[Record]:
+) -> list[RunData]:
     """Return the periods that count of one run."""
     begin = SETTLED + round_trip + 0.2
 
@@ -131,7 +131,7 @@ def _periods(
     length = round(excitation.period / DT)
     record = run(
         system,
-        Guided(growing(motion), device),
+        GuidedHand(growing(motion), device),
         first + excitation.periods * excitation.period,
         engage=SETTLED + round_trip,
         push=growing(force),
@@ -143,7 +143,7 @@ def _periods(
     ]
 
 
-def _ports(record: Record, frequency: Array, device: Device) -> _Ports:
+def _ports(record: RunData, frequency: Array, device: Device) -> _Ports:
     s = 2j * np.pi * frequency
     v_hand = s * spectrum(record.hand, record.time, frequency)
     rendered = spectrum(record.force, record.time, frequency) * held(frequency, DT)

@@ -64,13 +64,13 @@ class Response(NamedTuple):
     distortion: float  # answer at lines not asked over answer at those asked, RMS
 
 
-def response(given: Lines, answer: Lines, others: Lines) -> Response:
+def response(excited: Lines, answer: Lines, others: Lines) -> Response:
     """Return the best linear approximation over several periods, shape (periods, lines).
 
     The coherence falls with noise, and with all that depends on the phases of the other lines.
     """
-    cross = np.sum(answer * given.conj(), axis=0)
-    power, back = (np.sum(np.abs(x) ** 2, axis=0) for x in (given, answer))
+    cross = np.sum(answer * excited.conj(), axis=0)
+    power, back = (np.sum(np.abs(x) ** 2, axis=0) for x in (excited, answer))
     coherence = np.abs(cross) ** 2 / np.maximum(power * back, np.finfo(float).tiny)
     distortion = float(np.sqrt(np.sum(np.abs(others) ** 2) / max(back.sum(), 1e-300)))
     return Response(cross / power, coherence, distortion)

@@ -1,4 +1,4 @@
-"""transparency.html: the study on one page, which needs no network and no scripts."""
+"""transparency.html: the study on one self-contained page."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -159,5 +159,5 @@ def _coupling(study: Study, name: str) -> str:
     """Return what is set of a coupling, in SI units and those of the tip."""
     values = asdict(study.coupling(name))
     values.pop("type")
-    told = ", ".join(f"{key} {value:g}" for key, value in values.items())
-    return f"Coupling {name}: {told or 'nothing to set'}."
+    parameters = ", ".join(f"{key} {value:g}" for key, value in values.items())
+    return f"Coupling {name}: {parameters or 'nothing to set'}."

@@ -1,4 +1,4 @@
-"""The tendon's end, as simple as it can be: a motor that lags, a spring, a tip, what it meets.
+"""A minimal rig: a motor with lag, a spring, a tip, an environment.
 
 There is no friction, and the tip has no mass. It is the ground truth of the tests of the coupling.
 """
@@ -17,8 +17,8 @@ TENDON = 9000.0 / 1.5  # [N/m]
 STEPS = 10  # of the motor in a tick
 
 
-class Bench(Protocol):
-    """A rig on the bench."""
+class TestRig(Protocol):
+    """Interface of a rig for the study."""
 
     tip: float  # [m] true
     wanted: tuple[float, ...] | None  # [m] where the motors shall go; None: nothing was asked yet
@@ -27,7 +27,7 @@ class Bench(Protocol):
         """Go on by a tick, at whose end the tip is pushed by `push` [N] besides all else."""
 
     def read(self) -> Sequence[RigSample]:
-        """Return what was measured in it."""
+        """Return the samples of the tick."""
 
     def load(self) -> float:
         """Return the true force on the tip [N]."""
@@ -39,7 +39,7 @@ class Rig:
     Parameters
     ----------
     environment : callable
-        What the tip meets.
+        Force of the environment.
     spring, pretension : float
         The load besides: `pretension` [N] at rest, more by `spring` [N/m].
     damping : float
@@ -67,11 +67,11 @@ class Rig:
         self._time = self.tip = self._push = self._before = 0.0
 
     def load(self) -> float:
-        """See `Bench`."""
+        """See `TestRig`."""
         return self._load(self.tip)
 
     def advance(self, push: float = 0.0) -> None:
-        """See `Bench`."""
+        """See `TestRig`."""
         wanted = self._motor if self.wanted is None else self.wanted[0]
         for _ in range(STEPS):
             speed = (wanted - self._motor) / self.lag
@@ -81,7 +81,7 @@ class Rig:
         self.tip = self._balance()
 
     def read(self) -> list[RigSample]:
-        """See `Bench`."""
+        """See `TestRig`."""
         tension = self._tension(self.tip) + self._rng.normal(0.0, self._noise)
         return [RigSample(self._time, np.array([tension]), np.array([self._motor]))]
 
@@ -113,7 +113,7 @@ class Rig:
 
 
 def free(_q: float) -> float:
-    """Nothing is met."""
+    """No contact."""
     return 0.0
 
 

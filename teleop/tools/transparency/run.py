@@ -1,4 +1,4 @@
-"""A hand on a system, tick by tick, and all that happened."""
+"""Simulate a hand on a system."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,8 +14,8 @@ from teleop.tools.transparency.system import System
 SETTLED = 0.4  # [s] after which a session over a network without delay may engage
 
 
-class Record(NamedTuple):
-    """What happened, a number a tick."""
+class RunData(NamedTuple):
+    """Signals of a run, one value per tick."""
 
     time: Array  # [s]
     hand: Array  # [m] true
@@ -23,7 +23,7 @@ class Record(NamedTuple):
     force: Array  # [N] on the hand, held until the next tick
     tip: Array  # [m] true, half a tick later
     load: Array  # [N] true, on the tip, half a tick later
-    asked: Array  # [m] of the tip
+    commanded: Array  # [m] of the tip
     followed: Array  # [m]
     credit: Array  # [J] of master and slave, shape (n, 2)
     engaged: NDArray[np.bool_]
@@ -31,7 +31,7 @@ class Record(NamedTuple):
     dragged: Array  # [m^2/s] times a damping at the hand: what that has dissipated [J]
 
 
-def part(record: Record, begin: int, end: int) -> Record:
+def part(record: RunData, begin: int, end: int) -> RunData:
     """Return the ticks from `begin` to before `end`."""
     span = slice(begin, end)
     return record._replace(**{name: column[span] for name, column in record._asdict().items()})
@@ -48,8 +48,8 @@ def run(
     seconds: float,
     engage: float = SETTLED,
     push: Callable[[float], float] = nobody,
-) -> Record:
-    """Return what happens in so many `seconds`.
+) -> RunData:
+    """Simulate for `seconds` [s].
 
     Parameters
     ----------
@@ -70,9 +70,20 @@ def run(
         answer = system.tick(seen, push(time + DT / 2))
         rows.append((time, hand.position, hand.velocity, *answer))
         hand.advance(answer.force)
-    time, x, v, f, tip, load, asked, followed, *credit, engaged = np.array(rows, float).T
+    time, x, v, f, tip, load, commanded, followed, *credit, engaged = np.array(rows, float).T
     work = np.concatenate([[0.0], np.cumsum(f[:-1] * np.diff(x))])
     dragged = np.concatenate([[0.0], np.cumsum(np.square(v[1:]) + np.square(v[:-1])) * DT / 2])
-    return Record(
-        time, x, v, f, tip, load, asked, followed, np.array(credit).T, engaged > 0, work, dragged
+    return RunData(
+        time,
+        x,
+        v,
+        f,
+        tip,
+        load,
+        commanded,
+        followed,
+        np.array(credit).T,
+        engaged > 0,
+        work,
+        dragged,
     )

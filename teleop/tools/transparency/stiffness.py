@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from teleop.tools.transparency.hand import DT, Device, Guided, Motion, reach
+from teleop.tools.transparency.hand import DT, Device, GuidedHand, Motion, reach
 from teleop.tools.transparency.run import SETTLED, run
 from teleop.tools.transparency.system import System
 
@@ -19,7 +19,7 @@ MOVES, RESTS = 0.4, 0.4  # [s] of a step; it rests for a round trip longer
 READ = 0.1  # [s] at the end of a rest
 
 
-class Pressed(NamedTuple):
+class SpringContact(NamedTuple):
     """A spring that was pressed."""
 
     true: float  # [N/m] of the environment
@@ -30,7 +30,7 @@ class Pressed(NamedTuple):
 
 def press(
     system: System, stiffness: float, scales: tuple[float, float], round_trip: float, device: Device
-) -> Pressed:
+) -> SpringContact:
     """Return what is felt of a spring that `system` meets from where its tip starts.
 
     Parameters
@@ -46,14 +46,16 @@ def press(
     step = FORCE / STEPS / stiffness / scales[1]
     lasts = MOVES + RESTS + round_trip
     motion = _stairs(begin, lasts, step)
-    record = run(system, Guided(motion, device), begin + STEPS * lasts, engage=SETTLED + round_trip)
+    record = run(
+        system, GuidedHand(motion, device), begin + STEPS * lasts, engage=SETTLED + round_trip
+    )
     ends = [round((begin + (n + 1) * lasts) / DT) for n in range(STEPS)]
     spans = [slice(end - round(READ / DT), end) for end in ends]
     hand = [record.hand[span].mean() for span in spans]
     force = [-record.force[span].mean() for span in spans]
     felt = float(np.polyfit(hand, force, 1)[0])
     ripple = max(float(np.ptp(record.force[span])) for span in spans)
-    return Pressed(stiffness, felt, felt / (scales[0] * scales[1] * stiffness), ripple)
+    return SpringContact(stiffness, felt, felt / (scales[0] * scales[1] * stiffness), ripple)
 
 
 def _stairs(begin: float, lasts: float, step: float) -> Motion:

@@ -16,7 +16,7 @@ from teleop.tools.transparency import hybrid, stiffness, zwidth
 from teleop.tools.transparency.hand import Device, HandModel
 from teleop.tools.transparency.hybrid import Excitation, Hybrid
 from teleop.tools.transparency.rig import Environment, Rig, free, wall
-from teleop.tools.transparency.stiffness import Pressed
+from teleop.tools.transparency.stiffness import SpringContact
 from teleop.tools.transparency.system import Network, Teleoperator, rig_model, settings
 from teleop.tools.transparency.zwidth import Width
 
@@ -115,7 +115,7 @@ class Case(NamedTuple):
 
     coupling: str
     round_trip: float  # [s]
-    pressed: tuple[Pressed, ...]
+    pressed: tuple[SpringContact, ...]
     walls: dict[tuple[str, float], Walls]  # by hand and damping
     hybrid: Hybrid
 
@@ -154,7 +154,7 @@ def gather(study: Study, done: dict[Task, Any]) -> list[Case]:
     ]
 
 
-def _stiffness(study: Study, task: Task) -> tuple[Pressed, ...]:
+def _stiffness(study: Study, task: Task) -> tuple[SpringContact, ...]:
     scales = study.force_scale, study.position_scale
     return tuple(
         stiffness.press(

@@ -1,4 +1,4 @@
-"""What is between hand and tip: both live loops, and the messages' bytes on a network."""
+"""The system between hand and tip: both live loops and a simulated network."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -26,7 +26,7 @@ from teleop.packet import Packet
 from teleop.session import State
 from teleop.tools.transparency.channel import Channel
 from teleop.tools.transparency.hand import DT
-from teleop.tools.transparency.rig import Bench
+from teleop.tools.transparency.rig import TestRig
 from teleop.topics import COMMAND, STATE
 
 TICK_NS = round(DT * 1e9)
@@ -36,12 +36,12 @@ SLACK = 0.05  # [s] of the watchdogs besides delay and jitter
 
 
 class Answer(NamedTuple):
-    """What a system did in a tick; tip and load are those of half a tick later."""
+    """Output of a system at a tick; tip and load are half a tick later."""
 
     force: float  # [N] on the hand, held until the next tick
     tip: float  # [m] true
     load: float  # [N] true, on the tip
-    asked: float = 0.0  # [m] of the tip by the master
+    commanded: float = 0.0  # [m] of the tip by the master
     followed: float = 0.0  # [m] where the slave sent it; NaN while it is not engaged
     credit_hand: float = 0.0  # [J] of the master's port
     credit_tip: float = 0.0  # [J] of the slave's
@@ -56,7 +56,7 @@ class System(Protocol):
 
 
 class Network(NamedTuple):
-    """What is between the loops."""
+    """The network between the loops."""
 
     round_trip: float = 0.0  # [s] half of it each way
     jitter: float = 0.0  # [s] of the round trip, evenly spread to both sides
@@ -88,7 +88,7 @@ def settings(
     master = MasterConfig(
         operator=OperatorConfig(position_scale=position_scale),
         force=FeedbackConfig(scale=force_scale),
-        freshness=slow,
+        state_timeout=slow,
         delay_max=min(2.0 * network.round_trip + slow, 1.0),
     )
     slave = SlaveConfig(
@@ -118,7 +118,7 @@ class Teleoperator:
     ----------
     bilateral : Bilateral
         The coupling.
-    rig : Bench
+    rig : TestRig
         The slave's rig.
     network : Network
         Between the two.
@@ -132,15 +132,15 @@ class Teleoperator:
     Attributes
     ----------
     master : MasterState
-        What the master remembers, as it is now.
+        State of the master.
     slave : SlaveMemory
-        What the slave remembers, as it is now.
+        State of the slave.
     """
 
     def __init__(
         self,
         bilateral: Bilateral,
-        rig: Bench,
+        rig: TestRig,
         network: Network = AT_ONCE,
         configs: Settings | None = None,
         model: slave_loop.RigModel | None = None,
@@ -185,8 +185,14 @@ class Teleoperator:
     def _master_tick(self, hand: HandState, now: int) -> None:
         latest = self._states.newest(now)
         hand_input.fill(self._inputs["hand"], hand)
-        told = master_loop.PhaseInput(latest.is_there, latest.age_ns(now), now, DT)
-        known = (self._master_settings, self._master, self._inputs, latest.packet.records, told)
+        phase_input = master_loop.PhaseInput(latest.is_there, latest.age_ns(now), now, DT)
+        known = (
+            self._master_settings,
+            self._master,
+            self._inputs,
+            latest.packet.records,
+            phase_input,
+        )
         master_loop.run_command(*known, self._command.records)
         master_loop.run_force(*known, False, self._force)
         self._commands.send(self._command, now)
@@ -196,9 +202,14 @@ class Teleoperator:
         rows = slave_loop.sample_rows(samples)
         slave.estimate(*slave.estimated, rows, len(samples))
         fresh = latest.is_fresh(now, self._timeout_ns)
-        given = slave_loop.TickInput(DT, latest.is_there, fresh)
+        tick_input = slave_loop.TickInput(DT, latest.is_there, fresh)
         slave_loop.tick(
-            *slave.ticked, rows, len(samples), given, latest.packet.records, self._state.records
+            *slave.ticked,
+            rows,
+            len(samples),
+            tick_input,
+            latest.packet.records,
+            self._state.records,
         )
         slave_loop.monitor_calibration(
             slave.settings, slave.layout, slave.watched, slave.memory, rows, len(samples)

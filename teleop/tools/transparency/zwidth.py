@@ -1,4 +1,4 @@
-"""Z-width: up to which stiffness a wall is rendered stably (Colgate & Brown 1994).
+"""Z-width: the stiffest wall that is rendered stably (Colgate & Brown 1994).
 
 A wall is stable with a hand if the hand that reached into it comes to rest there, or is about to,
 and was not fed with energy on its way: `settles`. That is asked for a rising stiffness until it
@@ -16,7 +16,7 @@ from scipy.signal import detrend
 
 from estimator.array_types import Array
 from teleop.tools.transparency.hand import DT, Arm, Device, HandModel, reach
-from teleop.tools.transparency.run import SETTLED, Record, run
+from teleop.tools.transparency.run import SETTLED, RunData, run
 from teleop.tools.transparency.system import System
 
 SPAN = 1.0  # [s] at the end, and as long before, in which the hand's swing is looked at
@@ -28,13 +28,13 @@ REST = 2.5  # [s] for which it pushes
 
 
 class Width(NamedTuple):
-    """What a search found [N/m]."""
+    """Result of a search [N/m]."""
 
     stable: float  # the largest that was stable; 0 = not even the lowest
     unstable: float  # the smallest that was not; inf = none up to the cap
 
 
-def settles(record: Record) -> bool:
+def settles(record: RunData) -> bool:
     """Return whether a hand comes to rest, still engaged, and was not fed on its way."""
     ticks = round(SPAN / DT)
     before, after = swing(record.hand[-2 * ticks : -ticks]), swing(record.hand[-ticks:])
@@ -47,7 +47,7 @@ def swing(position: Array) -> float:
     return float(np.ptp(detrend(position)))
 
 
-def buzz(record: Record) -> float:
+def buzz(record: RunData) -> float:
     """Return how the force trembles [N] at the end: its standard deviation beside its trend."""
     return float(np.std(detrend(record.force[-round(SPAN / DT) :])))
 
@@ -58,7 +58,7 @@ def push(
     device: Device,
     contact: float,
     round_trip: float = 0.0,
-) -> Record:
+) -> RunData:
     """Return how `hand` reaches into a wall that begins at `contact` [m] of it, and rests."""
     begin = SETTLED + round_trip + 0.2
     arm = Arm(reach(contact + PUSH / hand.stiffness, begin), hand, device)

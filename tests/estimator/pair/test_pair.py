@@ -7,7 +7,7 @@ import pytest
 
 from estimator.pair import pair_fit, pair_study
 from estimator.pair.pair import PairModel, by_command, by_tensions
-from estimator.pair.pair_fit import Law, PairError, fit
+from estimator.pair.pair_fit import PairError, PairVariant, fit
 from estimator.pair.pair_structure import offset_share, structure
 from tests.estimator.pair import pair_bench as bench
 
@@ -78,8 +78,8 @@ def test_each_record_has_a_zero_of_its_own(found):
 
 
 def test_a_bend_that_was_left_out_is_predicted_but_for_its_zero(found):
-    assert all(error.zeroed < 0.08 for error in found.left_out[Law.FULL.value])
-    ours, one_K = (found.left_out[law.value][2] for law in (Law.FULL, Law.ONE_K))
+    assert all(error.zeroed < 0.08 for error in found.left_out[PairVariant.FULL.value])
+    ours, one_K = (found.left_out[law.value][2] for law in (PairVariant.FULL, PairVariant.ONE_K))
     assert ours.share < 0.5 * one_K.share
     assert offset_share(found.records, found.predicted) > 0.6
 
@@ -91,7 +91,7 @@ def test_a_further_bend_is_predicted(found):
 
 
 def test_friction_is_not_made_up_where_the_tensions_alone_are_known(records):
-    model = fit(records, Law.TENSIONS).model
+    model = fit(records, PairVariant.TENSIONS).model
     assert model.growth == pytest.approx(bench.COEFFICIENT, rel=0.1)
 
 

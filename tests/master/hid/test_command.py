@@ -55,7 +55,7 @@ def teleop(capsys, *words):
 
 
 def test_a_list_says_what_is_attached_and_which_driver_fits(hidraw, capsys):
-    assert teleop(capsys, "list") == (0, "no HID device is attached\n", "")
+    assert teleop(capsys, "list") == (0, "no HID device attached\n", "")
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     hidraw.plug(SpaceMouse(descriptors.spacemouse()), usages=((1, 8),))
     code, out, _ = teleop(capsys, "list")
@@ -87,11 +87,11 @@ def test_what_cannot_even_be_described_is_listed_and_probed_with_the_remedy(hidr
     assert "no: teleop devices rules" in teleop(capsys, "list")[1]
     code, out, _ = teleop(capsys, "probe")
     assert code == 0
-    assert "cannot be opened; let it be opened by a udev rule" in out
+    assert "cannot be opened; add a udev rule" in out
 
 
 def test_a_probe_of_nothing_is_a_line(hidraw, capsys):
-    assert teleop(capsys, "probe")[::2] == (2, "teleop: no HID device is attached\n")
+    assert teleop(capsys, "probe")[::2] == (2, "teleop: no HID device attached\n")
 
 
 def test_a_trial_shows_the_buttons_that_were_pressed(hidraw, tmp_path):
@@ -137,7 +137,7 @@ def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
         file = tmp_path / f"{wired}.yaml"
         command.test("", "auto", file, 0.1, Someone("", "").person)
         kept = found_in(file)
-        line = command.Line(search.choose("", "auto"), command.PidConfig())
+        line = command.DeviceConnection(search.choose("", "auto"), command.PidConfig())
         for place, axis in enumerate("xy"):
             share = [0.0, 0.0]
             share[place] = 0.1 * kept[axis]
@@ -171,7 +171,7 @@ def test_nobody_to_answer_is_one_line_and_leaves_no_force(hidraw, tmp_path, caps
     code, _, err = teleop(capsys, "test", "--seconds", "0.1", "--signs", str(tmp_path / "s.yaml"))
     assert code == 2
     assert err.count("\n") == 1
-    assert "needs someone to answer" in err
+    assert "needs a terminal" in err
     assert node.force() == (0.0, 0.0)
 
 

@@ -106,5 +106,5 @@ def test_when_it_is_told_to_go_it_writes_too_and_is_gone(tmp_path):
 
 
 def test_without_a_node_to_write_to_there_is_no_guard(tmp_path):
-    with pytest.raises(OSError, match="nobody"):
+    with pytest.raises(OSError, match="watchdog does not start"):
         Guard(str(tmp_path / "nothing"), [b"zero"])

@@ -109,9 +109,9 @@ def test_buttons_are_told_apart():
 def test_the_buttons_of_a_scale_are_told_and_only_those_that_are_given(less, more):
     stick = AxisConfig("x", travel=0.1)
     hand = Hand(stick, buttons=ButtonsConfig(engage=1, **{less: 2, more: 4}))
-    told = [hand.read(0.0, buttons=bit) for bit in (1, 2, 4, 8, 2 | 8)]
-    assert [getattr(state, less) for state in told] == [False, True, False, False, True]
-    assert [getattr(state, more) for state in told] == [False, False, False, True, True]
+    reported = [hand.read(0.0, buttons=bit) for bit in (1, 2, 4, 8, 2 | 8)]
+    assert [getattr(state, less) for state in reported] == [False, True, False, False, True]
+    assert [getattr(state, more) for state in reported] == [False, False, False, True, True]
     assert not getattr(Hand(stick).read(0.0, buttons=ALL), less)
 
 
@@ -131,7 +131,7 @@ def test_until_everything_is_known_the_switch_counts_as_held_and_nothing_moves()
     assert not state.clutch
     assert (state.position, state.velocity) == ((0.0, 0.0), (0.0, 0.0))
     nan = math.nan
-    for axes, told, held in (
+    for axes, reported, held in (
         ((nan, nan, nan), ALL, True),  # x is not known
         ((0.5, nan, nan), 0, True),  # buttons are not
         ((0.5, nan, nan), ALL & ~ENGAGE, True),  # ... one of them
@@ -139,7 +139,7 @@ def test_until_everything_is_known_the_switch_counts_as_held_and_nothing_moves()
         ((0.5, nan, nan), ALL & ~STOP, True),
         ((0.5, nan, nan), ENGAGE | CLUTCH | STOP, False),  # y, of rate, rests until it is known
     ):
-        controls = Controls(axes, 0, told)
+        controls = Controls(axes, 0, reported)
         state, after = mapping.step(hand.plan, memory, controls, controls, DT)
         assert state.engage is held
         assert after.knows is not held
@@ -200,8 +200,8 @@ def test_what_the_device_does_not_have_is_named(axis, buttons, complaint):
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        ({"travel": 0.1, "speed": 0.1}, "travel and speed"),
-        ({}, "travel and speed"),
+        ({"travel": 0.1, "speed": 0.1}, "travel, speed"),
+        ({}, "travel, speed"),
         ({"travel": 2.0}, "travel"),
         ({"travel": 0.1, "dead_zone": 1.0}, "dead_zone"),
         ({"travel": 0.1, "force": -1.0}, "force"),

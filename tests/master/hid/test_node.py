@@ -55,7 +55,7 @@ def test_a_report_that_is_not_taken_is_a_fault(hidraw, node, plugged, call):
 
 def test_a_write_that_fails_on_a_device_that_is_there_is_a_fault(node, plugged):
     plugged.refuses = True
-    with pytest.raises(DeviceFault, match="takes no reports"):
+    with pytest.raises(DeviceFault, match="rejects reports"):
         node.write(b"\x0d\xff")
 
 

@@ -20,17 +20,17 @@ class Memory:
     """
 
     def __init__(self, before=(), first=1):
-        self.told = []
+        self.reported = []
         self.reads = 0
         self._next = first - 1
         self._answers = list(before)
         self._ready = False
 
     def write(self, report):
-        self.told.append(report.hex())
+        self.reported.append(report.hex())
 
     def send_feature(self, report):
-        self.told.append("create " + report.hex())
+        self.reported.append("create " + report.hex())
         self._next += 1
         self._ready = True
 
@@ -48,12 +48,12 @@ class Memory:
 def begun(data, config=None, memory=None):
     driver, memory = PidDriver(data, config), memory or Memory()
     driver.begin(memory)
-    return driver, memory.told
+    return driver, memory.reported
 
 
 def test_openffboard_is_begun_by_its_table():
-    _, told = begun(openffboard())
-    assert told == [
+    _, reported = begun(openffboard())
+    assert reported == [
         "0c08",  # reset
         "0c20",  # continue
         "0c01",  # enable
@@ -68,14 +68,14 @@ def test_openffboard_is_begun_by_its_table():
 
 
 def test_openffboard_with_one_axis_has_its_direction_bit_elsewhere():
-    driver, told = begun(openffboard(1))
+    driver, reported = begun(openffboard(1))
     assert driver.forces == ("x",)
-    assert told[5] == "010101c800000000000000ff000228230000"
+    assert reported[5] == "010101c800000000000000ff000228230000"
 
 
 def test_arduino_is_begun_by_its_table():
-    _, told = begun(arduino())
-    assert told == [
+    _, reported = begun(arduino())
+    assert reported == [
         "0c04",
         "0c06",
         "0c01",
@@ -90,9 +90,9 @@ def test_arduino_is_begun_by_its_table():
 
 
 def test_rhino_is_begun_by_its_table():
-    _, told = begun(rhino())
-    assert told[:4] == ["7004", "7006", "7002", "71ff"]
-    assert told[4:7] == [
+    _, reported = begun(rhino())
+    assert reported[:4] == ["7004", "7006", "7002", "71ff"]
+    assert reported[4:7] == [
         "create 05010000",
         "65" "01" "01" "c800" "0000" "0000" "0010" "00" "04" "40" "00" "0000",
         "69010000",
@@ -143,8 +143,8 @@ def test_without_a_force_a_condition_is_stopped_and_never_started(force, arm):
 
 def test_nothing_is_started_before_it_is_armed():
     for data in (openffboard(), arduino(), rhino()):
-        _, told = begun(data, PidConfig(spring=1.0))
-        assert not [report for report in told if report[:2] in ("0a", "6e")]
+        _, reported = begun(data, PidConfig(spring=1.0))
+        assert not [report for report in reported if report[:2] in ("0a", "6e")]
 
 
 def test_without_a_beginning_there_is_no_force():
@@ -174,11 +174,11 @@ def test_silence_takes_away_all_that_was_made():
     ],
 )
 def test_every_effect_ends_by_itself_before_a_quarter_of_a_second(name, number):
-    _, told = begun(LAYOUTS[name], PidConfig(spring=0.1, damper=0.1))
-    reports = [bytes.fromhex(report) for report in told if not report.startswith("create")]
+    _, reported = begun(LAYOUTS[name], PidConfig(spring=0.1, damper=0.1))
+    reports = [bytes.fromhex(report) for report in reported if not report.startswith("create")]
     effects = {r[1]: struct.unpack("<H", r[3:5])[0] for r in reports if r[0] == number}
     assert set(effects.values()) == {200}
-    assert len(effects) == sum(report.startswith("create") for report in told)
+    assert len(effects) == sum(report.startswith("create") for report in reported)
 
 
 def test_beginning_again_starts_from_nothing():
@@ -208,17 +208,17 @@ def test_a_device_that_never_answers_is_refused():
             return bytes([number])
 
     memory = Mute()
-    with pytest.raises(DriverError, match="did not make the effect"):
+    with pytest.raises(DriverError, match="did not create the effect"):
         begun(openffboard(), memory=memory)
     assert 2 <= memory.reads <= 100
 
 
 def test_full_memory_is_freed_and_tried_once_more():
     memory = Memory(before=[(0, 2)])
-    _, told = begun(openffboard(1), memory=memory)
-    freed = [report for report in told if report.startswith("0b")]
+    _, reported = begun(openffboard(1), memory=memory)
+    freed = [report for report in reported if report.startswith("0b")]
     assert freed == [f"0b{block:02x}" for block in range(1, 41)]
-    assert told.count("create 11010000") == 2
+    assert reported.count("create 11010000") == 2
 
 
 def test_memory_that_stays_full_is_said():
@@ -228,9 +228,9 @@ def test_memory_that_stays_full_is_said():
 
 def test_a_second_effect_does_not_free_the_first():
     memory = Memory(before=[(1, 1), (0, 2)])
-    _, told = begun(openffboard(), memory=memory)
-    assert "0b01" not in told
-    assert "0b02" in told
+    _, reported = begun(openffboard(), memory=memory)
+    assert "0b01" not in reported
+    assert "0b02" in reported
 
 
 def test_a_number_that_other_reports_cannot_hold_is_said():
@@ -247,22 +247,22 @@ def test_a_number_that_other_reports_cannot_hold_is_said():
 
 
 def test_a_spring_and_a_damper_are_left_to_the_device():
-    _, told = begun(openffboard(), PidConfig(spring=0.2, damper=1.0))
+    _, reported = begun(openffboard(), PidConfig(spring=0.2, damper=1.0))
     spring = "010308c800000000000000ff00042823000000000000"
-    assert told[10:15] == [
+    assert reported[10:15] == [
         "create 11080000",
         spring,
         "03" "03" "00" "0000" "9919" "9919" "9919" "9919" "0000",
         "03" "03" "01" "0000" "9919" "9919" "9919" "9919" "0000",
         spring,  # again, now that the device knows the parameters
     ]  # fmt: skip
-    assert told[15] == "create 11090000"
-    assert told[17] == "0304000000ff7fff7fff7fff7f0000"
+    assert reported[15] == "create 11090000"
+    assert reported[17] == "0304000000ff7fff7fff7fff7f0000"
 
 
 def test_one_axis_has_one_condition():
-    _, told = begun(ffbeast_pid(), PidConfig(spring=1.0))
-    conditions = [report for report in told if report.startswith("13")]
+    _, reported = begun(ffbeast_pid(), PidConfig(spring=1.0))
+    conditions = [report for report in reported if report.startswith("13")]
     assert conditions == ["1302000000" + "1027" * 4 + "0000"]
 
 
@@ -288,16 +288,16 @@ def test_a_config_takes_shares(share):
 
 def test_without_a_direction_bit_an_effect_has_its_axis_alone():
     data = openffboard().replace(d.field(d.OUTPUT, 1, 0, 1, 0x56), d.field(d.OUTPUT, 1, 0, 1, 0x2F))
-    _, told = begun(data)
-    effects = [bytes.fromhex(r) for r in told if len(r) == 44]
+    _, reported = begun(data)
+    effects = [bytes.fromhex(r) for r in reported if len(r) == 44]
     assert [effect[13] for effect in effects] == [0b01, 0b10]
 
 
 def test_a_direction_bit_that_is_declared_as_filling_is_set():
     named = d.usage(0x56) + d.logical(0, 1) + d.shape(1) + d.main(d.OUTPUT, d.CONSTANT)
     data = arduino().replace(d.field(d.OUTPUT, 1, 0, 1, 0x56), named)
-    _, told = begun(data)
-    assert told[5] == begun(arduino())[1][5]
+    _, reported = begun(data)
+    assert reported[5] == begun(arduino())[1][5]
 
 
 def test_time_is_counted_as_the_device_says():
@@ -307,10 +307,10 @@ def test_time_is_counted_as_the_device_says():
         return openffboard().replace(ms, other)
 
     for exponent, ticks in ((0xFC, 2000), (0x0E, 20), (0x0F, 2)):
-        _, told = begun(with_clock(exponent))
-        assert bytes.fromhex(told[5])[3:5] == struct.pack("<H", ticks)
+        _, reported = begun(with_clock(exponent))
+        assert bytes.fromhex(reported[5])[3:5] == struct.pack("<H", ticks)
     for exponent in (0x00, 0x03, 0x09, 0xF0):
-        with pytest.raises(DriverError, match="cannot end after"):
+        with pytest.raises(DriverError, match="cannot have a duration of"):
             PidDriver(with_clock(exponent))
 
 

@@ -117,7 +117,7 @@ def test_everything_missing_is_named_at_once():
         (
             "Set Constant Force",
             d.pid_report(0x73, 5, d.block_index(), d.field(d.OUTPUT, 16, 0, 1000, 0x70)),
-            "one way only",
+            "one direction only",
         ),
         (
             "Set Constant Force",
@@ -139,7 +139,7 @@ def test_everything_missing_is_named_at_once():
             set_effect(
                 d.usage(0x55) + d.collection(2, d.page(1), d.field(d.OUTPUT, 1, 0, 1, d.RZ))
             ),
-            "pushes none of the axes",
+            "no force on any axis",
         ),
     ],
 )

@@ -6,7 +6,7 @@ import pytest
 
 from master.device import DeviceFault
 from master.devices.hid import search
-from master.devices.hid.drivers import DRIVERS, Attached
+from master.devices.hid.drivers import DRIVERS, AttachedNode
 from tests.hid import descriptors
 from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.device import BLUETOOTH
@@ -127,30 +127,32 @@ def test_a_device_of_several_collections_is_listed_once(hidraw):
 
 
 def test_without_any_the_line_says_what_is_attached(hidraw):
-    with pytest.raises(DeviceFault, match=r"no haptic device is attached; plug one in.*no HID"):
+    with pytest.raises(DeviceFault, match=r"no haptic device attached; plug one in.*no HID"):
         search.choose("", "auto")
     hidraw.plug(Keyboard())
-    with pytest.raises(DeviceFault, match=r"no driver fits anything .*Keyboard .*: by its report"):
+    with pytest.raises(
+        DeviceFault, match=r"no driver fits any attached device: Keyboard .*: by its report"
+    ):
         search.choose("", "auto")
-    with pytest.raises(DeviceFault, match=r"no device '1209:ffb0' is attached.*Keyboard"):
+    with pytest.raises(DeviceFault, match=r"no device '1209:ffb0' attached.*Keyboard"):
         search.choose("1209:ffb0", "auto")
 
 
 def test_a_device_that_no_driver_fits_is_told_why(hidraw):
     hidraw.plug(Keyboard())
-    with pytest.raises(DeviceFault, match=r"no driver fits: .*it is no DualSense") as refused:
+    with pytest.raises(DeviceFault, match=r"no driver fits: .*not a DualSense") as refused:
         search.choose("046d:c31c", "auto")
     assert "\n" not in str(refused.value)
-    with pytest.raises(DeviceFault, match=r"'spacemouse' does not fit: .*: it is no SpaceMouse$"):
+    with pytest.raises(DeviceFault, match=r"'spacemouse' does not fit: .*: not a SpaceMouse$"):
         search.choose("046d:c31c", "spacemouse")
-    with pytest.raises(DeviceFault, match=r"'ffbeast' does not fit anything that is attached: Key"):
+    with pytest.raises(DeviceFault, match=r"'ffbeast' does not fit any attached device: Key"):
         search.choose("", "ffbeast")
 
 
 def test_one_that_may_not_be_opened_names_the_remedy(hidraw, monkeypatch):
     node = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     monkeypatch.setattr(os, "access", lambda path, _: str(path) != str(node.path))
-    with pytest.raises(DeviceFault, match=r"you may not open .*udev rule"):
+    with pytest.raises(DeviceFault, match=r"no permission to open .*udev rule"):
         search.choose("", "auto")
 
 
@@ -188,7 +190,7 @@ def test_the_same_device_is_found_again_under_another_path(hidraw):
     back = hidraw.plug(OpenFFBoard(descriptors.openffboard()))
     assert search.again(found, none).item.path == str(back.path) != found.item.path
     hidraw.plug(OpenFFBoard(descriptors.openffboard()))
-    with pytest.raises(DeviceFault, match="several like it"):
+    with pytest.raises(DeviceFault, match="several devices of this identity"):
         search.again(found, none)
 
 
@@ -222,8 +224,8 @@ def test_no_device_that_may_keep_a_force_counts_as_one_that_forgets():
 
 
 def test_force_signs_are_of_the_very_device_if_it_has_a_serial_number():
-    assert Attached("p", 0x1209, 0xFFB0).identity == "1209:ffb0"
-    assert Attached("p", 0x1209, 0xFFB0, "S").identity == "1209:ffb0:S"
+    assert AttachedNode("p", 0x1209, 0xFFB0).identity == "1209:ffb0"
+    assert AttachedNode("p", 0x1209, 0xFFB0, "S").identity == "1209:ffb0:S"
 
 
 def test_force_signs_are_of_one_driver_and_one_descriptor(hidraw):

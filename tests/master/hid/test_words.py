@@ -33,7 +33,7 @@ def test_bits_units_and_rows():
     inputs = block(lines, "input report 1 (0x01), 25 bytes")
     assert inputs[0] == "  byte 1 bit 0: button 1 ... button 64, 64 times 1 bit, 0 ... 1"
     assert len(inputs) == 9
-    hat = "  byte 8 bit 0: hat, 4 bits, 0 ... 7 (stands for 0 ... 315 deg), may say none"
+    hat = "  byte 8 bit 0: hat, 4 bits, 0 ... 7 (physical 0 ... 315 deg), may be none"
     assert hat in describe(parse(LAYOUTS["dualsense"]))
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from master.device import DeviceFault
 from master.devices.hid import writer
-from master.devices.hid.writer import ARM_S, Memory, Writer, step
+from master.devices.hid.writer import ARM_S, Writer, WriterState, step
 from teleop.app.launch.supervisor import wait_for
 
 
@@ -62,7 +62,7 @@ def thread(sink):
 
 
 def test_the_first_force_is_armed_and_then_only_changes_are_written():
-    due, memory = step(TwoAxes(), Memory(), (0.5, 0.0), 1.0)
+    due, memory = step(TwoAxes(), WriterState(), (0.5, 0.0), 1.0)
     assert due == (b"x 0.5", b"y 0", b"start")
     due, memory = step(TwoAxes(), memory, (0.5, 0.0), 1.001)
     assert due == ()
@@ -95,7 +95,7 @@ def test_before_it_is_armed_a_force_is_told_of_by_a_beat():
 
 @given(st.lists(st.tuples(st.sampled_from([0.0, 0.5, -1.0]), st.floats(1e-4, 0.2)), max_size=60))
 def test_over_any_script_the_device_is_up_to_date_and_reminded_in_time(script):
-    now, memory, state, reminded = 0.0, Memory(), {}, None
+    now, memory, state, reminded = 0.0, WriterState(), {}, None
     for force, wait in script:
         now += wait
         due, memory = step(TwoAxes(), memory, (force, -force), now)

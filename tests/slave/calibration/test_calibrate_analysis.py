@@ -8,11 +8,11 @@ import pytest
 
 from slave.calibration.analysis import analyse
 from slave.calibration.config import KnownSheathConfig
-from slave.calibration.direction import calibrated as calibrated_by_loop
-from slave.calibration.direction import described
-from slave.calibration.memory import Phase
+from slave.calibration.direction import calibrate_tendon as calibrated_by_loop
+from slave.calibration.direction import describe_direction
+from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon, loops
-from slave.calibration.run import Refused
+from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.environment import TissueConfig, WallConfig
 from tests.slave.calibration.calibration_bench import (
     EA,
@@ -39,7 +39,7 @@ def record(bent, initialise=QUICK):
 def direction_a(bent, known=KNOWN):
     """Return what tendon a's loop says, and the model that the estimator gets of it."""
     pulled = PulledTendon(record(bent), 0, 0)
-    return described(pulled, known, calibrated_by_loop(pulled, known, QUICK.low))
+    return describe_direction(pulled, known, calibrated_by_loop(pulled, known, QUICK.low))
 
 
 def integral(sections, friction, sign):
@@ -137,7 +137,7 @@ def test_one_tendon_and_a_return_spring_are_calibrated_too():
 SOFT = {
     "m >= 1": (
         WallConfig(position=0.005, stiffness=5000.0),
-        r"joint 1, tendon a: M_pull EA/L is 1\.\d\d, of a tendon it is below 1",
+        r"joint 1, tendon a: M_pull EA/L is 1\.\d\d, must be below 1",
     ),
     "tissue": (TissueConfig(position=0.005, stiffness=1e6), "joint 1, tendon a: .*something soft"),
 }
@@ -146,30 +146,34 @@ SOFT = {
 @pytest.mark.parametrize("case", SOFT)
 def test_something_soft_is_not_taken_for_a_stop(case):
     environment, said = SOFT[case]
-    with pytest.raises(Refused, match=said):
+    with pytest.raises(CalibrationRefused, match=said):
         direction_a(joint(environment=environment))
 
 
 def test_a_cell_to_be_tared_is_refused():
-    with pytest.raises(Refused, match=r"its load cell reads 0.25 N while the tendon is slack"):
+    with pytest.raises(
+        CalibrationRefused, match=r"the load cell reads 0.25 N while the tendon is slack"
+    ):
         direction_a(joint(bias=0.25))
 
 
 def test_too_little_range_is_refused():
     found = record(joint(2.0), but(QUICK, low=0.5))
-    with pytest.raises(Refused, match=r"joint 1, tendon a: .*raise slave.initialise.tension"):
+    with pytest.raises(
+        CalibrationRefused, match=r"joint 1, tendon a: .*raise slave.initialise.tension"
+    ):
         calibrated_by_loop(PulledTendon(found, 0, 0), KnownSheathConfig(LENGTH, EA), 0.5)
 
 
 def test_a_stop_that_comes_too_early_is_refused_where_the_range_is_known():
     blocked = record(joint(environment=WallConfig(position=0.005, stiffness=1e6)))
-    said = r"joint 1: it travels 20\.\d mm between its stops, 30.0 mm were expected"
-    with pytest.raises(Refused, match=said):
+    said = r"joint 1: it travels 20\.\d mm between its stops, expected 30.0 mm"
+    with pytest.raises(CalibrationRefused, match=said):
         analyse(blocked, but(QUICK, range=RANGE))
-    with pytest.raises(Refused, match="by the earlier calibration"):
+    with pytest.raises(CalibrationRefused, match="by the earlier calibration"):
         analyse(blocked, QUICK, [RANGE])
 
 
 def test_a_joint_that_does_not_move_is_refused():
-    with pytest.raises(Refused, match=r"joint 1: it moved 0\.\d mm only"):
+    with pytest.raises(CalibrationRefused, match=r"joint 1: it moved only 0\.\d mm"):
         analyse(record(joint(body={"friction": 30.0})), QUICK)

@@ -12,7 +12,7 @@ import yaml
 from slave.calibration import command, file, run
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.initialise import initialise
-from slave.config import SlaveConfig, hindrance_of, tendon_configs
+from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs import open_rig
 from teleop.app import cli
 from teleop.config import as_tree
@@ -61,7 +61,7 @@ def test_it_writes_a_file_of_its_rigs_name_that_fits_the_rig(done):
     assert [d.K.value for d in calibration.directions] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
     assert calibration.ranges == pytest.approx([0.006, 0.006], rel=0.03)
     config = SlaveConfig(rig=rig_config(SHORT, SHORT), calibration=done / "bench-calibration.yaml")
-    assert hindrance_of(config, open_rig(config.rig)) == ""
+    assert not_ready_reason(config, open_rig(config.rig)) == ""
     models = [tendon.model().sheath for tendon in tendon_configs(config, 4)]
     assert [model.K for model in models] == pytest.approx([1, 1, 0.6, 0.6], abs=0.02)
 
@@ -81,12 +81,12 @@ def test_one_joint_alone_renews_its_part_of_the_file(done, capsys):
     assert after.tendons[2:] != before.tendons[2:]
     assert len(after.directions) == 4
     assert "joint 1 as of" in after.method
-    printed, noted = capsys.readouterr()
+    printed, print_lines = capsys.readouterr()
     assert "K" in printed
     assert f"{out}: replaces the calibration of {before.time}" in printed
     assert f"teleop run --calibration {out}" in printed
-    assert {"tendon a", "tendon b"} == set(re.findall(r"joint 2, (tendon [ab]): ", noted))
-    assert len(noted.splitlines()) < 8
+    assert {"tendon a", "tendon b"} == set(re.findall(r"joint 2, (tendon [ab]): ", print_lines))
+    assert len(print_lines.splitlines()) < 8
 
 
 def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monkeypatch):
@@ -97,7 +97,7 @@ def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monke
     new = tmp_path / "new.yaml"
     for words, said in [
         (["--out", config], "is the config"),
-        (["--out", other], "is no calibration"),
+        (["--out", other], "is not a calibration"),
         (["--out", new, "--figure", config], "is the config or"),
         (["--out", new, "--figure", new], "is the config or"),
     ]:
@@ -159,7 +159,7 @@ def test_ctrl_c_ends_it_without_a_file(tmp_path, capsys, monkeypatch):
         for number, handler in zip((signal.SIGINT, signal.SIGTERM), handlers, strict=True):
             signal.signal(number, handler)
     assert code == 130
-    assert "SIGINT: stopped, nothing is written" in capsys.readouterr().err
+    assert "SIGINT: stopped, no file written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -187,5 +187,5 @@ def test_a_range_that_was_found_once_is_expected_again(done, capsys):
     before = out.read_text()
     assert teleop("--config", done / "rig.yaml", *words, "--quick", "--together", "--out", out) == 1
     said = capsys.readouterr().err
-    assert "joint 1: it travels 4.0 mm between its stops, 6.0 mm were expected" in said
+    assert "joint 1: it travels 4.0 mm between its stops, expected 6.0 mm" in said
     assert out.read_text() == before

@@ -6,9 +6,9 @@ from functools import cache
 import pytest
 
 from slave.calibration.config import KnownSheathConfig
-from slave.calibration.direction import calibrated as by_loop
-from slave.calibration.drags import put_right
-from slave.calibration.memory import Phase
+from slave.calibration.direction import calibrate_tendon as by_loop
+from slave.calibration.drags import combine_with_drags
+from slave.calibration.procedure_state import Phase
 from slave.calibration.pulled import PulledTendon
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from tests.slave.calibration.calibration_bench import (
@@ -50,7 +50,7 @@ def dragged(sections, pulled=1.0, a=1.0, gain_error=GAINS):
     tension[drag, 0] *= a
     changed = dataclasses.replace(found, tension=tension)
     both = [PulledTendon(changed, 0, side) for side in (0, 1)]
-    right, remark = put_right(both, loops(sections), gain_error)
+    right, remark = combine_with_drags(both, loops(sections), gain_error)
     return [one.K for one in right], remark
 
 
@@ -72,7 +72,7 @@ def test_friction_that_hides_at_the_tip_is_found(sections):
 def test_a_joint_whose_friction_grows_with_its_load_is_left_to_the_loops(share):
     right, remark = dragged(SLIGHT, pulled=share)
     assert right == [one.K for one in loops(SLIGHT)]
-    assert "the drags are not used" in remark
+    assert "drags not used" in remark
     assert "by the drags" in remark
 
 
@@ -95,7 +95,7 @@ def test_one_drag_alone_puts_right_as_much_as_the_gains_are_known():
     assert not both[1].dragging.any()
     by_the_loops = sum(one.K.value for one in loops(SLIGHT))
     known, unknown = (
-        sum(one.K.value for one in put_right(both, loops(SLIGHT), gain_error)[0])
+        sum(one.K.value for one in combine_with_drags(both, loops(SLIGHT), gain_error)[0])
         for gain_error in (0.0, 0.2)
     )
     assert known == pytest.approx(2.4, abs=0.006)

@@ -6,7 +6,7 @@ import pytest
 
 from slave.calibration import file
 from slave.calibration.file import Calibration, Direction, Value, fits
-from slave.config import SlaveConfig, hindrance_of, tendon_configs
+from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.tendon_config import TendonConfig
@@ -104,10 +104,10 @@ def test_it_fits_the_rig_it_was_made_of():
 @pytest.mark.parametrize(
     ("calibration", "rig", "said"),
     [
-        (WHOLE, Rig(name="leg"), "of the rig 'arm', this one is 'leg'"),
+        (WHOLE, Rig(name="leg"), "for the rig 'arm', this one is 'leg'"),
         (WHOLE, Rig(joints=((0,), (1,))), r"joints 1\+2 .*the rig has 1, 2"),
         (WHOLE, Rig(joints=((0, 1), (2, 3))), r"the rig has 1\+2, 3\+4"),
-        (replace(WHOLE, rig=""), Rig(), "of no rig that it names"),
+        (replace(WHOLE, rig=""), Rig(), "for no named rig"),
         (
             replace(WHOLE, accepted=False, remark="noisy"),
             Rig(),
@@ -132,30 +132,30 @@ BENCH = Rig(name="bench")
 
 def test_without_a_calibration_a_rig_is_barred_even_a_simulated_one():
     config = SlaveConfig(rig=SIMULATED)
-    assert "teleop calibrate" in hindrance_of(config, BENCH)
+    assert "teleop calibrate" in not_ready_reason(config, BENCH)
     with pytest.raises(UsageError, match="teleop calibrate"):
         tendon_configs(config, 2)
 
 
 def test_as_built_must_be_asked_for_and_is_for_simulated_rigs_alone(tmp_path):
     config = SlaveConfig(rig=SIMULATED, calibration="as-built")
-    assert hindrance_of(config, BENCH) == ""
+    assert not_ready_reason(config, BENCH) == ""
     models = tendon_configs(config, 2)
     assert [model.model().sheath.K for model in models] == pytest.approx([1.0, 1.0])
-    with pytest.raises(ValueError, match="as-built is for simulated rigs"):
+    with pytest.raises(ValueError, match="as-built is only for simulated rigs"):
         SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "x.csv"), calibration="as-built")
 
 
 def test_a_file_that_fits_gives_the_models(tmp_path):
     config = SlaveConfig(rig=SIMULATED, calibration=saved(tmp_path, replace(WHOLE, rig="bench")))
-    assert hindrance_of(config, BENCH) == ""
+    assert not_ready_reason(config, BENCH) == ""
     assert tendon_configs(config, 2) == (EVEN, UNEVEN)
 
 
 def test_a_file_that_does_not_fit_bars_the_rig_and_says_why(tmp_path):
     config = SlaveConfig(rig=SIMULATED, calibration=saved(tmp_path))
-    said = hindrance_of(config, BENCH)
-    assert said.startswith("arm.yaml does not fit: it is of the rig 'arm', this one is 'bench'")
+    said = not_ready_reason(config, BENCH)
+    assert said.startswith("arm.yaml does not fit: it is for the rig 'arm', this one is 'bench'")
     assert "teleop calibrate" in said
     assert "\n" not in said
 
@@ -164,13 +164,13 @@ def test_measured_data_take_the_calibration_of_any_rig_unless_they_have_a_name(t
     path = saved(tmp_path, Calibration(tendons=(EVEN,), source="bench.csv, 100 samples"))
     played = SlaveConfig(rig=ReplayedRigConfig(file=tmp_path / "x.csv"), calibration=path)
     rig = Rig(name="x.csv", joints=((0,),))
-    assert hindrance_of(played, rig) == ""
+    assert not_ready_reason(played, rig) == ""
     named = replace(played, rig=replace(played.rig, name="leg"))
-    assert "of no rig that it names" in hindrance_of(named, replace(rig, name="leg"))
+    assert "for no named rig" in not_ready_reason(named, replace(rig, name="leg"))
 
 
 def test_models_given_by_hand_need_no_file():
-    assert hindrance_of(SlaveConfig(rig=SIMULATED, tendons=(EVEN,)), BENCH) == ""
+    assert not_ready_reason(SlaveConfig(rig=SIMULATED, tendons=(EVEN,)), BENCH) == ""
 
 
 def test_as_built_in_a_config_file_is_no_path(tmp_path):
@@ -186,12 +186,12 @@ def test_a_config_or_no_file_in_place_of_a_calibration_is_called_what_it_is(tmp_
     with pytest.raises(UsageError, match=r"demo\.yaml: cannot read the calibration"):
         file.load(path)
     path.write_text("session: demo\nslave: {}\n")
-    with pytest.raises(UsageError, match=r"demo\.yaml: is no calibration but a session's config"):
+    with pytest.raises(UsageError, match=r"demo\.yaml: is a session config"):
         file.load(path)
 
 
 def test_a_calibration_of_too_many_tendons_says_what_it_is_of(tmp_path):
     path = tmp_path / "arm.yaml"
     file.save(path, Calibration(rig="arm", tendons=(TendonConfig(effective_friction=1.0),) * 8))
-    with pytest.raises(UsageError, match=r"arm\.yaml: .*'arm': 8 tendons described, the rig has 2"):
+    with pytest.raises(UsageError, match=r"arm\.yaml: .*'arm': 8 tendons, but the rig has 2"):
         tendon_configs(SlaveConfig(calibration=path), 2)

@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from slave.calibration.memory import Phase
-from slave.calibration.run import Refused
+from slave.calibration.procedure_state import Phase
+from slave.calibration.run import CalibrationRefused
 from slave.rig import RigSample
 from slave.rigs.simulated.plant.motor import MotorConfig
 from tests.slave.calibration.calibration_bench import (
@@ -62,7 +62,7 @@ class Failing(HousingOnly):
 
 
 def refused(rig, **initialise):
-    with pytest.raises(Refused) as error:
+    with pytest.raises(CalibrationRefused) as error:
         calibrated(rig, but(QUICK, **initialise), rate_hz=RATE, progress=rig.follow)
     return str(error.value)
 
@@ -124,11 +124,11 @@ def weak(newtons):
 
 def test_a_motor_too_weak_for_the_tension_is_named_and_not_asked_for_more():
     rig = HousingOnly(rig_config(weak(8.0)))
-    with pytest.raises(Refused) as error:
+    with pytest.raises(CalibrationRefused) as error:
         calibrated(rig, rate_hz=RATE)
     said = re.fullmatch(
-        r"joint 1, tendon a: the motor is 3\.\d mm behind its command at (\d\.\d) N; is it strong "
-        r"enough for 20 N\? Lower slave\.initialise\.tension",
+        r"joint 1, tendon a: the motor is 3\.\d mm behind its command at (\d\.\d) N; check that it "
+        r"can pull 20 N, or lower slave\.initialise\.tension",
         str(error.value),
     )
     assert said
@@ -156,7 +156,7 @@ def assert_followed(rig, tendon):
 def test_a_phase_that_does_not_end_is_given_up():
     rig = HousingOnly(rig_config(joint()))
     with pytest.raises(
-        Refused, match=r"joint 1: seeking the stop took longer than 1 s; .*phase_max"
+        CalibrationRefused, match=r"joint 1: seeking the stop took longer than 1 s; .*phase_max"
     ):
         calibrated(rig, but(QUICK, seek_speed=0.002, phase_max=1.0), rate_hz=RATE)
     went = np.array(rig.written).max(axis=0)

@@ -48,7 +48,7 @@ class Use:
         models = tendon_configs(SlaveConfig(rig=accepted or config, calibration="as-built"), 2)
         self.models = [model.model() for model in models]
         prepared = [online.prepare(model) for model in self.models]
-        constants = monitor.prepare(self.models)
+        constants = monitor.monitor_constants(self.models)
         states = [online.initial(p) for p in prepared]
         monitors = TendonMonitor.array(2)
         self.monitors = [one(monitors, i) for i in range(2)]
@@ -117,9 +117,9 @@ def test_on_an_uneven_sheath_a_change_is_found_too_unless_all_bends_are_at_the_t
     model = tendon_configs(SlaveConfig(rig=rig_config(at_tip), calibration="as-built"), 2)[
         0
     ].model()
-    assert monitor.prepare([model])[0]["blind"]
+    assert monitor.monitor_constants([model])[0]["blind"]
     straight = replace(model, sheath=Sheath.uniform(0.0, 1.5, 9000.0))
-    assert monitor.prepare([straight])[0]["blind"]
+    assert monitor.monitor_constants([straight])[0]["blind"]
 
 
 def test_a_smaller_change_is_advised_of_but_not_demanded():
@@ -139,7 +139,7 @@ def test_a_tip_that_is_moved_by_its_environment_is_no_change_of_shape(swing):
 def known(*errors, doubt=0.01):
     """Return the monitor of a tendon after transitions with these errors."""
     after = TendonMonitor.new(count=len(errors))
-    after.errors[: len(errors)], after.doubts[: len(errors)] = errors, doubt
+    after.errors[: len(errors)], after.uncertainties[: len(errors)] = errors, doubt
     return after
 
 
@@ -166,7 +166,7 @@ def test_what_the_estimator_does_not_trust_does_not_count():
     assert estimate.status & online.Status.UNINITIALISED
     tendon = known(0.1)
     tendon.pulled, tendon.reached, tendon.transition.points = True, 4.0, 3
-    constants = monitor.prepare([model])[0]
+    constants = monitor.monitor_constants([model])[0]
     monitor.step(CONFIG, constants, tendon, estimate, 5.0, 0.0, 0.0, 0.001)
     assert tendon.tobytes() == known(0.1).tobytes()
 
@@ -174,7 +174,7 @@ def test_what_the_estimator_does_not_trust_does_not_count():
 def transitions(config, count, tendons=1, scale=1.2):
     """Return monitors after the first of them saw so many pulls and releases of one travel."""
     model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
-    constants, monitors = monitor.prepare([model] * tendons), TendonMonitor.array(tendons)
+    constants, monitors = monitor.monitor_constants([model] * tendons), TendonMonitor.array(tendons)
     limits = as_record(config)
     pull = [(int(Phase.PULL), 1.5, 1.0 + 0.5 * k, 0.0) for k in range(10)]
     release = [(int(Phase.PULL_TO_RELEASE), 0.005 * k, 5.0, -4e-6 * k) for k in range(50)]
@@ -211,7 +211,7 @@ def test_a_rig_is_watched_tendon_by_tendon_against_the_other_of_its_joint():
     """`step_rig` is `step` of each, by the corrected readings."""
     rng, joints = np.random.default_rng(4), ((2, 0), (1,))
     model = online.TendonModel(Sheath.uniform(1.0, 1.5, 9000.0))
-    constants, layout = monitor.prepare([model] * 3), one(rig_layout(joints))
+    constants, layout = monitor.monitor_constants([model] * 3), one(rig_layout(joints))
     alone, together = TendonMonitor.array(3), TendonMonitor.array(3)
     others = {0: 2, 2: 0}
     for k in range(400):

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from slave.calibration.memory import Phase
-from slave.calibration.run import Refused
+from slave.calibration.procedure_state import Phase
+from slave.calibration.run import CalibrationRefused
 from slave.rigs.simulated.plant.environment import TissueConfig, WallConfig
 from tests.slave.calibration.calibration_bench import (
     GATE,
@@ -181,11 +181,11 @@ REFUSALS = {
     ),
     "a tendon that breaks": (
         {"a": joint(), "effects": (effect("broken_tendon", tendon="a", start=3.0),)},
-        r"joint 1, tendon a: .*slipped or broken",
+        r"joint 1, tendon a: .*slipped or broke",
     ),
     "too little range": (
         {"a": joint(body={"friction": 6.0})},
-        r"joint 1, tendon a: 2\d\.\d N were reached while the joint still moved, or hardly after",
+        r"joint 1, tendon a: 2\d\.\d N were reached before or just after the stop",
     ),
     "a saturated cell": (
         {"a": joint(range=12.0)},
@@ -211,7 +211,7 @@ def test_it_refuses(case):
     what, said = REFUSALS[case]
     what = dict(what)
     rig = HousingOnly(rig_config(what.pop("a"), effects=what.pop("effects", ())))
-    with pytest.raises(Refused) as refused:
+    with pytest.raises(CalibrationRefused) as refused:
         calibrated(rig, rate_hz=500.0, **what)
     print(refused.value)
     text = str(refused.value)

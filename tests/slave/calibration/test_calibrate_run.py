@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from slave.calibration.memory import Phase
-from slave.calibration.run import Interrupted, Refused
+from slave.calibration.procedure_state import Phase
+from slave.calibration.run import CalibrationInterrupted, CalibrationRefused
 from slave.gate import GateConfig
 from slave.rig import RigFault, RigSample
 from teleop.errors import TeleopError, UsageError
@@ -60,7 +60,7 @@ def test_a_rig_that_fails_ends_it_at_once_and_is_not_asked_again():
     for rig in (Odd(SHORT, read=RigFault("amplifier")), Odd(SHORT, write=RigFault("amplifier"))):
         with pytest.raises(TeleopError, match=r"^rig: amplifier$") as error:
             calibrated(rig, rate_hz=500.0)
-        assert not isinstance(error.value, Refused)
+        assert not isinstance(error.value, CalibrationRefused)
         assert rig.after_fault == 1
 
 
@@ -75,7 +75,7 @@ def blind(sample):
 @pytest.mark.parametrize("change", [lost, blind])
 def test_without_any_reading_nothing_is_ever_written(change):
     rig = Odd(SHORT, at=0.0, change=change)
-    with pytest.raises(Refused, match="no tension and travel"):
+    with pytest.raises(CalibrationRefused, match="no tension and travel"):
         calibrated(rig, rate_hz=500.0)
     assert rig.written == []
 
@@ -88,7 +88,7 @@ def test_the_operator_ends_it_and_the_tensions_are_let_down():
         tension.append(rig.seen[-1].proximal_tension.max() if rig.seen else 0.0)
         return "SIGINT: stopped" if max(tension) > 15.0 else ""
 
-    with pytest.raises(Interrupted, match="SIGINT") as error:
+    with pytest.raises(CalibrationInterrupted, match="SIGINT") as error:
         calibrated(rig, rate_hz=500.0, stopped=stopped)
     assert error.value.exit_code == INTERRUPTED
     assert resting(rig)
@@ -99,7 +99,7 @@ def test_the_operator_ends_it_and_the_tensions_are_let_down():
 
 def test_after_a_refusal_the_tensions_are_let_down_and_the_motors_hold():
     rig = HousingOnly(rig_config(joint(range=12.0)))
-    with pytest.raises(Refused):
+    with pytest.raises(CalibrationRefused):
         calibrated(rig, rate_hz=500.0)
     assert resting(rig)
 
@@ -112,7 +112,7 @@ def test_after_a_refusal_the_tensions_are_let_down_and_the_motors_hold():
     [
         (QUICK, GateConfig(tension_max=15.0), "slave.initialise.tension: 20 N is over slave.gate"),
         (QUICK, GateConfig(speed_max=0.01), "seek_speed: 0.02 m/s is over slave.gate.speed_max"),
-        (but(QUICK, sheaths=QUICK.sheaths * 3), GATE, "sheaths: 3 described, the rig has 2"),
+        (but(QUICK, sheaths=QUICK.sheaths * 3), GATE, "sheaths: 3 sheaths, but the rig has 2"),
     ],
 )
 def test_a_config_that_cannot_be_is_refused(initialise, gate, said):
@@ -124,9 +124,9 @@ def test_a_config_that_cannot_be_is_refused(initialise, gate, said):
 
 def test_a_gate_that_is_too_narrow_is_named():
     rig = rig_config(joint())
-    with pytest.raises(Refused, match=r"tendon [ab]: .*slave.gate.displacement_m"):
+    with pytest.raises(CalibrationRefused, match=r"tendon [ab]: .*slave.gate.displacement_m"):
         calibrated(rig, gate=GateConfig(displacement_min=-0.004, displacement_max=0.06))
-    with pytest.raises(Refused, match=r"tendon a: .*slave.gate.displacement_max"):
+    with pytest.raises(CalibrationRefused, match=r"tendon a: .*slave.gate.displacement_max"):
         calibrated(rig, gate=GateConfig(displacement_min=-0.06, displacement_max=0.004))
 
 
@@ -157,7 +157,7 @@ def test_together_they_take_as_long_as_one():
 def test_one_that_is_refused_ends_the_others_too():
     config = rig_config(SHORT, SHORT, effects=(effect("broken_tendon", joint=2, start=1.0),))
     rig = HousingOnly(config)
-    with pytest.raises(Refused, match="joint 2"):
+    with pytest.raises(CalibrationRefused, match="joint 2"):
         calibrated(rig, rate_hz=500.0, together=True)
     assert resting(rig)
 

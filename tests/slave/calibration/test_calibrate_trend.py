@@ -11,7 +11,7 @@ WINDOW = 2e-4
 def fed(travel, tension, direction=1.0):
     line = trend.start(travel[0], tension[0])
     for q, T in zip(travel[1:], tension[1:], strict=True):
-        line = trend.step(line, q, T, direction, WINDOW)
+        line = trend.update(line, q, T, direction, WINDOW)
     return line
 
 
@@ -34,7 +34,7 @@ def test_noise_of_a_poor_cell_is_no_stop():
     tension = 3.0 + 0.05 * np.random.default_rng(3).standard_normal(len(travel))
     line, steepest = trend.start(travel[0], tension[0]), 0.0
     for q, T in zip(travel[1:], tension[1:], strict=True):
-        line = trend.step(line, q, T, 1.0, WINDOW)
+        line = trend.update(line, q, T, 1.0, WINDOW)
         stiffness = trend.stiffness(line, WINDOW)
         steepest = max(steepest, stiffness if math.isfinite(stiffness) else 0.0)
     assert steepest < 2000.0
@@ -62,5 +62,5 @@ def test_too_little_travel_says_nothing():
 def test_an_encoder_that_flickers_back_changes_nothing():
     travel = np.linspace(0.0, 1e-3, 500)
     line = fed(travel, 4000.0 * travel)
-    assert trend.step(line, travel[-1] - 1e-6, 0.0, 1.0, WINDOW) == line
-    assert trend.step(line, travel[-1], 99.0, 1.0, WINDOW) == line
+    assert trend.update(line, travel[-1] - 1e-6, 0.0, 1.0, WINDOW) == line
+    assert trend.update(line, travel[-1], 99.0, 1.0, WINDOW) == line

@@ -432,7 +432,7 @@ def test_a_load_that_falls_is_seen_at_the_housing_and_one_that_rises_is_not():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SheathConfig(friction=0.5, nodes=2), "nodes: must be about"),
+        (lambda: SheathConfig(friction=0.5, nodes=2), "nodes: must be at least about"),
         (lambda: SheathConfig(friction=2.0), "friction: must be at most 1.5 with these bends"),
         (lambda: SheathConfig(sections=()), "sections"),
         (lambda: SectionConfig(1.0, float("nan")), "radius"),

@@ -16,7 +16,7 @@ from slave.rigs.simulated.plant.environment import (
     WallConfig,
 )
 from slave.rigs.simulated.plant.joint import advance, joint_at_rest, truth
-from slave.rigs.simulated.plant.joints import advance_all, joined
+from slave.rigs.simulated.plant.joints import advance_all, join_joints
 from slave.rigs.simulated.plant.sheath import SheathConfig
 from slave.rigs.simulated.simulated import JointConfig, TendonPlantConfig, build_joint
 
@@ -290,9 +290,9 @@ def test_joints_in_a_rig_are_the_joints_alone():
         JointConfig((COARSE, COARSE), BodyConfig(spring=50.0), FreeConfig()),
     )
     joints = [build_joint(config) for config in configs]
-    together = joined([joint_at_rest(joint) for joint in joints])
+    together = join_joints([joint_at_rest(joint) for joint in joints])
     alone = [joint_at_rest(joint) for joint in joints]
-    compiled = joined(joints)
+    compiled = join_joints(joints)
     for k in range(200):
         targets = np.array([[2e-5 * k, 0.0], [-1e-5 * k, 2e-5 * k]])
         seen = advance_all(compiled, together, targets, 1, 1e-3)

@@ -50,7 +50,7 @@ def told(side):
     """What the next message tells of energy and of waves."""
     return tuple(
         np.array([getattr(port, name) for port in side.ports])
-        for name in ("passed_on", "told_wave")
+        for name in ("passed_on", "sent_wave")
     )
 
 
@@ -63,9 +63,9 @@ def at_hand(rules, side, place, speed, written, force, coupled=True, axes=1):
     return rendered[0] if axes == 1 else rendered[:axes]
 
 
-def at_tip(rules, side, asked, speed, force, coupled=True):
+def at_tip(rules, side, requested, speed, force, coupled=True):
     """Where a single tip shall be, and how fast it goes."""
-    place, velocity = joints(asked), joints(speed)
+    place, velocity = joints(requested), joints(speed)
     coupling.at_tip(rules, side, place, velocity, joints(force), 1, coupled, DT)
     return place[0], velocity[0]
 
@@ -83,7 +83,7 @@ FATES = st.lists(
 )  # when a message arrives: never, once, twice
 
 
-class Line:
+class CentreLine:
     """One direction: what is told arrives when it is fated to."""
 
     def __init__(self, fates):
@@ -93,9 +93,9 @@ class Line:
         for late in self._fates[tick % len(self._fates)]:
             self._told.setdefault(tick + late, []).append(told(side))
 
-    def hear(self, tick, side, sender):
+    def receive(self, tick, side, sender):
         for energy, wave in self._told.pop(tick, ()):
-            coupling.hear(side, sender, energy, wave)
+            coupling.receive(side, sender, energy, wave)
 
 
 def session(config, turns, forces, shares, there, back, count=100, rested=()):
@@ -106,19 +106,19 @@ def session(config, turns, forces, shares, there, back, count=100, rested=()):
     """
     rules = record_of(config)
     master, slave = Side.new(), Side.new()
-    to_slave, to_master = Line(there), Line(back)
+    to_slave, to_master = CentreLine(there), CentreLine(back)
     place, travel, written = 0.0, 0.0, 0.0
     for tick in range(count):
         coupled = tick not in rested
         travel += turns[tick % len(turns)]
         travel = min(max(travel, -0.001), 0.001)
         place += travel
-        to_master.hear(tick, master, 7)
+        to_master.receive(tick, master, 7)
         force = forces[(tick // 3) % len(forces)]
         rendered = at_hand(rules, master, place, travel / DT, written, force, coupled)
         written = rendered * shares[tick % len(shares)] if coupled else 0.0
         to_slave.tell(tick, master)
-        to_slave.hear(tick, slave, 8)
+        to_slave.receive(tick, slave, 8)
         at_tip(rules, slave, place, travel / DT, force, coupled)
         to_master.tell(tick, slave)
         yield master, slave
@@ -139,16 +139,18 @@ def test_no_more_comes_out_of_both_ports_than_went_in_whatever_hand_tip_and_netw
     place = hand = 0.0
     damping = getattr(config, "hand_damping", 0.0)
     for master, slave in session(config, turns, forces, shares, there, back):
-        hand += damping / LEVER * (master.asked[0] - place) ** 2 / DT  # [J] it dissipates itself
-        place = master.asked[0]
+        hand += (
+            damping / LEVER * (master.requested[0] - place) ** 2 / DT
+        )  # [J] it dissipates itself
+        place = master.requested[0]
         near, far = master.ports[0], slave.ports[0]
         assert near.credit >= -1e-12
         assert far.credit >= -1e-12
         out = near.taken_out + far.taken_out
         assert out <= near.put_in + far.put_in + near.granted + far.granted + 1e-12
         assert near.granted + far.granted <= 2.0 * config.reserve + hand + 1e-12
-        assert near.heard <= far.passed_on + 1e-12
-        assert far.heard <= near.passed_on + 1e-12
+        assert near.received <= far.passed_on + 1e-12
+        assert far.received <= near.passed_on + 1e-12
 
 
 def test_direct_lets_out_what_was_never_put_in():
@@ -244,11 +246,11 @@ def test_what_is_heard_between_the_two_phases_counts_in_the_second(config):
     """A hand that yields to 9 N, of which little is affordable until more is heard."""
     rules, side = record_of(config), Side.new()
     at_hand(rules, side, 0.0, -0.05, 0.0, 9.0)
-    coupling.hear(side, 7, joints(0.0), joints(0.0))
+    coupling.receive(side, 7, joints(0.0), joints(0.0))
     coupling.count_hand(rules, side, joints(-5e-5), joints(-0.05), joints(0), 1, LEVER, True, DT)
     deaf, before, after = copy_of(side), joints(), joints()
     coupling.render(rules, deaf, joints(9.0), 1, before)
-    coupling.hear(side, 7, joints(1e-3), joints(-1e-4))
+    coupling.receive(side, 7, joints(1e-3), joints(-1e-4))
     coupling.render(rules, side, joints(9.0), 1, after)
     assert before[0] < after[0] <= 9.0
 
@@ -265,12 +267,12 @@ def test_one_joint_never_leaks_into_another(config, coupled):
         place, speed, force = place + travel, travel / DT, rng.normal(0.0, 9.0, 3)
         on = coupled and tick != 30
         felt = at_hand(rules, together[0], place, speed, 0.8 * force, force, on, axes=3)
-        asked, velocity = joints(*place), joints(*speed)
-        coupling.at_tip(rules, together[1], asked, velocity, joints(*force), 3, on, DT)
+        requested, velocity = joints(*place), joints(*speed)
+        coupling.at_tip(rules, together[1], requested, velocity, joints(*force), 3, on, DT)
         for k, (master, slave) in enumerate(alone):
             mine = place[k], speed[k]
             assert at_hand(rules, master, *mine, 0.8 * force[k], force[k], on) == felt[k]
-            assert at_tip(rules, slave, *mine, force[k], on) == (asked[k], velocity[k])
+            assert at_tip(rules, slave, *mine, force[k], on) == (requested[k], velocity[k])
             for side, single in ((together[0], master), (together[1], slave)):
                 assert repr(side.ports[k].tolist()) == repr(single.ports[0].tolist())
         for side in together:
@@ -325,7 +327,7 @@ def test_the_ledgers_message_balances():
         assert not publisher.is_due(6)
         message = publisher.filled().record
         assert (message.role, message.joints) == (role, 1)
-        left = message.granted[0] + message.put_in[0] + message.heard[0]
+        left = message.granted[0] + message.put_in[0] + message.received[0]
         left -= message.taken_out[0] + message.passed_on[0] + message.dissipated[0]
         assert message.credit[0] == pytest.approx(left, abs=1e-12)
         assert message.put_in[0] > 0.0
@@ -355,8 +357,8 @@ def test_bad_values_are_refused(kind):
 def test_a_side_that_was_started_anew_is_counted_from_its_first_word():
     side = Side.new()
     for sender, energy in ((7, 5.0), (7, 6.0), (8, 3.0), (8, 3.5), (8, 3.2), (7, 9.0)):
-        coupling.hear(side, sender, np.full(MAX_JOINTS, energy), joints())
-    assert side.ports[0].heard == pytest.approx(1.5)
+        coupling.receive(side, sender, np.full(MAX_JOINTS, energy), joints())
+    assert side.ports[0].received == pytest.approx(1.5)
     assert side.ports[0].credit == pytest.approx(1.5)
 
 
@@ -364,19 +366,19 @@ def test_nonces_that_differ_in_their_lowest_bit_are_told_apart():
     """Above 2^53 a number that went through a double would not be."""
     side = Side.new()
     for sender, energy in ((2**64 - 1, 5.0), (2**64 - 2, 3.0), (2**64 - 2, 3.5)):
-        coupling.hear(side, np.uint64(sender), np.full(MAX_JOINTS, energy), joints())
-    assert side.ports[0].heard == pytest.approx(0.5)
+        coupling.receive(side, np.uint64(sender), np.full(MAX_JOINTS, energy), joints())
+    assert side.ports[0].received == pytest.approx(0.5)
     assert side.sender == 2**64 - 2
 
 
-class Heard(Record):
+class ReceivedMessage(Record):
     sender: U64
     energy: Annotated[np.ndarray, Field("f8", MAX_JOINTS)]
     wave: Annotated[np.ndarray, Field("f8", MAX_JOINTS)]
 
 
 class Memory(Record):
-    heard: Heard
+    received: ReceivedMessage
     near: Side
     far: Side
     rules: BilateralSettings
@@ -387,7 +389,7 @@ def tick_of_memory(memories, place, speed, force):
     """As a compiled tick has them: everything within one record, arrays of it too."""
     memory = memories[0]
     for side in (memory.near, memory.far):
-        coupling.hear(side, memory.heard.sender, memory.heard.energy, memory.heard.wave)
+        coupling.receive(side, memory.received.sender, memory.received.energy, memory.received.wave)
     coupling.count_hand(memory.rules, memory.near, place, speed, force, 1, LEVER, True, DT)
     coupling.render(memory.rules, memory.near, force, 1, force)
     coupling.at_tip(memory.rules, memory.far, place, speed, force, 1, True, DT)
@@ -402,15 +404,15 @@ def test_within_a_larger_record_a_side_is_the_same(config):
     for tick in range(20):
         place, speed, force = 3e-5 * tick, 0.03, 9.0 * (-1.0) ** tick
         energy, wave = np.full(MAX_JOINTS, 1e-4 * tick), np.full(MAX_JOINTS, -1e-5 * tick)
-        heard = memories["heard"]
-        heard["sender"], heard["energy"], heard["wave"] = 2**64 - 1, energy, wave
+        received = memories["received"]
+        received["sender"], received["energy"], received["wave"] = 2**64 - 1, energy, wave
         arrays = joints(place), joints(speed), joints(force)
         tick_of_memory(memories, *arrays)
         for side in (near, far):
-            coupling.hear(side, np.uint64(2**64 - 1), energy, wave)
+            coupling.receive(side, np.uint64(2**64 - 1), energy, wave)
         felt = at_hand(rules, near, place, speed, force, force)
         gone, went = at_tip(rules, far, place, speed, felt)
         assert (arrays[0][0], arrays[1][0], arrays[2][0]) == (gone, went, felt)
         assert repr(memories[0]["near"].tolist()) == repr(near.tolist())
         assert repr(memories[0]["far"].tolist()) == repr(far.tolist())
-    assert near.ports[0].heard > 0.0
+    assert near.ports[0].received > 0.0

@@ -20,7 +20,12 @@ def values(port):
 
 def balance(port):
     return (
-        port.granted + port.put_in + port.heard - port.taken_out - port.passed_on - port.dissipated
+        port.granted
+        + port.put_in
+        + port.received
+        - port.taken_out
+        - port.passed_on
+        - port.dissipated
     )
 
 
@@ -32,7 +37,7 @@ STEPS = st.lists(
         st.tuples(st.just(ledger.cap_credit), st.floats(0.0, 1.0)),
         st.tuples(st.just(ledger.rest), st.floats(0.0, 1.0)),
         st.tuples(st.just(lambda p, e: ledger.count_tip_work(p, e, True)), st.floats(-1.0, 1.0)),
-        st.tuples(st.just(lambda p, e: ledger.hear(p, e, 0.0)), ENERGY),
+        st.tuples(st.just(lambda p, e: ledger.receive(p, e, 0.0)), ENERGY),
     ),
     max_size=40,
 )
@@ -66,32 +71,32 @@ def test_messages_lost_repeated_or_out_of_order_change_nothing_once_the_newest_i
     arrived = data.draw(st.lists(st.sampled_from(told), max_size=20))
     port = Port.new()
     for message in [told[0], *arrived, told[-1], *arrived]:
-        ledger.hear(port, *message)
+        ledger.receive(port, *message)
     assert port.credit == pytest.approx(energy - 3.0)
-    assert port.heard_wave == wave
+    assert port.received_wave == wave
 
 
 @given(ENERGY, ENERGY)
 def test_a_restarted_sender_is_counted_from_its_first_word_on(old, new):
     port = Port.new()
-    ledger.hear(port, 0.0, 0.0)
-    ledger.hear(port, old, 0.0)
+    ledger.receive(port, 0.0, 0.0)
+    ledger.receive(port, old, 0.0)
     credit = port.credit
     ledger.forget(port)
-    ledger.hear(port, new, 0.0)
+    ledger.receive(port, new, 0.0)
     assert port.credit == credit
-    ledger.hear(port, new + 1.0, 0.0)
+    ledger.receive(port, new + 1.0, 0.0)
     assert port.credit == pytest.approx(credit + 1.0)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_numbers_that_are_none_are_not_heard(bad):
     port = Port.new()
-    ledger.hear(port, 1.0, 1.0)
+    ledger.receive(port, 1.0, 1.0)
     before = values(port)
-    ledger.hear(port, bad, 2.0)
+    ledger.receive(port, bad, 2.0)
     assert values(port) == before
-    ledger.hear(port, 2.0, bad)
+    ledger.receive(port, 2.0, bad)
     assert values(port) == before
 
 

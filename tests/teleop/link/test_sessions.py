@@ -214,7 +214,7 @@ def test_a_port_of_someone_else_is_named_with_a_remedy(config: LinkConfig) -> No
             pass
     assert not isinstance(caught.value, PeerError)
     assert config.slave in str(caught.value)
-    assert "another process has this port" in str(caught.value)
+    assert "another process uses this port" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

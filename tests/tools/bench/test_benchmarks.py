@@ -54,7 +54,7 @@ def test_the_comparison_names_what_got_worse():
     lines = figures.comparison([old._replace(values=(3.0, 3.1))], {"x": old})
     assert "WORSE" in lines[1]
     assert lines[-1].startswith("1 worse and 0 better")
-    assert figures.comparison([old], {}) == ["nothing in common with the older result"]
+    assert figures.comparison([old], {}) == ["no figures in common with the older result"]
 
 
 @pytest.mark.parametrize("joints", [1, 2, 4, 8])

@@ -10,7 +10,7 @@ from teleop.app import cli
 from teleop.data import model_file
 from teleop.data.table import write_table
 from teleop.errors import UsageError
-from teleop.tools.diagnose.effect_choice import chosen
+from teleop.tools.diagnose.effect_choice import parse_effects
 from tests import hidden
 
 FAULT = "distal_tension_gain"
@@ -163,10 +163,10 @@ def test_unknown_effects_are_refused_with_what_may_be_meant(csv, capsys):
 
 
 def test_all_variants_of_a_name_are_meant():
-    assert len(chosen("nonuniform_curvature")) > 1
-    assert len(chosen("all")) > 30
+    assert len(parse_effects("nonuniform_curvature")) > 1
+    assert len(parse_effects("all")) > 30
     with pytest.raises(UsageError, match="names of effects"):
-        chosen(" , ")
+        parse_effects(" , ")
 
 
 def test_data_that_cannot_be_diagnosed_are_refused_in_one_line(csv, data, tmp_path, capsys):

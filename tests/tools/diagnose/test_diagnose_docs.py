@@ -11,7 +11,7 @@ from estimator.diagnosis.record import prepare
 from estimator.effects import Effect
 from teleop.app import cli
 from teleop.tools.diagnose import catalogue
-from teleop.tools.diagnose.effect_choice import chosen
+from teleop.tools.diagnose.effect_choice import parse_effects
 from tests import hidden
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -25,7 +25,7 @@ def block(language):
 
 def test_the_catalogue_of_the_page_is_that_of_the_estimator():
     page = PAGE.read_text()
-    assert page == catalogue.renewed(page), (
+    assert page == catalogue.replace_table(page), (
         "run: python -m teleop.tools.diagnose.catalogue docs/diagnosis.md"
     )
 
@@ -51,6 +51,6 @@ def test_the_effect_of_the_page_is_found_among_others():
     data = hidden.make(5, (), bench="spring", duration=16.0, rate=50.0)
     T = data.channels["distal_tension"]
     record = prepare(data.time, data.channels | {"distal_tension": T + 0.006 * T**2})
-    found = diagnose([record], [*chosen("distal_tension_gain,constant_drag"), effect])
+    found = diagnose([record], [*parse_effects("distal_tension_gain,constant_drag"), effect])
     assert (found.verdict, found.causes) == (Verdict.NAMED, (effect.name,))
     assert found.parameters[f"{effect.name}.curve"].value == pytest.approx(0.006, rel=0.1)

@@ -10,7 +10,7 @@ from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import DetectionLimit, Number, Structure, Verdict
 from estimator.diagnosis.record import Trouble, prepare
 from teleop.tools.diagnose import page, report_json
-from teleop.tools.diagnose.effect_choice import chosen
+from teleop.tools.diagnose.effect_choice import parse_effects
 from tests import hidden
 
 FAULT, RIVAL = "distal_tension_gain", "constant_drag"
@@ -18,7 +18,7 @@ FAULT, RIVAL = "distal_tension_gain", "constant_drag"
 
 def found_in(data, channels=hidden.CHANNELS):
     record = prepare(data.time, {name: data.channels[name] for name in channels})
-    return diagnose([record], chosen(FAULT))
+    return diagnose([record], parse_effects(FAULT))
 
 
 @pytest.fixture(scope="module")

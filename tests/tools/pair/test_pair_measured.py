@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimator.pair.pair_fit import Law
+from estimator.pair.pair_fit import PairVariant
 from estimator.pair.pair_study import COMMAND, SHARE, study
 from teleop.tools.pair.config import PairConfig
 from teleop.tools.pair.read import read
@@ -32,13 +32,13 @@ def test_friction_grows_with_the_bend_in_a_straight_line(found):
 
 
 def test_bends_left_out_are_predicted(found):
-    ours = shares(found, Law.FULL.value)
+    ours = shares(found, PairVariant.FULL.value)
     assert ours.mean() < 0.07
     assert np.all(ours[:4] < 0.07)  # the last is the farthest, its zero is odd and its span least
-    for baseline in (COMMAND, SHARE, Law.ONE_K.value):
+    for baseline in (COMMAND, SHARE, PairVariant.ONE_K.value):
         assert ours.mean() < 0.3 * shares(found, baseline).mean()
-    assert np.all(np.array([e.zeroed for e in found.left_out[Law.FULL.value]]) < 0.08)
+    assert np.all(np.array([e.zeroed for e in found.left_out[PairVariant.FULL.value]]) < 0.08)
 
 
 def test_the_two_tensions_alone_tell_the_angle_too(found):
-    assert shares(found, Law.TENSIONS.value).mean() < 0.1
+    assert shares(found, PairVariant.TENSIONS.value).mean() < 0.1

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from teleop.tools.transparency.hand import DT, Arm, Device, Encoder, Guided, HandModel, reach
+from teleop.tools.transparency.hand import DT, Arm, Device, Encoder, GuidedHand, HandModel, reach
 from teleop.tools.transparency.rig import TENDON, Rig, free, tissue, wall
 
 
@@ -29,7 +29,7 @@ def test_an_arm_goes_where_it_wants_to_be():
 
 
 def test_a_guided_hand_is_moved_by_nothing():
-    hand = Guided(lambda t: math.sin(3.0 * t))
+    hand = GuidedHand(lambda t: math.sin(3.0 * t))
     for _ in range(500):
         hand.advance(100.0)
     assert hand.position == pytest.approx(math.sin(1.5))

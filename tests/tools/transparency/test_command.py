@@ -10,17 +10,17 @@ from teleop.app import cli
 from teleop.tools.transparency import command, report, study
 from teleop.tools.transparency.hybrid import Hybrid
 from teleop.tools.transparency.multisine import Response
-from teleop.tools.transparency.stiffness import Pressed
+from teleop.tools.transparency.stiffness import SpringContact
 from teleop.tools.transparency.study import HANDS, Case, Study, Task, Walls
 from teleop.tools.transparency.zwidth import Width
 
 
-def case(asked, name, delay):
+def case(commanded, name, delay):
     """Return a case as a study could have found it: ideal, but for what is set here."""
-    frequency = asked.excitation.frequency
+    frequency = commanded.excitation.frequency
     late = np.exp(-2j * np.pi * frequency * delay / 2)
-    scale = asked.force_scale * asked.position_scale
-    ends = {"direct": Width(0.0, asked.lowest), "wave": Width(asked.cap, math.inf)}
+    scale = commanded.force_scale * commanded.position_scale
+    ends = {"direct": Width(0.0, commanded.lowest), "wave": Width(commanded.cap, math.inf)}
     trusted = np.where(frequency < 10.0, 1.0, 0.5)
 
     def answers(value):
@@ -29,17 +29,17 @@ def case(asked, name, delay):
     return Case(
         name,
         delay,
-        tuple(Pressed(k, scale * k * 0.9, 0.9, 0.1) for k in asked.stiffnesses),
+        tuple(SpringContact(k, scale * k * 0.9, 0.9, 0.1) for k in commanded.stiffnesses),
         {
             (hand, b): Walls(ends.get(name, Width(300.0, 350.0)), math.nan)
             for hand in HANDS
-            for b in asked.dampings
+            for b in commanded.dampings
         },
         Hybrid(
             frequency,
             answers(0.5),
-            answers(asked.force_scale * late),
-            answers(-asked.position_scale * late),
+            answers(commanded.force_scale * late),
+            answers(-commanded.position_scale * late),
             answers(-0.001),
         ),
     )
@@ -47,8 +47,8 @@ def case(asked, name, delay):
 
 @pytest.fixture
 def measured(monkeypatch):
-    def run(asked, _workers):
-        return [case(asked, n, d) for n in asked.couplings for d in asked.round_trips]
+    def run(commanded, _workers):
+        return [case(commanded, n, d) for n in commanded.couplings for d in commanded.round_trips]
 
     monkeypatch.setattr(command, "run", run)
 
@@ -117,11 +117,11 @@ def test_what_makes_no_sense_is_refused_in_a_line(words, capsys):
 
 
 def test_each_task_is_gathered_where_it_belongs():
-    asked = Study(couplings=("direct", "wave"), round_trips=(0.0, 0.1))
-    done = {task: (task,) for task in study.tasks(asked)}
-    cases = study.gather(asked, done)
+    commanded = Study(couplings=("direct", "wave"), round_trips=(0.0, 0.1))
+    done = {task: (task,) for task in study.tasks(commanded)}
+    cases = study.gather(commanded, done)
     assert [(c.coupling, c.round_trip) for c in cases] == [
-        (n, d) for n in asked.couplings for d in asked.round_trips
+        (n, d) for n in commanded.couplings for d in commanded.round_trips
     ]
     for one in cases:
         cell = one.coupling, one.round_trip
@@ -131,15 +131,15 @@ def test_each_task_is_gathered_where_it_belongs():
 
 
 def test_the_worst_hand_counts():
-    asked = Study()
-    found = case(asked, "passivity", 0.0)
+    commanded = Study()
+    found = case(commanded, "passivity", 0.0)
     found.walls["firm", 0.5] = Walls(Width(200.0, 220.0), 0.3)
     found.walls["relaxed", 0.5] = Walls(Width(400.0, math.inf), 0.1)
     assert report.worst(found, 0.5) == Walls(Width(200.0, 220.0), 0.3)
 
 
 def test_a_measurement_runs_the_live_loops():
-    asked = Study(cap=200.0, lowest=200.0)
-    found = study.measure(asked, Task("zwidth", "direct", 0.0, "firm", 5.0))
+    commanded = Study(cap=200.0, lowest=200.0)
+    found = study.measure(commanded, Task("zwidth", "direct", 0.0, "firm", 5.0))
     assert found.width == Width(200.0, math.inf)
     assert 0.0 < found.buzz < 0.05

@@ -68,13 +68,13 @@ def test_passivity_is():
 
 
 def searched(most, cap=1000.0):
-    asked = []
+    commanded = []
 
     def stable(k):
-        asked.append(k)
+        commanded.append(k)
         return k <= most
 
-    return zwidth.largest(stable, 10.0, cap, 10.0, 1.1), asked
+    return zwidth.largest(stable, 10.0, cap, 10.0, 1.1), commanded
 
 
 def test_a_search_ends_at_the_cap():

@@ -1,1 +1,1 @@
-"""The physics of the simulated rig: tendons as chains, motors, joints, what they meet, sensors."""
+"""The physics of the simulated rig: tendon chains, motors, joints, environments, sensors."""

@@ -1,11 +1,10 @@
-"""Where a link comes to at the end of a step: tendons on one side, all that resists on the other.
+"""Force balance of a link at the end of a step: tendons against all resistance.
 
     T_a(q) - T_b(-q) = base + slope (q - q_before) + friction sgn(q - q_before) + F_environment(q)
 
-The left side never rises with q and the right one never falls, so the solution is unique where
-anything resists at all. Friction has any value within its limits while q stays at q_before: a link
-that is held stays exactly where it is. Backlash lets the tendons' pulley turn by itself while it
-touches neither of its flanks on the link.
+The left side is non-increasing in q and the right one non-decreasing, so the solution is unique if
+there is any resistance. While q = q_before friction may take any value within its limits: a stuck
+link stays exactly where it is. Within its backlash the tendons' pulley turns without the link.
 """
 
 from typing import NamedTuple
@@ -14,12 +13,12 @@ from estimator.compiled import compiled
 from slave.rigs.simulated.plant.environment import Environment, environment_force
 from slave.rigs.simulated.plant.response import Curve, tension_on
 
-ROUNDS = 200  # at most, of the search; about ten are needed
+MAX_ITERATIONS = 200  # of the root search; about ten are needed
 ENOUGH = 1e-11  # [N] of balance
 
 
 class Answer(NamedTuple):
-    """What the tendons of a joint pull with, wherever its pulley goes in the step under way."""
+    """Tension responses of the tendons of a joint to the position of its pulley in this step."""
 
     a: Curve
     b: Curve
@@ -27,9 +26,9 @@ class Answer(NamedTuple):
 
 
 class Resistance(NamedTuple):
-    """What a link does against being moved, apart from its environment."""
+    """Resistance of a link to motion, without its environment."""
 
-    base: float  # [N] where the step begins
+    base: float  # [N] at the start of the step
     slope: float  # [N/m]
     friction: float  # [N]
     backlash: float  # [m] whole play between pulley and link
@@ -65,7 +64,7 @@ def surplus(
     time: float,
     dt: float,
 ) -> float:
-    """Return by how much [N] what resists a move to `travel` exceeds what drives it."""
+    """Return resistance less driving force [N] for a move to `travel`."""
     against = resistance.base + resistance.slope * (travel - before)
     against += environment_force(environment, travel, before, time, dt)
     return against - drive(answer, travel, resistance.backlash)
@@ -82,10 +81,10 @@ def balance(
     time: float,
     dt: float,
 ) -> float:
-    """Return the travel [m] between `low` and `high` at which a link is in balance.
+    """Return the travel [m] between `low` and `high` of a link in force balance.
 
-    The solution is bracketed by where the link was and a stop, and found by the Illinois variant of
-    the secant method: each piece of the forces is linear or nearly so.
+    Bracketed by the old position and a stop, solved by the Illinois variant of the secant method:
+    the forces are nearly piecewise linear.
 
     Parameters
     ----------
@@ -104,8 +103,8 @@ def balance(
     far_excess = surplus(answer, resistance, environment, far, before, time, dt) + friction
     if sense * far_excess <= 0.0:
         return far
-    kept = 0  # which end stayed in the last round; the secant must not trust it for ever
-    for _ in range(ROUNDS):
+    kept = 0  # end kept in the last iteration (Illinois rule)
+    for _ in range(MAX_ITERATIONS):
         new = near - near_excess * (far - near) / (far_excess - near_excess)
         if not min(near, far) < new < max(near, far):
             new = 0.5 * (near + far)

@@ -23,7 +23,7 @@ class BodyConfig:
     backlash: float = 0.0  # [m] whole play between the tendons' pulley and the link
 
     def __post_init__(self) -> None:
-        """Refuse a body that cannot be."""
+        """Check the values; raises `ValueError`."""
         for name, most, unit in (
             ("mass", 1e3, "kg"),
             ("damping", 1e5, "N s/m"),
@@ -55,7 +55,7 @@ class Body(NamedTuple):
 
 
 def build_body(config: BodyConfig, tendons: int) -> Body:
-    """Return the body that `config` describes, of a joint of one or two tendons."""
+    """Return the body that `config` describes, for a joint of one or two tendons."""
     return Body(
         config.mass,
         config.damping,

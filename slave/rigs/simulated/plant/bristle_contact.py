@@ -1,16 +1,16 @@
-"""A chain whose nodes lean on bristles until they slide, and are held back by dashpots.
+"""Tendon chain with elastic-plastic (bristle) friction and dashpots at its nodes.
 
-A bristle takes up a node's dry friction elastically, between its root in the sheath and the node,
-until friction is at its limit and the root slips. A node without presliding has a bristle too stiff
-to be seen. A dashpot adds b dx / dt. Both make the tension on a node's tip side a function of that
-on its housing side and of its place x:
+A bristle between the sheath and a node carries its dry friction elastically until the friction
+limit, where its root slips. A node without presliding has a nearly rigid bristle. A dashpot adds b
+dx / dt. Both make the tension on a node's tip side a function of that on its housing side and of
+its place x:
 
     T_tip = min(max(T - k (x - root), pull (T + drag) - drag), release (T + drag) - drag)
             - b / dt (x - x_before)
 
-The response is carried through it corner by corner, with new corners where the limits cut in. On
-the way back each node finds its tension on the response of its housing side: the law above would
-give it too, but multiplies rounding errors from node to node.
+The response is propagated corner by corner, with new corners at the limits. In the backward pass
+each node takes its tension from the response of its housing side: the law above would give the
+same, but amplifies rounding errors from node to node.
 """
 
 import numpy as np
@@ -22,12 +22,12 @@ from slave.rigs.simulated.plant.friction import Contacts
 from slave.rigs.simulated.plant.response import Curve, Curves, Response, tension_on
 from slave.rigs.simulated.plant.tendon import FRICTION, POSITION, TENSION
 
-HUGE = 1e12  # [N] where responses are cut off: dashpots would make them infinite
+HUGE = 1e12  # [N] upper bound of responses: dashpots would make them infinite
 
 
 @compiled_in_caller
 def carry_leaning(springs: Springs, contacts: Contacts, state: Array, proximal: float) -> Response:
-    """Carry the response from the motor's end at `proximal` [m] to the tip."""
+    """Propagate the response from the motor end at `proximal` [m] to the tip."""
     n = len(contacts.pull)
     room = 2 * n + 8
     place, tension = np.empty((n + 1, room)), np.empty((n + 1, room))
@@ -43,7 +43,7 @@ def carry_leaning(springs: Springs, contacts: Contacts, state: Array, proximal: 
         root = stay - state[FRICTION, i + 1] / contacts.bristle[i]
         x, T = place[i, : corners[i]], tension[i, : corners[i]]
         count = lean(contacts, i, x, T, rays[i], stay, root, place[i + 1], tension[i + 1])
-        if count > room:  # where a soft bristle leans, slides and leans again along one response
+        if count > room:  # a soft bristle sticks, slides and sticks again along one response
             more = np.empty((n + 1, count))
             place, tension = np.concatenate((place, more), 1), np.concatenate((tension, more), 1)
             room += count
@@ -69,9 +69,9 @@ def lean(
     new_place: Array,
     new_tension: Array,
 ) -> int:
-    """Carry a response through node i, which was at `stay` [m]; return how many corners it has.
+    """Propagate a response through node i, last at `stay` [m]; return its number of corners.
 
-    Corners for which there is no room are counted only.
+    Corners beyond the capacity are only counted.
     """
     pull, release, drag = contacts.pull[i], contacts.release[i], contacts.drag
     bristle, dashpot = contacts.bristle[i], contacts.dashpot[i]
@@ -81,7 +81,7 @@ def lean(
         dx, dT = ray, 1.0
         if j < corners:
             dx, dT = place[j] - x, tension[j] - T
-        # by how much a tension that leans is above its lower limit, and below its upper one
+        # distance of the elastic tension from its lower and its upper limit
         above = (T + drag) * (1.0 - pull) - bristle * (x - root)
         below = (T + drag) * (release - 1.0) + bristle * (x - root)
         at_low = zero(above, dT * (1.0 - pull) - bristle * dx, j == corners)
@@ -93,7 +93,7 @@ def lean(
                 at, pulled = x + along * dx, T + along * dT
                 low, high = (pulled + drag) * pull - drag, (pulled + drag) * release - drag
                 leaning = min(max(pulled - bristle * (at - root), low), high)
-                if along == at_low:  # a stiff bristle would multiply what is rounded
+                if along == at_low:  # a stiff bristle would amplify rounding errors
                     leaning = low
                 elif along == at_high:
                     leaning = high
@@ -106,7 +106,7 @@ def lean(
 
 @compiled
 def zero(value: float, rate: float, endless: bool) -> float:
-    """Return where within (0, 1), or above 0, a line from `value` is zero; infinity if nowhere."""
+    """Return the zero of a line from `value` within (0, 1) or above 0; infinity if none."""
     end = rate if endless else value + rate
     if value < 0.0 < end or end < 0.0 < value:
         return -value / rate
@@ -115,7 +115,7 @@ def zero(value: float, rate: float, endless: bool) -> float:
 
 @compiled
 def ray_after(contacts: Contacts, i: int, ray: float) -> float:
-    """Return the ray [m/N] of a response that has passed node i."""
+    """Return the ray [m/N] of a response behind node i."""
     release, bristle = contacts.release[i], contacts.bristle[i]
     slides = release - 1.0 + bristle * ray < 0.0
     steep = release if slides else 1.0 - bristle * ray  # dT after over dT before
@@ -124,7 +124,7 @@ def ray_after(contacts: Contacts, i: int, ray: float) -> float:
 
 @compiled
 def trim(place: Array, tension: Array, corners: int, ray: float) -> int:
-    """Let a response begin where its tension leaves zero; return how many corners are left."""
+    """Cut a response at the start of its positive part; return the remaining corners."""
     while corners > 1 and tension[corners - 2] > HUGE:
         corners -= 1
     if tension[corners - 1] > HUGE:
@@ -152,9 +152,9 @@ def trim(place: Array, tension: Array, corners: int, ray: float) -> int:
 
 @compiled_in_caller
 def place_leaning(response: Response, state: Array, after: Array) -> None:
-    """Place the nodes backwards from the tip: fill their entries in the state after the step.
+    """Compute the nodes backwards from the tip: fill their entries in the new state.
 
-    Its position and the tension of the last spring are there already.
+    The tip position and the tension of the last spring are already filled in.
     """
     springs, contacts, inner = response.springs, response.contacts, response.inner
     n = len(contacts.pull)
@@ -166,7 +166,7 @@ def place_leaning(response: Response, state: Array, after: Array) -> None:
         x, T = inner.place[i - 1, :corners], inner.tension[i - 1, :corners]
         pulled = tension_on(Curve(x, T, inner.ray[i - 1]), place)
         if pulled == 0.0 and tension == 0.0 and contacts.drag == 0.0:
-            # nothing says where it is
+            # its position is undetermined
             place = min(max(stay, free), loose)
         after[POSITION, i], after[TENSION, i] = place, tension
         after[FRICTION, i] = pulled - tension - contacts.dashpot[i - 1] * (place - stay)

@@ -1,22 +1,21 @@
-"""An elastic tendon in its sheath, as a chain of springs and friction nodes: one step of it.
+"""One step of an elastic tendon in its sheath, a chain of springs and friction nodes.
 
-Motion is slow, so every node is in balance at the end of a step. With u the displacement of the
-tendon (positive towards the housing), T_i the tension of the spring behind node i, and the laws of
-springs and nodes linear during a step (`elasticity`, `friction`),
+Quasi-static: every node is in balance at the end of a step. With u the displacement of the tendon
+(positive towards the housing), T_i the tension of the spring behind node i, and the laws of springs
+and nodes linearised over a step (`elasticity`, `friction`),
 
     u_i - u_{i+1} = compliance_i T_i + rest_i      where T_i > 0; less stretched, T_i = 0
     T_{i-1} - T_i = f_i + b_i du_i / dt            dry friction and a dashpot
     f_i at its upper limit where the node slides towards the housing, at its lower one where it
     slides towards the tip, anything between where it stays, or as its bristle says
 
-Nothing here knows how tension varies along a sheath; that is what an estimator assumes and what
-a plant must not.
+The tension profile along the sheath is not assumed, in contrast to an estimator.
 
-The balance is solved exactly and without iteration. Everything on the housing's side of a point,
-with the motor's end where it is, can only answer in one way: with a tension that falls, piecewise
-linearly, as the point moves towards the housing. `respond` carries that response from the motor to
-the tip (`coulomb_contact`; `bristle_contact` for bristles and dashpots). Whoever holds the
-tip decides where it goes by that curve, and `recover` places the nodes backwards from there.
+The balance is solved exactly and without iteration. For a given motor position, the housing side of
+any point responds with a tension that is piecewise linear in the point's position and falls towards
+the housing. `respond` propagates that response from the motor to the tip (`coulomb_contact`;
+`bristle_contact` for bristles and dashpots). The caller finds the tip position from that curve, and
+`recover` computes the nodes backwards from there.
 """
 
 import numpy as np
@@ -33,15 +32,14 @@ from slave.rigs.simulated.plant.tendon import CREEP, POSITION, RESTED, SPEED, TE
 
 @compiled
 def respond(chain: Chain, state: Array, proximal: float, dt: float) -> Response:
-    """Return how the tendon will pull its tip, wherever that goes, in a step of `dt` [s].
+    """Return the tension response of the tendon at its tip in a step of `dt` [s].
 
     Parameters
     ----------
     state : array, shape (6, n + 2)
-        Of the tendon before the step; friction holds each node where it was, or drags it from
-        there.
+        Of the tendon before the step.
     proximal : float
-        Where the motor's end is [m] at the end of the step.
+        Position of the motor end [m] at the end of the step.
     """
     spring, contact = springs(chain, state, dt), contacts(chain, state, dt)
     if len(contact.bristle) > 0:
@@ -59,9 +57,9 @@ def recover(
     tension: float,
     dt: float,
 ) -> Array:
-    """Return the state after a step in which the tip came to `distal` [m].
+    """Return the state after a step that ends with the tip at `distal` [m].
 
-    `tension` [N] is that of `response` there, which is `respond`'s for the other arguments.
+    `tension` [N] is that of `response` there; `response` is from `respond` with the same arguments.
     """
     n = len(chain.friction)
     after = np.zeros_like(state)

@@ -1,18 +1,17 @@
-"""A chain whose nodes stay exactly where they are until they slide.
+"""Tendon chain with rigid-plastic (Coulomb) friction at its nodes.
 
 The response on the housing's side of a node has corners, places x and tensions T. The spring before
-the node shears it, x -> x - compliance T - rest. The node stays at its place while it can, so that
-there the response gets a step, of two new corners; on the housing's side of the step, where the
-node slides in, tensions shrink by one ratio, on the tip's side, where it slides out, they grow by
-another.
+the node shears it, x -> x - compliance T - rest. While the node sticks the response has a step of
+two new corners; on the housing's side of the step, where the node slides in, tensions shrink by one
+ratio, on the tip's side, where it slides out, they grow by another.
 
-All corners on one side of the step change alike, so each side is a stack of corners behind one map,
-with s = T + drag,
+All corners on one side of the step are mapped alike, so each side is a stack of corners with one
+affine map, s = T + drag,
 
     s = q b,   x = a - p b - r
 
-and a spring or a node changes two p, two q and r. Corners change stacks only as far as the steps of
-one node and the next lie apart: a sweep takes time in proportion to the nodes.
+and a spring or a node changes two p, two q and r. Corners change stacks only over the distance
+between the steps of two nodes: a sweep is linear in the number of nodes.
 """
 
 from typing import NamedTuple
@@ -26,12 +25,12 @@ from slave.rigs.simulated.plant.friction import Contacts
 from slave.rigs.simulated.plant.response import Curve, Curves, Response
 from slave.rigs.simulated.plant.tendon import FRICTION, POSITION, TENSION
 
-ROUNDING = 1e-12  # of a tension: where one does not tell a node that stays from one that slides
+ROUNDING = 1e-12  # of a tension: tolerance between sticking and sliding
 P, Q, R = 0, 1, 2  # of a map
 
 
 class Side(NamedTuple):
-    """A stack of corners behind a map; its top is next to the step."""
+    """A stack of corners with an affine map; its top is next to the step."""
 
     a: Array
     b: Array
@@ -40,7 +39,7 @@ class Side(NamedTuple):
 
 @compiled
 def empty_side(room: int) -> Side:
-    """Return a side without corners, behind a map that changes nothing."""
+    """Return a side without corners and with the identity map."""
     return Side(np.empty(room), np.empty(room), np.array([0.0, 1.0, 0.0]))
 
 
@@ -53,21 +52,21 @@ def corner(side: Side, j: int) -> tuple[float, float]:
 
 @compiled
 def put(side: Side, j: int, x: float, s: float) -> None:
-    """Make (x, s) the corner j."""
+    """Set corner j to (x, s)."""
     side.b[j] = s / side.map[Q]
     side.a[j] = x + side.map[P] * side.b[j] + side.map[R]
 
 
 @compiled
 def shear(side: Side, compliance: float, rest: float) -> None:
-    """Carry all corners through a spring."""
+    """Map all corners through a spring."""
     side.map[P] += compliance * side.map[Q]
     side.map[R] += rest
 
 
 @compiled_in_caller
 def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal: float) -> Response:
-    """Carry the response from the motor's end at `proximal` [m] to the tip."""
+    """Propagate the response from the motor end at `proximal` [m] to the tip."""
     n, drag = len(contacts.pull), contacts.drag
     slack, held = np.empty(n), np.empty(n)
     housing, tip = empty_side(2 * n + 1), empty_side(2 * n + 1)
@@ -90,7 +89,7 @@ def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal:
             put(housing, top, x, s)
             top, out = top + 1, out - 1
 
-        pressed = drag  # s on the housing's side while the node stays
+        pressed = drag  # s on the housing's side while the node sticks
         if top > bottom:
             x, pressed = corner(housing, top - 1)
             next_x, s = corner(tip, out - 1) if out > 0 else (x + ray, pressed + 1.0)
@@ -104,7 +103,7 @@ def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal:
         tip.map[Q] *= contacts.release[i]
         ray /= contacts.release[i]
 
-        while out > 0 and corner(tip, out - 1)[1] <= drag:  # no tension: part of the slack
+        while out > 0 and corner(tip, out - 1)[1] <= drag:  # zero tension: slack
             x, s = corner(tip, out - 1)
             put(housing, top, x, s)
             top, out = top + 1, out - 1
@@ -137,9 +136,9 @@ def carry_gripping(springs: Springs, contacts: Contacts, state: Array, proximal:
 
 @compiled_in_caller
 def place_gripping(response: Response, state: Array, after: Array) -> None:
-    """Place the nodes backwards from the tip: fill their entries in the state after the step.
+    """Compute the nodes backwards from the tip: fill their entries in the new state.
 
-    Its position and the tension of the last spring are there already.
+    The tip position and the tension of the last spring are already filled in.
     """
     springs, contacts = response.springs, response.contacts
     n, drag = len(contacts.pull), contacts.drag
@@ -158,7 +157,7 @@ def place_gripping(response: Response, state: Array, after: Array) -> None:
             pulled = max(0.0, (tension + drag) / release - drag)
         else:
             place, pulled = stay, held
-        if pulled == 0.0 and tension == 0.0:  # friction does not tell where it is
+        if pulled == 0.0 and tension == 0.0:  # its position is undetermined
             place = min(max(stay, free), loose)
         after[POSITION, i], after[TENSION, i] = place, tension
         after[FRICTION, i] = pulled - tension

@@ -1,17 +1,17 @@
-"""The elasticity of a tendon in its sheath: how far each spring stretches at this step.
+"""The elasticity of a tendon in its sheath, linearised over a step.
 
 A spring of compliance c between two nodes stretches, from where it is at its pretension, by
 
     s = c (E(T) - E(T_0) + y + w) + gap,   E(T) = T + A (1 - exp(-T / T_s)) + B max(0, T - T_b)^2
 
-A = eps_0 EA is the toe, where strands bed in; B = beta / C the compression of the sheath, with the
-compliance C of the whole. y is creep, in tension it is worth: tau_c dy/dt = a (T - T_0) - y, a
-standard linear solid. w = slack / C + EA strain is tendon too much, spread along it; a gap is where
-it has parted.
+A = eps_0 EA is the toe of the strands; B = beta / C the compression of the sheath, with the
+compliance C of the whole. y is creep as an equivalent tension: tau_c dy/dt = a (T - T_0) - y, a
+standard linear solid. w = slack / C + EA strain is excess tendon, distributed along it; a gap is a
+break.
 
 A step of dt has y_new = y + g (a (T_new - T_0) - y) with g = 1 - exp(-dt / tau_c), exact for a
-tension that is held, and E as its tangent at the last tension, so that s = compliance T + rest.
-The tangent is of E itself and not of its change: errors of a step are not carried on.
+constant tension, and E as its tangent at the last tension, so that s = compliance T + rest. The
+tangent is of E itself and not of its change, so errors do not accumulate.
 """
 
 import math
@@ -71,7 +71,7 @@ def bedding(knobs: Knobs, toe: float, compression: float, tension: float) -> tup
 
 @compiled
 def creep_gain(knobs: Knobs, dt: float) -> float:
-    """Return by which share creep comes nearer to its end in a step of `dt` [s]."""
+    """Return the fraction of the remaining creep completed in a step of `dt` [s]."""
     return -math.expm1(-dt / knobs.creep_time)
 
 

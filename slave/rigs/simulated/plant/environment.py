@@ -1,8 +1,8 @@
-"""What the joint meets: nothing, a wall, soft tissue, a load motor, or several of these.
+"""Environments of a joint: free, wall, soft tissue, load motor, or several of these.
 
-A joint's position q is the travel of its tendons at the joint [m], positive where tendon `a` pulls
-it; a force is positive where it pushes against that. Every environment gives a force that never
-falls as q grows within a step, so that a joint's balance has one solution.
+A joint's position q is the travel of its tendons at the joint [m], positive in the pulling
+direction of tendon `a`; a positive force opposes that. The force of every environment is
+non-decreasing in q within a step, so a joint's balance has one solution.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ from teleop.config import MAY_BE_INFINITE
 
 Whole = NDArray[np.int64]
 
-STIFFNESS_MAX = 1e7  # [N/m] a thousand times a tendon's own; beyond it rounding shows in the force
+STIFFNESS_MAX = 1e7  # [N/m] a thousand times a tendon's own; above it rounding shows in the force
 TRAVEL_MAX = 1.0  # [m]
 
 WALL, TISSUE, FORCE, POSITION = range(4)
@@ -26,26 +26,26 @@ WALL, TISSUE, FORCE, POSITION = range(4)
 
 @dataclass(frozen=True, slots=True)
 class FreeConfig:
-    """Nothing in the way."""
+    """No contact."""
 
     type: Literal["free"] = "free"
 
 
 @dataclass(frozen=True, slots=True)
 class WallConfig:
-    """A stiff wall: F = stiffness d + damping d', never pulling; d is how deep the joint is in it.
+    """A stiff wall: F = stiffness d + damping d', never pulling, with penetration d.
 
-    Tendon `side` is the one whose pull runs into it.
+    The pull of tendon `side` moves the joint into it.
     """
 
     type: Literal["wall"] = "wall"
-    position: float = 0.008  # [m] of the joint where it is met
+    position: float = 0.008  # [m] of the joint at first contact
     stiffness: float = 20_000.0  # [N/m]
     damping: float = 0.0  # [N s/m]
     side: Literal["a", "b"] = "a"
 
     def __post_init__(self) -> None:
-        """Refuse a wall that pulls."""
+        """Check the values; raises `ValueError`."""
         _check_position(self.position)
         _check_stiffness(self.stiffness)
         if not 0.0 <= self.damping <= 1e5:
@@ -62,14 +62,14 @@ class TissueConfig:
     """
 
     type: Literal["tissue"] = "tissue"
-    position: float = 0.008  # [m] of the joint where it is met
+    position: float = 0.008  # [m] of the joint at first contact
     stiffness: float = 9_400.0  # [N/m^exponent]
     exponent: float = 1.5
     dissipation: float = 1.0  # [s/m]
     side: Literal["a", "b"] = "a"
 
     def __post_init__(self) -> None:
-        """Refuse tissue that pulls, or has no slope that can be told."""
+        """Check the values; raises `ValueError`."""
         _check_position(self.position)
         if not 0.0 <= self.stiffness <= 1e9:
             raise ValueError("stiffness: must be 0 to 1e9 N/m^exponent")
@@ -81,12 +81,11 @@ class TissueConfig:
 
 @dataclass(frozen=True, slots=True)
 class LoadMotorConfig:
-    """A motor on the joint, as on the bench of Phee et al. 2009, that follows a profile of its own.
+    """A load motor on the joint, as on the bench of Phee et al. 2009, that follows a profile.
 
-    Under torque control its force is the profile; under position control the profile is where it
-    drives the joint, through the stiffness of its coupling. Between the points of the profile the
-    value runs straight; outside it stays, or starts again if it repeats. While the motor is not
-    coupled it does nothing.
+    Under torque control the profile is its force; under position control it is its position,
+    coupled to the joint by a stiffness. The profile is piecewise linear; outside its points the
+    value is constant, or periodic if it repeats. While the motor is not coupled its force is zero.
     """
 
     type: Literal["load_motor"] = "load_motor"
@@ -99,7 +98,7 @@ class LoadMotorConfig:
     )  # [s] from, to
 
     def __post_init__(self) -> None:
-        """Refuse a profile that is none."""
+        """Check the values; raises `ValueError`."""
         _check_stiffness(self.stiffness)
         if not 0.0 <= self.coupled[0] < self.coupled[1]:
             raise ValueError("coupled: must be two times, the second after the first")
@@ -129,12 +128,12 @@ EnvironmentConfig = FreeConfig | WallConfig | TissueConfig | LoadMotorConfig | S
 
 
 class Environment(NamedTuple):
-    """What is compiled of an environment: one row for each part."""
+    """An environment for compiled functions: one row per part."""
 
     kind: Whole  # WALL, TISSUE, FORCE or POSITION, shape (parts,)
     constants: Array  # shape (parts, 7): position, stiffness, damping, exponent, side, from, to
     points: Array  # shape (all points, 2): the profiles of all parts, one after another
-    extent: Whole  # shape (parts, 3): first and behind-last point of a part; whether it repeats
+    extent: Whole  # shape (parts, 3): first and past-the-end point of a part; whether it repeats
 
 
 def build_environment(config: EnvironmentConfig) -> Environment:
@@ -167,7 +166,7 @@ def build_environment(config: EnvironmentConfig) -> Environment:
 
 
 def both_environments(first: Environment, second: Environment) -> Environment:
-    """Return an environment that has the parts of both."""
+    """Return an environment with the parts of both."""
     moved = second.extent + np.array([len(first.points), len(first.points), 0])
     return Environment(
         np.concatenate([first.kind, second.kind]),
@@ -208,8 +207,8 @@ def environment_force(
 ) -> float:
     """Return the force [N] at `travel` [m], reached in `dt` [s] from `before` [m] at `time` [s].
 
-    Depth rates are those of the part of the way inside the contact, so the force is continuous
-    where a contact begins.
+    Penetration rates use only the part of the travel inside the contact, so the force is continuous
+    at first contact.
     """
     force = 0.0
     for part in range(len(environment.kind)):

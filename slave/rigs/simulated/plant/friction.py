@@ -1,7 +1,7 @@
-"""The friction of a node in its bend: how much tension it can take away at this step.
+"""Friction limits of a node in its bend, linearised over a step.
 
 Dry friction f on a node between the tensions T_p on its housing side and T_d on its tip side obeys
-Coulomb with the force that the tendon presses on the bend with,
+Coulomb's law with the normal force of the tendon on the bend,
 
     f = T_p - T_d,   -phi_t (T_m + tau) <= f <= phi_h (T_m + tau),   T_m = (T_p + T_d) / 2
 
@@ -11,15 +11,15 @@ slides towards the tip. With the factors of one step given, the limits are linea
     T_d + tau = pull (T_p + tau)      sliding towards the housing, pull = (2 - phi_h)/(2 + phi_h)
     T_d + tau = release (T_p + tau)   sliding towards the tip, release = (2 + phi_t)/(2 - phi_t)
 
-phi_h = phi s and phi_t = rho phi s follow what the node went through up to the last step:
+phi_h = phi s and phi_t = rho phi s depend on the node's state after the last step:
 
     s = scale * (T_m / T_r)^(n - 1) * (1 + k max(0, T_m - T_b))      tension
-        * (1 + a exp(-(v / v_s)^2))                                  speed v, a little late
+        * (1 + a exp(-(v / v_s)^2))                                  speed v, low-pass filtered
         * (1 + (static_ratio - 1) R)                                 growth R of the contact at rest
 
 R approaches 1 in `static_time` of rest and 0 in `static_distance` of sliding. Every factor is
-positive and friction opposes motion, so that it only ever takes work. A factor that is one step
-late makes an error that falls with the step.
+positive and friction opposes motion, so friction is dissipative. The delay of one step is a
+first-order error.
 """
 
 import math
@@ -32,10 +32,10 @@ from estimator.compiled import compiled, compiled_in_caller
 from slave.rigs.simulated.plant.knobs import Knobs
 from slave.rigs.simulated.plant.tendon import RESTED, SPEED, TENSION, Chain
 
-LIMIT = 1.5  # of a node's friction: at 2 the tendon would jam in it, which is the cell's doing
-ENOUGH = 15.0  # of all nodes together: nothing passes them, and more would drown in rounding
-RIGID = 1e10  # [N/m] of a bristle that gives too little to be seen
-LIGHT = 0.5  # [N] below it friction is proportional to tension whatever the exponent
+LIMIT = 1.5  # of a node's friction: at 2 the discretisation would jam
+ENOUGH = 15.0  # of all nodes together: nothing is transmitted, and more is lost in rounding
+RIGID = 1e10  # [N/m] of a practically rigid bristle
+LIGHT = 0.5  # [N] below it friction is proportional to tension for any exponent
 
 
 class Contacts(NamedTuple):
@@ -44,8 +44,8 @@ class Contacts(NamedTuple):
     pull: Array  # shape (n,), below 1
     release: Array  # shape (n,), above 1
     drag: float  # tau [N]
-    bristle: Array  # [N/m] shape (n,); both empty if all nodes stay where they are until they slide
-    dashpot: Array  # [N/m] shape (n,), force by move in this step
+    bristle: Array  # [N/m] shape (n,); both empty for rigid-plastic friction
+    dashpot: Array  # [N/m] shape (n,), force over motion in this step
 
 
 @compiled_in_caller
@@ -78,7 +78,7 @@ def contacts(chain: Chain, state: Array, dt: float) -> Contacts:
 
 @compiled
 def tension_factor(knobs: Knobs, tension: float) -> float:
-    """Return by how much friction differs at `tension` [N] on the bend."""
+    """Return the tension-dependent factor of friction at `tension` [N] on the bend."""
     factor = (max(tension, LIGHT) / knobs.tension_reference) ** (knobs.tension_exponent - 1.0)
     above = max(0.0, tension - knobs.compression_threshold)
     return float(factor * (1.0 + knobs.compression_friction * above))
@@ -86,7 +86,7 @@ def tension_factor(knobs: Knobs, tension: float) -> float:
 
 @compiled
 def speed_after(knobs: Knobs, before: float, speed: float, dt: float) -> float:
-    """Return the speed [m/s] that friction knows after `dt` [s] at `speed`."""
+    """Return the filtered speed [m/s] after `dt` [s] at `speed`."""
     if knobs.stribeck_ratio == 0.0:
         return speed
     return speed + (before - speed) * math.exp(-dt / knobs.stribeck_memory)
@@ -94,7 +94,7 @@ def speed_after(knobs: Knobs, before: float, speed: float, dt: float) -> float:
 
 @compiled
 def rested_after(knobs: Knobs, before: float, speed: float, dt: float) -> float:
-    """Return how far a contact has grown after `dt` [s] at `speed` [m/s].
+    """Return the growth R of a contact after `dt` [s] at `speed` [m/s].
 
     dR/dt = (1 - R) / static_time - R |v| / static_distance
     """

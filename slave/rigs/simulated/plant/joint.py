@@ -1,12 +1,12 @@
 """One joint of the simulated robot: motors, tendons in their sheaths, a body, an environment.
 
 The body has one coordinate q, the travel of its tendons [m]; tendon `a` pulls it towards +, tendon
-`b`, if there is one, towards -. In a step of dt the motors move first, loaded by the tensions of
-before; then each sheath answers at the tip (`chain.respond`), and the body goes where
+`b`, if there is one, towards -. In a step of dt the motors move first, loaded by the previous
+tensions; then `chain.respond` gives each tendon's response at the tip, and the body solves
 
     mass v' + damping v + friction sgn(v) + spring q + F_environment(q, v, t) = T_a(q) - T_b(-q)
 
-with v = (q - q_before)/dt (implicit Euler) and q between the stops, which take all its speed away.
+with v = (q - q_before)/dt (implicit Euler) and q between the stops, at which v becomes 0.
 """
 
 import math
@@ -26,7 +26,7 @@ from slave.rigs.simulated.plant.tendon import Chain, at_rest, tensions
 
 
 class Winding(NamedTuple):
-    """How far a tendon is wound in beyond what its pulley has turned."""
+    """Winding of a tendon in addition to the rotation of its pulley."""
 
     eccentricity: float = 0.0  # [m] of the pulley
     phase: float = 0.0  # [rad] of the eccentricity, at the start
@@ -42,7 +42,7 @@ class Tendon(NamedTuple):
 
 
 class TendonState(NamedTuple):
-    """Where a tendon is, and the motor that winds it."""
+    """State of a tendon and of its motor."""
 
     motor: MotorState
     chain: Array
@@ -59,18 +59,18 @@ class Joint(NamedTuple):
 
 
 class JointState(NamedTuple):
-    """Where a joint is."""
+    """State of a joint."""
 
     a: TendonState
     b: TendonState
     travel: float  # [m] q of the link
     speed: float  # [m/s] v of the link
-    pulley: float  # [m] of the tendons at the joint: q, but for backlash
+    pulley: float  # [m] of the tendons at the joint: q except for backlash
     time: float  # [s]
 
 
 def joint_at_rest(joint: Joint, time: float = 0.0) -> JointState:
-    """Return the state at `time` [s] of a joint that nothing has moved yet."""
+    """Return the initial state of a joint at `time` [s]."""
     still = motor_at_rest()
     a, b = (TendonState(still, at_rest(tendon.chain)) for tendon in (joint.a, joint.b))
     return JointState(a, b, 0.0, 0.0, 0.0, time)
@@ -78,7 +78,7 @@ def joint_at_rest(joint: Joint, time: float = 0.0) -> JointState:
 
 @compiled_in_caller
 def advance(joint: Joint, state: JointState, targets: Array, steps: int, dt: float) -> JointState:
-    """Take `steps` of `dt` [s] with the motors sent to `targets` [m], shape (2,)."""
+    """Advance by `steps` of `dt` [s] with the motor targets `targets` [m], shape (2,)."""
     chain_a, chain_b = joint.a.chain, joint.b.chain
     for _ in range(steps):
         time = state.time + dt
@@ -105,7 +105,7 @@ def advance(joint: Joint, state: JointState, targets: Array, steps: int, dt: flo
 
 @compiled
 def wind(tendon: Tendon, state: TendonState, target: float, dt: float) -> tuple[MotorState, float]:
-    """Return where a tendon's motor goes in a step, and its housing end [m] with it."""
+    """Return a tendon's motor after a step, and its housing end [m]."""
     tension = tensions(tendon.chain, state.chain)[0]
     motor = follow(tendon.motor, state.motor, target, tension, dt)
     winding, angle = tendon.winding, motor.pulley / tendon.motor.pulley_radius
@@ -139,7 +139,7 @@ def move_body(
 
 @compiled
 def truth(joint: Joint, state: JointState) -> Array:
-    """Return what perfect sensors would see, shape (4, 2): `sensors.CHANNELS` by tendon."""
+    """Return the true values of the sensors, shape (4, 2): `sensors.CHANNELS` by tendon."""
     seen = np.zeros((len(CHANNELS), 2))
     see(seen[:, 0], joint.a, state.a, state.travel)
     if joint.pair:
@@ -149,7 +149,7 @@ def truth(joint: Joint, state: JointState) -> Array:
 
 @compiled
 def see(seen: Array, tendon: Tendon, state: TendonState, distal: float) -> None:
-    """Write what perfect sensors would see of a tendon into `seen`, shape (4,)."""
+    """Write the true values of a tendon's sensors into `seen`, shape (4,)."""
     tension = tensions(tendon.chain, state.chain)
     seen[0], seen[1] = tension[0], state.motor.position
     seen[2], seen[3] = tension[-1], distal

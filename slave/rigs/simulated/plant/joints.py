@@ -1,6 +1,6 @@
-"""All joints of a rig, in compiled lists: handing them over one by one would cost more than a step.
+"""All joints of a rig in numba lists; passing them one by one would cost more than a step.
 
-The lists are numba's. Take them from `joined`, and nothing out of them.
+Make the lists with `join_joints`; do not read items from Python.
 """
 
 from typing import TypeVar
@@ -16,7 +16,7 @@ from slave.rigs.simulated.plant.sensors import CHANNELS
 T = TypeVar("T")
 
 
-def joined(items: list[T]) -> list[T]:
+def join_joints(items: list[T]) -> list[T]:
     """Return joints, or states of joints, as a compiled list."""
     first, *others = items
     many = only(first)
@@ -41,7 +41,7 @@ def append(many: list[T], item: T) -> None:
 
 @compiled
 def replace(many: list[T], index: int, item: T) -> None:
-    """Put another item in the place of the one at `index`."""
+    """Replace the item at `index`."""
     many[index] = item
 
 

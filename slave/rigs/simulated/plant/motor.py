@@ -1,6 +1,6 @@
-"""A motor that winds the tendon: a geared DC servo under position control of its own.
+"""The motor that winds a tendon: a geared DC servo with its own position control.
 
-Seen from the tendon: travel [m] at the pulley, force [N], and the rotor's inertia as a mass.
+In units of the tendon: travel [m] at the pulley, force [N], rotor inertia as a mass.
 """
 
 import math
@@ -14,9 +14,9 @@ from estimator.compiled import compiled
 class MotorConfig:
     """A servo like that of Phee et al. 2009: Faulhaber 2642 W 024 CR with gearhead 30/1 S.
 
-    The paper gives the two names and the ratio. The motor's figures are those of a 24 V motor of
-    this size, as its data sheet is remembered and consistent with one another; they were not
-    compared with a copy of it. Entries marked * are assumptions. Give your own motor's.
+    The paper gives the two names and the ratio. The other figures are typical of a 24 V motor of
+    this size and mutually consistent, but not checked against the data sheet. Entries marked * are
+    assumptions. Set those of your motor.
     """
 
     pulley_radius: float = 0.010  # [m] at the gear's output *
@@ -26,13 +26,13 @@ class MotorConfig:
     no_load_speed: float = 670.0  # [rad/s] of the motor
     stall_torque: float = 0.139  # [N m] of the motor, at rated voltage
     peak_torque: float = 0.075  # [N m] of the motor, as its driver limits the current *
-    rated_torque: float = 0.028  # [N m] of the motor, for ever
-    thermal_time: float = 10.0  # [s] in which the winding warms up *
+    rated_torque: float = 0.028  # [N m] of the motor, continuous
+    thermal_time: float = 10.0  # [s] thermal time constant of the winding *
     rotor_inertia: float = 1.1e-6  # [kg m^2]
     bandwidth: float = 100.0  # [rad/s] of the position loop *; its speed loop is 4 times faster
 
     def __post_init__(self) -> None:
-        """Refuse a servo that cannot be."""
+        """Check the values; raises `ValueError`."""
         for name, least, most, unit in (
             ("pulley_radius", 1e-4, 1.0, "m"),
             ("gear", 1e-3, 1e5, ""),
@@ -51,7 +51,7 @@ class MotorConfig:
 
 
 class Motor(NamedTuple):
-    """A motor's constants, as the tendon sees them."""
+    """A motor's constants in units of the tendon."""
 
     mass: float  # [kg] of the rotor, through the gear
     speed_max: float  # [m/s] without load
@@ -63,20 +63,20 @@ class Motor(NamedTuple):
     speed_gain: float  # [1/s]
     backlash: float  # [m] of tendon
     pulley_radius: float  # [m]
-    hold: float  # [N] that balances the tendon at the start, so that the motor stands at its zero
+    hold: float  # [N] that balances the tendon at the start, with the motor at zero
 
 
 class MotorState(NamedTuple):
-    """Where a motor is."""
+    """State of a motor."""
 
-    position: float  # [m] of tendon, that the encoder counts
+    position: float  # [m] of tendon, at the encoder
     speed: float  # [m/s]
     heat: float  # mean square of the force, over the rated force's
-    pulley: float  # [m] of tendon, that the pulley has wound in
+    pulley: float  # [m] of tendon, wound in by the pulley
 
 
 def build_motor(config: MotorConfig, pretension: float) -> Motor:
-    """Return the motor that `config` describes, of a tendon that starts at `pretension` [N]."""
+    """Return the motor that `config` describes; the tendon starts at `pretension` [N]."""
     travel = config.pulley_radius / config.gear  # [m] per rad of the motor
     return Motor(
         mass=config.rotor_inertia / travel**2,
@@ -100,15 +100,14 @@ def motor_at_rest() -> MotorState:
 
 @compiled
 def follow(motor: Motor, state: MotorState, target: float, tension: float, dt: float) -> MotorState:
-    """Take one step of `dt` [s] towards `target` [m] while the tendon pulls with `tension` [N].
+    """Advance by `dt` [s] towards `target` [m] while the tendon pulls with `tension` [N].
 
     mass v' = F - tension;  F = mass speed_gain (v_wanted - v) + hold,
     v_wanted = position_gain (target - position) within the no-load speed,
 
     critically damped as speed_gain is 4 position_gain; F within what voltage (stall force at rest,
     none at no-load speed) and current allow: the peak force, or the rated one once the winding is
-    warm. The end of the step stands on the right of these equations (implicit Euler), so no step
-    is too long for the controller.
+    warm. Implicit Euler, stable for any step.
     """
     mass, gain = motor.mass, motor.speed_gain
     pushed = state.speed - dt * tension / mass

@@ -1,4 +1,4 @@
-"""How a tendon answers at a point: with a tension that falls as the point moves to the housing."""
+"""Tension response of a tendon at a point: falls as the point moves towards the housing."""
 
 from typing import NamedTuple
 
@@ -12,10 +12,10 @@ from slave.rigs.simulated.plant.friction import Contacts
 
 
 class Curve(NamedTuple):
-    """How everything on the housing's side of a point answers there.
+    """Response of the housing side of a point.
 
-    The tension is zero from `place[0]` towards the housing, runs through the corners, and rises
-    for ever by one newton each `-ray` metres towards the tip.
+    The tension is zero from `place[0]` towards the housing, piecewise linear through the corners,
+    and beyond the last rises by one newton per `-ray` metres towards the tip.
     """
 
     place: Array  # [m] shape (corners,), falling
@@ -24,30 +24,30 @@ class Curve(NamedTuple):
 
 
 class Curves(NamedTuple):
-    """Many curves, one a node."""
+    """Response curves, one per node."""
 
     place: Array  # [m] shape (n, room)
     tension: Array  # [N] shape (n, room)
-    corners: NDArray[np.int64]  # shape (n,): how much of the room is used
+    corners: NDArray[np.int64]  # shape (n,): number in use
     ray: Array  # [m/N] shape (n,)
 
 
 class Response(NamedTuple):
-    """How a tendon answers at its tip in one step, and what it takes to find its nodes then."""
+    """Response of a tendon at its tip in one step, and data to recover its nodes."""
 
     tip: Curve
     springs: Springs
     contacts: Contacts
-    slack: Array  # [m] shape (n,): where a node rests while nothing pulls it from the tip
-    held: Array  # [N] shape (n,): on the housing's side of a node that grips, while it stays
-    inner: Curves  # on the housing's side of nodes that lean
+    slack: Array  # [m] shape (n,): position of a node without tension from the tip
+    held: Array  # [N] shape (n,): on the housing's side of a sticking node
+    inner: Curves  # on the housing's side of nodes with bristles
 
 
 @compiled
 def tension_on(curve: Curve, place: float) -> float:
     """Return the tension [N] of a curve at `place` [m]."""
     places, tensions = curve.place, curve.tension
-    after, last = 0, len(places)  # corners beyond `place`, found by halving
+    after, last = 0, len(places)  # corners beyond `place`, by bisection
     while after < last:
         middle = (after + last) // 2
         if places[middle] > place:

@@ -1,7 +1,6 @@
-"""What sensors make of the truth, at the housing and, on a bench, at the tip.
+"""Sensor models, at the housing and, on a bench, at the tip.
 
-Every sensor is the same channel with other numbers: it lags, has a gain, a bias and noise, stops
-at its range, and counts in steps.
+Every sensor has lag, gain, bias, noise, range and resolution.
 """
 
 from collections.abc import Sequence
@@ -29,14 +28,14 @@ class LoadCellConfig:
     """A load cell and its converter, for compression by up to `range` as under a sheath's end."""
 
     noise: float = 0.010  # [N] standard deviation, white
-    resolution: float = 0.002  # [N] of the converter; 0 = infinitely fine
-    range: float = 100.0  # [N] the reading stops here, at both ends
+    resolution: float = 0.002  # [N] of the converter; 0 = no quantisation
+    range: float = 100.0  # [N] saturation, at both ends
     gain: float = 1.0  # reading over true tension
     bias: float = 0.0  # [N] reading without tension
     bandwidth: float = field(default=inf, metadata=MAY_BE_INFINITE)  # [Hz] first order
 
     def __post_init__(self) -> None:
-        """Refuse what no load cell is like."""
+        """Check the values; raises `ValueError`."""
         for name in ("noise", "resolution"):
             if not 0.0 <= getattr(self, name) <= 10.0:
                 raise ValueError(f"{name}: must be 0 to 10 N")
@@ -54,11 +53,11 @@ class LoadCellConfig:
 class EncoderConfig:
     """An encoder on the motor; 500 lines and a gear of 134:1 as in Phee et al. 2009."""
 
-    lines: int = 67_000  # per revolution of the pulley, gear included; 0 = infinitely fine
+    lines: int = 67_000  # per revolution of the pulley, gear included; 0 = no quantisation
     decoding: Literal[1, 2, 4] = 1  # counts per line; 4 = both edges of both tracks
 
     def __post_init__(self) -> None:
-        """Refuse what no encoder is like."""
+        """Check the values; raises `ValueError`."""
         if not 0 <= self.lines <= 10**9:
             raise ValueError("lines: must be 0 to 1 000 000 000")
 
@@ -78,19 +77,19 @@ class Sensors(NamedTuple):
     noise: Array  # [N] or [m] standard deviation
     range: Array  # [N] or [m]
     resolution: Array  # [N] or [m]
-    frozen: Array  # 1 where the reading stays what it is, else 0
+    frozen: Array  # 1 if the reading is frozen, else 0
 
-    # what a housing load cell feels besides its tendon, each of shape (tendons,)
+    # disturbances of a housing load cell, each of shape (tendons,)
     ripple: Array  # [N] of the gear
-    ripple_order: Array  # waves in a turn of the pulley
+    ripple_order: Array  # periods per turn of the pulley
     ripple_phase: Array  # [rad]
-    rub: Array  # [N] of the sheath on what surrounds it
-    rub_travel: Array  # [m] in which the rub changes from one direction to the other
+    rub: Array  # [N] of the sheath on its surroundings
+    rub_travel: Array  # [m] of travel over which the rub reverses
     pulley_radius: Array  # [m]
 
 
 class SensorState(NamedTuple):
-    """What the sensors of a rig remember."""
+    """State of the sensors of a rig."""
 
     reading: Array  # [N] or [m], shape (4, tendons)
     lagged: Array  # [N] or [m], shape (4, tendons)
@@ -101,7 +100,7 @@ class SensorState(NamedTuple):
 def build_sensors(
     tendons: Sequence[tuple[LoadCellConfig, EncoderConfig, MotorConfig]],
 ) -> Sensors:
-    """Return the sensors of a rig's tendons; those at the tip tell the truth."""
+    """Return the sensors of a rig's tendons; those at the tip are ideal."""
     shape = (len(CHANNELS), len(tendons))
     sensors = Sensors(
         lag=np.zeros(shape),
@@ -130,7 +129,7 @@ def build_sensors(
 
 
 def sensors_at_rest(truth: Array) -> SensorState:
-    """Return the state of sensors that have seen nothing but `truth`, shape (4, tendons)."""
+    """Return the sensors' steady state at `truth`, shape (4, tendons)."""
     return SensorState(truth.copy(), truth.copy(), truth[1].copy(), np.zeros(truth.shape[1]))
 
 
@@ -138,7 +137,7 @@ def sensors_at_rest(truth: Array) -> SensorState:
 def measure(
     sensors: Sensors, state: SensorState, truth: Array, normal: Array, dt: float
 ) -> SensorState:
-    """Return what the sensors read of the truth, `dt` [s] after `state`.
+    """Return the sensors' readings `dt` [s] after `state`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A sheath as it is described, and cut into cells."""
+"""Sheath config and its discretisation into cells."""
 
 import math
 from dataclasses import dataclass, field
@@ -8,8 +8,8 @@ import numpy as np
 from estimator.array_types import Array
 from teleop.config import MAY_BE_INFINITE
 
-TOTAL_MAX = 10.0  # K of a whole sheath, where one newton in twenty thousand arrives
-FRICTION_MAX = 1.0  # of one cell: beyond it cells are too coarse, and at 2 a chain would jam
+TOTAL_MAX = 10.0  # K of a whole sheath; transmits 1/20000 of the tension
+FRICTION_MAX = 1.0  # of one cell: above it cells are too coarse, and at 2 a chain would jam
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class SectionConfig:
     radius: float = field(default=math.inf, metadata=MAY_BE_INFINITE)  # [m] .inf = straight
 
     def __post_init__(self) -> None:
-        """Refuse a section without extent."""
+        """Check the values; raises `ValueError`."""
         if not 0.0 < self.length <= 100.0:
             raise ValueError("length: must be above 0 and at most 100 m")
         if not self.radius > 0.0:
@@ -34,10 +34,10 @@ class SheathConfig:
     sections: tuple[SectionConfig, ...] = (SectionConfig(1.5, 0.225),)  # housing to tip
     friction: float = 0.15  # mu, dimensionless, of tendon on sheath
     axial_stiffness: float = 9000.0  # EA [N] of tendon and sheath in series
-    nodes: int = 60  # cells that the sheath is cut into
+    nodes: int = 60  # number of cells
 
     def __post_init__(self) -> None:
-        """Refuse a sheath that cannot be."""
+        """Check the values; raises `ValueError`."""
         if not self.sections:
             raise ValueError("sections: at least one is needed")
         if not 0.0 <= self.friction <= 2.0:
@@ -49,22 +49,22 @@ class SheathConfig:
         bend = cells(self)[1]
         if self.friction * bend.sum() > TOTAL_MAX:
             raise ValueError(
-                f"friction: must be at most {TOTAL_MAX / bend.sum():.3g} with these bends, "
-                "or nothing passes them"
+                f"friction: must be at most {TOTAL_MAX / bend.sum():.3g} with these bends, or no "
+                "tension is transmitted"
             )
         most = self.friction * bend.max()
         if most >= FRICTION_MAX:
             needed = math.ceil(self.nodes * most / FRICTION_MAX) + 1
-            raise ValueError(f"nodes: must be about {needed} to resolve so much friction")
+            raise ValueError(f"nodes: must be at least about {needed} to resolve this friction")
 
 
 def cells(config: SheathConfig) -> tuple[Array, Array]:
-    """Cut a sheath into cells of like length, at least one in each section.
+    """Divide a sheath into cells of similar length, at least one per section.
 
     Returns
     -------
     length, bend : array, shape (n,)
-        Of each cell, housing to tip: its length [m] and bend angle [rad].
+        Length [m] and bend angle [rad] of each cell, housing to tip.
     """
     length = np.array([section.length for section in config.sections])
     radius = np.array([section.radius for section in config.sections])

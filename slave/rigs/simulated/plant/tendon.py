@@ -1,4 +1,4 @@
-"""A tendon cut into springs and nodes, and what it remembers from one step to the next.
+"""Discretised tendon: springs, nodes and their state.
 
 The friction of a cell of sheath acts in its middle, on a node of the tendon; the tendon between two
 nodes is a spring that can only pull. Displacements are positive towards the housing.
@@ -17,9 +17,9 @@ from slave.rigs.simulated.plant.sheath import SheathConfig, cells
 POSITION = 0  # [m] of the motor's end, the nodes and the tip
 TENSION = 1  # [N] of spring i = 0 ... n, between positions i and i + 1
 FRICTION = 2  # [N] dry friction on each node, positive towards the tip
-CREEP = 3  # [N] of each spring: the tension that would stretch it by what it has crept
-SPEED = 4  # [m/s] of each node, as its friction knows it
-RESTED = 5  # how far each contact has grown at rest: 0 just slid, 1 rested long
+CREEP = 3  # [N] of each spring: its creep as an equivalent tension
+SPEED = 4  # [m/s] of each node, filtered for its friction
+RESTED = 5  # growth of each contact at rest: 0 just slid, 1 rested long
 ROWS = 6
 
 
@@ -31,7 +31,7 @@ class Chain(NamedTuple):
     cell: Array  # [m] shape (n,): its length
     pretension: float  # [N] in every spring while all displacements are zero
     knobs: Knobs
-    parted: Array  # [m] shape (n + 1,): by how much a spring is too long to pull; 0 = not broken
+    parted: Array  # [m] shape (n + 1,): gap in a broken spring; 0 = not broken
 
 
 def build_chain(config: SheathConfig, pretension: float) -> Chain:
@@ -48,7 +48,7 @@ def build_chain(config: SheathConfig, pretension: float) -> Chain:
 
 @compiled
 def at_rest(chain: Chain) -> Array:
-    """Return the state of a tendon that nothing has moved yet, shape (6, n + 2).
+    """Return the initial state of a tendon, shape (6, n + 2).
 
     Row 0 holds the displacements [m] of motor end, nodes and tip; the others are this plant's own.
     """

@@ -1,8 +1,8 @@
-"""Effects that users switch on in a rig, by name: data with a fault that is known.
+"""Effects that a config can switch on in a simulated rig, for data with a known fault.
 
-An effect is a frozen dataclass whose `type` names it in a config file. It turns the knobs of a
-tendon (`TendonEffect`), changes the constants of a joint (`JointEffect`) or of sensors
-(`SensorEffect`), or strikes whole samples (`SampleEffect`); `schedule` does so at its time.
+An effect is a frozen dataclass whose `type` names it in a config file. It changes the knobs of a
+tendon (`TendonEffect`), the constants of a joint (`JointEffect`) or of sensors (`SensorEffect`), or
+drops or repeats samples (`SampleEffect`); `schedule` applies it in time.
 """
 
 from slave.rigs.simulated.plant.effects.along import BrokenTendon, JammedTendon, NonuniformCurvature

@@ -1,4 +1,4 @@
-"""What all effects have in common: where and when they act, and what range a parameter has."""
+"""Base classes of effects: place, start time and parameter ranges."""
 
 import dataclasses
 import math
@@ -17,19 +17,19 @@ def ranged(default: float, low: float, high: float, unit: str = "") -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Something that the estimator's model does not have, from `start` on."""
+    """A deviation from the estimator's model, active from `start` on."""
 
     joint: int | None = None  # counted from 1; null = every joint
     start: float = 0.0  # [s]
 
-    adds_up: ClassVar[bool] = True  # whether two of them on one tendon do more than the second
+    adds_up: ClassVar[bool] = True  # whether two of them on one tendon accumulate
 
     def __post_init__(self) -> None:
-        """Refuse a place or time that cannot be, and parameters out of their range."""
+        """Check place, time and parameter ranges; raises `ValueError`."""
         if self.joint is not None and self.joint < 1:
-            raise ValueError("joint: must be 1 or more, joints are counted from 1")
+            raise ValueError("joint: must be at least 1")
         if not 0.0 <= self.start < math.inf:
-            raise ValueError("start: must be 0 s or later")
+            raise ValueError("start: must be at least 0 s")
         for item in dataclasses.fields(self):
             if "range" in item.metadata:
                 low, high, unit = item.metadata["range"]
@@ -43,21 +43,21 @@ class TendonEffect(Effect, ABC):
 
     tendon: Literal["a", "b", "both"] = "both"
 
-    varies: ClassVar[bool] = False  # whether it goes on changing after its start
+    varies: ClassVar[bool] = False  # whether it varies after its start
 
     @abstractmethod
     def apply(self, knobs: Knobs, time: float, slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top.
+        """Return the knobs with this effect added.
 
-        `time` [s] has passed since its start, in which the tendon's housing end has travelled
-        `slid` [m], to and fro.
+        `time` [s] is since its start, `slid` [m] the accumulated travel of the tendon's housing end
+        since then.
         """
 
 
 def of_tendon(
     effects: Sequence[object], joint: int, tendon: Literal["a", "b"]
 ) -> tuple[TendonEffect, ...]:
-    """Return those effects that act in tendon `tendon` of joint `joint`, counted from 0."""
+    """Return the effects that act in tendon `tendon` of joint `joint`, counted from 0."""
     return tuple(
         effect
         for effect in effects
@@ -77,7 +77,7 @@ def knobs_at(effects: Sequence[TendonEffect], time: float, slid: Sequence[float]
     time : float
         Now [s].
     slid : sequence of float
-        How far the tendon's housing end has travelled [m] since the start of each effect.
+        Accumulated travel of the tendon's housing end [m] since the start of each effect.
     """
     knobs = Knobs()
     for effect, distance in zip(effects, slid, strict=True):

@@ -10,7 +10,7 @@ from slave.rigs.simulated.plant.knobs import Knobs
 
 @dataclass(frozen=True, slots=True)
 class NonlinearStiffness(TendonEffect):
-    """Strands that bed in: strain T/EA + strain (1 - exp(-T / tension))."""
+    """Toe region of the elasticity: strain T/EA + strain (1 - exp(-T / tension))."""
 
     type: Literal["nonlinear_stiffness"] = "nonlinear_stiffness"
     strain: float = ranged(1e-3, 0.0, 0.02)
@@ -18,27 +18,27 @@ class NonlinearStiffness(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(toe_strain=self.strain, toe_tension=self.tension)
 
 
 @dataclass(frozen=True, slots=True)
 class Creep(TendonEffect):
-    """A tendon that goes on stretching under tension, and comes back: a standard linear solid."""
+    """Creep of the tendon under tension: a standard linear solid."""
 
     type: Literal["creep"] = "creep"
-    share: float = ranged(0.1, 0.0, 2.0)  # of the elastic elongation, in the end
+    share: float = ranged(0.1, 0.0, 2.0)  # final creep over elastic elongation
     time_constant: float = ranged(8.0, 0.01, 1e4, "s")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(creep_share=self.share, creep_time=self.time_constant)
 
 
 @dataclass(frozen=True, slots=True)
 class SheathCompression(TendonEffect):
-    """A sheath that gives way above a threshold, and grips the tendon more where it does.
+    """A sheath compressed above a threshold, with higher friction there.
 
     Elongation: compression (T - threshold)^2 if T were the tension all along; friction:
     (1 + friction_rise (T - threshold)).
@@ -51,7 +51,7 @@ class SheathCompression(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(
             compression=self.compression,
             compression_threshold=self.threshold,
@@ -61,19 +61,19 @@ class SheathCompression(TendonEffect):
 
 @dataclass(frozen=True, slots=True)
 class Slack(TendonEffect):
-    """More tendon than the way from motor to tip is long: it is taken up before anything pulls."""
+    """Excess tendon length, wound in before any tension builds up."""
 
     type: Literal["slack"] = "slack"
     length: float = ranged(1e-3, 0.0, 0.05, "m")
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(slack=knobs.slack + self.length)
 
 
 @dataclass(frozen=True, slots=True)
 class ThermalExpansion(TendonEffect):
-    """A tendon that warms up and grows longer against its sheath."""
+    """Thermal expansion of the tendon relative to its sheath."""
 
     type: Literal["thermal_expansion"] = "thermal_expansion"
     coefficient: float = ranged(1.2e-5, -1e-4, 1e-3, "1/K")  # of tendon over sheath; steel: 1.2e-5
@@ -82,6 +82,6 @@ class ThermalExpansion(TendonEffect):
     varies: ClassVar[bool] = True
 
     def apply(self, knobs: Knobs, time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         warming = self.warming * -math.expm1(-time / self.time_constant)
         return knobs._replace(expansion=knobs.expansion + self.coefficient * warming)

@@ -1,4 +1,4 @@
-"""Effects at the ends of a tendon: its start, its pulleys, the joint and what moves it."""
+"""Effects at the ends of a tendon: initial tension, pulleys, joint and environment."""
 
 import math
 from abc import ABC, abstractmethod
@@ -20,7 +20,7 @@ class JointEffect(Effect, ABC):
 
     @abstractmethod
     def apply(self, joint: Joint, travel: float, /) -> Joint:
-        """Return the joint with this effect on top; it was at `travel` [m] as this began."""
+        """Return the joint with this effect added; it was at `travel` [m] at its start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class SideEffect(JointEffect, ABC):
     tendon: Literal["a", "b", "both"] = "both"
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect on top."""
+        """Return the joint with this effect added."""
         if self.tendon in ("a", "both"):
             joint = joint._replace(a=self.change(joint.a))
         if self.tendon in ("b", "both") and joint.pair:
@@ -39,7 +39,7 @@ class SideEffect(JointEffect, ABC):
 
     @abstractmethod
     def change(self, tendon: Tendon, /) -> Tendon:
-        """Return the tendon with this effect on top."""
+        """Return the tendon with this effect added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class JointFriction(JointEffect):
     friction: float = ranged(0.5, 0.0, 100.0, "N")
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect on top."""
+        """Return the joint with this effect added."""
         return joint._replace(
             body=joint.body._replace(friction=joint.body.friction + self.friction)
         )
@@ -64,25 +64,25 @@ class JointBacklash(JointEffect):
     play: float = ranged(1e-4, 0.0, 0.01, "m")
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect on top."""
+        """Return the joint with this effect added."""
         return joint._replace(body=joint.body._replace(backlash=joint.body.backlash + self.play))
 
 
 @dataclass(frozen=True, slots=True)
 class TipInertia(JointEffect):
-    """Something heavy at the tip."""
+    """A mass at the tip."""
 
     type: Literal["tip_inertia"] = "tip_inertia"
     mass: float = ranged(0.5, 0.0, 100.0, "kg")
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect on top."""
+        """Return the joint with this effect added."""
         return joint._replace(body=joint.body._replace(mass=joint.body.mass + self.mass))
 
 
 @dataclass(frozen=True, slots=True)
 class TipMoved(JointEffect):
-    """Something takes hold of the tip where it is, moves it, keeps it there and lets go."""
+    """An external grip takes the tip where it is, moves it, holds it and releases it."""
 
     type: Literal["tip_moved"] = "tip_moved"
     travel: float = ranged(2e-3, -0.1, 0.1, "m")
@@ -91,7 +91,7 @@ class TipMoved(JointEffect):
     hold: float = ranged(1.0, 0.0, 1e5, "s")
 
     def apply(self, joint: Joint, travel: float, /) -> Joint:
-        """Return the joint with this effect on top."""
+        """Return the joint with this effect added."""
         there = self.start + max(abs(self.travel) / self.speed, 1e-6)
         hand = LoadMotorConfig(
             mode="position",
@@ -105,19 +105,19 @@ class TipMoved(JointEffect):
 
 @dataclass(frozen=True, slots=True)
 class Pretension(SideEffect):
-    """More tension at the start than the rig's description says; a return spring balances it."""
+    """More initial tension than configured; a return spring balances it."""
 
     type: Literal["pretension"] = "pretension"
     tension: float = ranged(5.0, 0.0, 50.0, "N")
 
     def __post_init__(self) -> None:
-        """Refuse a start that is none."""
+        """Check the values; raises `ValueError`."""
         SideEffect.__post_init__(self)
         if self.start != 0.0:
-            raise ValueError("start: must be 0 s, a tendon is pretensioned at the start")
+            raise ValueError("start: must be 0 s for pretension")
 
     def apply(self, joint: Joint, travel: float, /) -> Joint:
-        """Return the joint with this effect on top."""
+        """Return the joint with this effect added."""
         joint = SideEffect.apply(self, joint, travel)
         if joint.pair:
             return joint
@@ -126,7 +126,7 @@ class Pretension(SideEffect):
         )
 
     def change(self, tendon: Tendon, /) -> Tendon:
-        """Return the tendon with this effect on top."""
+        """Return the tendon with this effect added."""
         chain, motor = tendon.chain, tendon.motor
         return tendon._replace(
             chain=chain._replace(pretension=chain.pretension + self.tension),
@@ -138,8 +138,8 @@ class Pretension(SideEffect):
 class AntagonistTension(JointEffect):
     """The other tendon of a pair is tighter than its motor knows.
 
-    It is wound in by what would raise a blocked tendon's tension by `tension`. A controller that
-    reads its load cell lets it out again; data of one that wants this tension need no effect.
+    It is wound in by the length that raises a blocked tendon's tension by `tension`. A controller
+    with a load cell pays it out again.
     """
 
     type: Literal["antagonist_tension"] = "antagonist_tension"
@@ -147,7 +147,7 @@ class AntagonistTension(JointEffect):
     tendon: Literal["a", "b"] = "b"
 
     def apply(self, joint: Joint, _travel: float, /) -> Joint:
-        """Return the joint with this effect on top."""
+        """Return the joint with this effect added."""
         if not joint.pair:
             return joint
         tendon = joint.b if self.tendon == "b" else joint.a
@@ -159,7 +159,7 @@ class AntagonistTension(JointEffect):
 
 @dataclass(frozen=True, slots=True)
 class PulleyEccentricity(SideEffect):
-    """The motor's pulley is not centred: the tendon travels amplitude sin(angle + phase) more."""
+    """Eccentric motor pulley: additional travel amplitude sin(angle + phase)."""
 
     type: Literal["pulley_eccentricity"] = "pulley_eccentricity"
     amplitude: float = ranged(1e-4, 0.0, 0.01, "m")
@@ -167,6 +167,6 @@ class PulleyEccentricity(SideEffect):
     adds_up: ClassVar[bool] = False
 
     def change(self, tendon: Tendon, /) -> Tendon:
-        """Return the tendon with this effect on top."""
+        """Return the tendon with this effect added."""
         winding = tendon.winding._replace(eccentricity=self.amplitude, phase=self.phase)
         return tendon._replace(winding=winding)

@@ -9,13 +9,13 @@ from slave.rigs.simulated.plant.knobs import Knobs
 
 @dataclass(frozen=True, slots=True)
 class FrictionStep(TendonEffect):
-    """The shape of the sheath changes: all its friction, by one factor, at once."""
+    """A change of the sheath's shape: a step of all friction by one factor."""
 
     type: Literal["friction_step"] = "friction_step"
     change: float = ranged(0.25, -0.95, 5.0)  # relative
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(friction_scale=knobs.friction_scale * (1.0 + self.change))
 
 
@@ -30,13 +30,13 @@ class FrictionDrift(TendonEffect):
     varies: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse a drift that does not."""
+        """Check the values; raises `ValueError`."""
         TendonEffect.__post_init__(self)
         if self.per_second == 0.0 and self.per_metre == 0.0:
-            raise ValueError("per_second: give it or per_metre")
+            raise ValueError("per_second: set this or per_metre")
 
     def apply(self, knobs: Knobs, time: float, slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         change = self.per_second * time + self.per_metre * slid
         change = max(-min(self.limit, 1.0), min(self.limit, change))
         return knobs._replace(friction_scale=knobs.friction_scale * (1.0 + change))
@@ -44,34 +44,34 @@ class FrictionDrift(TendonEffect):
 
 @dataclass(frozen=True, slots=True)
 class ConstantDrag(TendonEffect):
-    """Seals, a bent tendon's own stiffness: friction in bends as if the tension were higher."""
+    """Load-independent friction, from seals or bending stiffness: an offset of the tension."""
 
     type: Literal["constant_drag"] = "constant_drag"
     drag: float = ranged(0.6, 0.0, 10.0, "N")  # tau
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(drag=knobs.drag + self.drag)
 
 
 @dataclass(frozen=True, slots=True)
 class ViscousFriction(TendonEffect):
-    """Grease: friction in proportion to speed, all along the sheath."""
+    """Viscous friction along the whole sheath, as from grease."""
 
     type: Literal["viscous_friction"] = "viscous_friction"
     viscosity: float = ranged(50.0, 0.0, 5000.0, "N s/m^2")  # per metre of sheath
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(viscosity=knobs.viscosity + self.viscosity)
 
 
 @dataclass(frozen=True, slots=True)
 class StribeckFriction(TendonEffect):
-    """Lubrication that builds up with speed: friction is higher near standstill.
+    """Stribeck friction: higher near standstill.
 
-    friction * (1 + ratio exp(-(v / speed)^2)), v being `memory` late, as friction is; with a short
-    memory a tendon on a soft tip sticks and slips in the falling part, as it would.
+    friction * (1 + ratio exp(-(v / speed)^2)), with v delayed by `memory`; with a short memory a
+    tendon on a soft tip shows stick-slip.
     """
 
     type: Literal["stribeck_friction"] = "stribeck_friction"
@@ -81,7 +81,7 @@ class StribeckFriction(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(
             stribeck_ratio=self.ratio, stribeck_speed=self.speed, stribeck_memory=self.memory
         )
@@ -89,27 +89,27 @@ class StribeckFriction(TendonEffect):
 
 @dataclass(frozen=True, slots=True)
 class Presliding(TendonEffect):
-    """Contacts that give elastically before they slide, in proportion to their friction."""
+    """Presliding: contacts yield elastically before they slide, in proportion to their friction."""
 
     type: Literal["presliding"] = "presliding"
     distance: float = ranged(5e-5, 1e-6, 1e-3, "m")
-    tension: float = ranged(10.0, 0.1, 100.0, "N")  # at which a contact gives that much
+    tension: float = ranged(10.0, 0.1, 100.0, "N")  # at which a contact yields by that much
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(presliding=self.distance, presliding_tension=self.tension)
 
 
 @dataclass(frozen=True, slots=True)
 class DirectionAsymmetry(TendonEffect):
-    """Laid strands or coils: friction of a move towards the tip differs from one to the housing."""
+    """Direction-dependent friction, from laid strands or coils."""
 
     type: Literal["direction_asymmetry"] = "direction_asymmetry"
     ratio: float = ranged(0.8, 0.3, 3.0)  # rho, towards the tip over towards the housing
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(asymmetry=knobs.asymmetry * self.ratio)
 
 
@@ -123,25 +123,25 @@ class TensionDependentFriction(TendonEffect):
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(tension_exponent=self.exponent, tension_reference=self.reference)
 
 
 @dataclass(frozen=True, slots=True)
 class StickSlip(TendonEffect):
-    """Contacts that grow at rest and are renewed by sliding: jerks where the motor is slow.
+    """Static friction that grows at rest and decays with sliding: stick-slip at low speed.
 
-    Faster than about distance / rest_time a contact has no time to grow, and slides evenly.
+    Above about distance / rest_time a contact slides smoothly.
     """
 
     type: Literal["stick_slip"] = "stick_slip"
-    ratio: float = ranged(1.3, 1.0, 3.0)  # friction after long rest over that in motion
+    ratio: float = ranged(1.3, 1.0, 3.0)  # static over sliding friction, after long rest
     rest_time: float = ranged(0.5, 1e-3, 100.0, "s")
     distance: float = ranged(2e-5, 1e-7, 1e-3, "m")
     adds_up: ClassVar[bool] = False
 
     def apply(self, knobs: Knobs, _time: float, _slid: float, /) -> Knobs:
-        """Return the knobs with this effect on top."""
+        """Return the knobs with this effect added."""
         return knobs._replace(
             static_ratio=self.ratio, static_time=self.rest_time, static_distance=self.distance
         )

@@ -1,6 +1,6 @@
-"""Which effects act now: a healthy rig's constants, turned into those of a time.
+"""Apply effects over time to the constants of a healthy rig.
 
-Constants are rebuilt only when an effect begins, or while one goes on changing.
+Constants are rebuilt only when an effect starts or while one varies.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from slave.rigs.simulated.plant.sensors import Sensors
 
 
 class JointSchedule:
-    """The effects in the physics of one joint, and what they went by since they began.
+    """The effects in the physics of one joint, with time and travel since their start.
 
     `index` counts the rig's joints from 0; `joint` is the healthy one.
     """
@@ -32,14 +32,14 @@ class JointSchedule:
         sides: tuple[Literal["a", "b"], ...] = ("a", "b") if joint.pair else ("a",)
         self._knobs = {side: of_tendon(effects, index, side) for side in sides}
         self._all = [*self._ends, *(effect for of in self._knobs.values() for effect in of)]
-        self._began: dict[Effect, float] = {}  # travel of the joint [m] then
+        self._began: dict[Effect, float] = {}  # travel of the joint [m] at the start
         self._slid = {side: np.zeros(len(of)) for side, of in self._knobs.items()}
         self._before = np.zeros(2)
 
     def at(self, time: float, travel: float, housing: Array) -> Joint | None:
-        """Return the joint as it is from `time` [s] on, or None if it is as it was.
+        """Return the joint from `time` [s] on, or None if unchanged.
 
-        `travel` [m] is where the joint is, and `housing` [m], shape (tendons,), its housing ends.
+        `travel` [m] is the joint's position, `housing` [m], shape (tendons,), its housing ends.
         """
         if not self._all:
             return None
@@ -77,11 +77,11 @@ class SensorSchedule:
     ) -> None:
         self._healthy = sensors
         self._all = [effect for effect in effects if isinstance(effect, SensorEffect)]
-        self._tendons = [sensed(effect, joints) for effect in self._all]
+        self._tendons = [affected_tendons(effect, joints) for effect in self._all]
         self._began = 0
 
     def at(self, time: float) -> Sensors | None:
-        """Return the sensors as they are from `time` [s] on, or None if they are as they were."""
+        """Return the sensors from `time` [s] on, or None if unchanged."""
         active = [(e, t) for e, t in zip(self._all, self._tendons, strict=True) if e.start <= time]
         if len(active) == self._began and not any(varies(effect) for effect, _ in active):
             return None
@@ -93,16 +93,16 @@ class SensorSchedule:
 
 
 class SampleSchedule:
-    """The effects on whole samples: which are lost, and which repeat the one before."""
+    """The effects on whole samples: lost and repeated ones."""
 
     def __init__(self, effects: Sequence[Effect], seed: int) -> None:
         self._all = [effect for effect in effects if isinstance(effect, SampleEffect)]
         self._struck = [False] * len(self._all)
-        self._random = np.random.default_rng([seed, 1])  # the noise stays what it is
+        self._random = np.random.default_rng([seed, 1])  # independent of the noise
         self._last: Array | None = None
 
-    def passed(self, time: float, reading: Array) -> Array | None:
-        """Return what arrives of the reading at `time` [s], None if nothing does."""
+    def transmit(self, time: float, reading: Array) -> Array | None:
+        """Return the reading that arrives at `time` [s], None if it is lost."""
         for i, effect in enumerate(self._all):
             if effect.start <= time:
                 self._struck[i] = effect.strikes(self._struck[i], self._random.random())
@@ -115,8 +115,8 @@ class SampleSchedule:
         return reading
 
 
-def sensed(effect: SensorEffect, joints: Sequence[Sequence[int]]) -> list[int]:
-    """Return the tendons whose sensors `effect` is in, counted over the rig."""
+def affected_tendons(effect: SensorEffect, joints: Sequence[Sequence[int]]) -> list[int]:
+    """Return the tendons whose sensors have `effect`, counted over the rig."""
     sides = {"a": (0,), "b": (1,), "both": (0, 1)}[effect.tendon]
     return [
         tendon
@@ -128,5 +128,5 @@ def sensed(effect: SensorEffect, joints: Sequence[Sequence[int]]) -> list[int]:
 
 
 def varies(effect: Effect) -> bool:
-    """Return whether an effect goes on changing after its start."""
+    """Return whether an effect varies after its start."""
     return isinstance(effect, TendonEffect | SensorEffect) and effect.varies

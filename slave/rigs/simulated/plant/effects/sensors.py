@@ -1,4 +1,4 @@
-"""Effects in the sensors, and in the samples on their way from them."""
+"""Effects in the sensors and in the transmission of samples."""
 
 import math
 from abc import ABC, abstractmethod
@@ -19,7 +19,7 @@ class SensorEffect(Effect, ABC):
 
     tendon: Literal["a", "b", "both"] = "both"
 
-    varies: ClassVar[bool] = False  # whether it goes on changing after its start
+    varies: ClassVar[bool] = False  # whether it varies after its start
 
     @abstractmethod
     def apply(self, sensors: Sensors, tendons: Sequence[int], time: float, /) -> Sensors:
@@ -27,12 +27,12 @@ class SensorEffect(Effect, ABC):
 
 
 def changed(
-    sensors: Sensors, what: str, place: object, change: Callable[[Array], Array | float]
+    sensors: Sensors, field: str, place: object, change: Callable[[Array], Array | float]
 ) -> Sensors:
-    """Return the sensors with a change at `place` of the array called `what`."""
-    values = getattr(sensors, what).copy()
+    """Return the sensors with the array `field` changed at `place`."""
+    values = getattr(sensors, field).copy()
     values[place] = change(values[place])
-    return sensors._replace(**{what: values})
+    return sensors._replace(**{field: values})
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class GainEffect(SensorEffect, ABC):
 
 @dataclass(frozen=True, slots=True)
 class ProximalTensionGain(GainEffect):
-    """The load cell at the housing reads too much, in proportion."""
+    """Gain error of the load cell at the housing."""
 
     type: Literal["proximal_tension_gain"] = "proximal_tension_gain"
     channel: ClassVar[int] = 0
@@ -57,7 +57,7 @@ class ProximalTensionGain(GainEffect):
 
 @dataclass(frozen=True, slots=True)
 class DistalTensionGain(GainEffect):
-    """The bench load cell at the tip reads too much, in proportion."""
+    """Gain error of the bench load cell at the tip."""
 
     type: Literal["distal_tension_gain"] = "distal_tension_gain"
     channel: ClassVar[int] = 2
@@ -65,7 +65,7 @@ class DistalTensionGain(GainEffect):
 
 @dataclass(frozen=True, slots=True)
 class BiasEffect(SensorEffect, ABC):
-    """A load cell that reads `bias` too much."""
+    """A load cell with a zero offset `bias`."""
 
     bias: float = ranged(0.4, -20.0, 20.0, "N")
     channel: ClassVar[int]
@@ -77,7 +77,7 @@ class BiasEffect(SensorEffect, ABC):
 
 @dataclass(frozen=True, slots=True)
 class ProximalTensionBias(BiasEffect):
-    """The load cell at the housing reads too much, by so much."""
+    """Zero offset of the load cell at the housing."""
 
     type: Literal["proximal_tension_bias"] = "proximal_tension_bias"
     channel: ClassVar[int] = 0
@@ -85,7 +85,7 @@ class ProximalTensionBias(BiasEffect):
 
 @dataclass(frozen=True, slots=True)
 class DistalTensionBias(BiasEffect):
-    """The bench load cell at the tip reads too much, by so much."""
+    """Zero offset of the bench load cell at the tip."""
 
     type: Literal["distal_tension_bias"] = "distal_tension_bias"
     channel: ClassVar[int] = 2
@@ -93,7 +93,7 @@ class DistalTensionBias(BiasEffect):
 
 @dataclass(frozen=True, slots=True)
 class DriftEffect(SensorEffect, ABC):
-    """A load cell whose zero wanders evenly, up to a limit."""
+    """A load cell with a linear zero drift, up to a limit."""
 
     per_second: float = ranged(0.01, -10.0, 10.0, "N/s")
     limit: float = ranged(20.0, 0.0, 100.0, "N")
@@ -108,7 +108,7 @@ class DriftEffect(SensorEffect, ABC):
 
 @dataclass(frozen=True, slots=True)
 class ProximalTensionDrift(DriftEffect):
-    """The zero of the load cell at the housing wanders."""
+    """Zero drift of the load cell at the housing."""
 
     type: Literal["proximal_tension_drift"] = "proximal_tension_drift"
     channel: ClassVar[int] = 0
@@ -116,7 +116,7 @@ class ProximalTensionDrift(DriftEffect):
 
 @dataclass(frozen=True, slots=True)
 class DistalTensionDrift(DriftEffect):
-    """The zero of the bench load cell at the tip wanders."""
+    """Zero drift of the bench load cell at the tip."""
 
     type: Literal["distal_tension_drift"] = "distal_tension_drift"
     channel: ClassVar[int] = 2
@@ -124,7 +124,7 @@ class DistalTensionDrift(DriftEffect):
 
 @dataclass(frozen=True, slots=True)
 class Saturation(SensorEffect):
-    """A load cell that reads no more than `limit`."""
+    """A load cell that saturates at `limit`."""
 
     type: Literal["saturation"] = "saturation"
     limit: float = ranged(10.0, 0.1, 1e4, "N")
@@ -138,7 +138,7 @@ class Saturation(SensorEffect):
 
 @dataclass(frozen=True, slots=True)
 class SensorLag(SensorEffect):
-    """A sensor that is late: a filter of first order."""
+    """A sensor lag: first-order low-pass filter."""
 
     type: Literal["sensor_lag"] = "sensor_lag"
     time_constant: float = ranged(0.06, 0.0, 10.0, "s")
@@ -168,7 +168,7 @@ class EncoderScale(SensorEffect):
 
 @dataclass(frozen=True, slots=True)
 class EncoderSlip(SensorEffect):
-    """An encoder that slips: from then on it reads `slip` too much."""
+    """An encoder slip: a step of `slip` in the reading."""
 
     type: Literal["encoder_slip"] = "encoder_slip"
     slip: float = ranged(8e-5, -0.01, 0.01, "m")
@@ -186,7 +186,7 @@ class CoggingRipple(SensorEffect):
 
     type: Literal["cogging_ripple"] = "cogging_ripple"
     amplitude: float = ranged(0.2, 0.0, 10.0, "N")
-    order: float = ranged(30.0, 1.0, 1e4)  # waves in a turn of the pulley
+    order: float = ranged(30.0, 1.0, 1e4)  # periods per turn of the pulley
     phase: float = ranged(0.0, -math.tau, math.tau, "rad")
     adds_up: ClassVar[bool] = False
 
@@ -199,7 +199,7 @@ class CoggingRipple(SensorEffect):
 
 @dataclass(frozen=True, slots=True)
 class SheathRub(SensorEffect):
-    """The sheath rubs on its over-tube before the load cell: more while pulling, less after.
+    """Friction of the sheath on its over-tube before the load cell: more while pulling, less after.
 
     The force follows the direction of the tendon's housing end, and changes over `travel`.
     """
@@ -217,7 +217,7 @@ class SheathRub(SensorEffect):
 
 @dataclass(frozen=True, slots=True)
 class StuckCell(SensorEffect):
-    """A load cell whose reading stays what it is."""
+    """A stuck load cell: its reading stays constant."""
 
     type: Literal["stuck_cell"] = "stuck_cell"
     sensor: Literal["proximal_tension", "distal_tension"] = "proximal_tension"
@@ -235,16 +235,16 @@ class SampleEffect(Effect):
     burst: float = ranged(1.0, 1.0, 1e4)  # mean length, in samples
 
     def __post_init__(self) -> None:
-        """Refuse a share that bursts so short cannot make up."""
+        """Check that bursts of this length can reach the share; raises `ValueError`."""
         Effect.__post_init__(self)
         most = self.burst / (1.0 + self.burst)
         if self.share > most:
             raise ValueError(
-                f"share: must be at most {most:.2g} in bursts of {self.burst:g}; make them longer"
+                f"share: must be at most {most:.2g} in bursts of {self.burst:g}; raise burst"
             )
 
     def strikes(self, struck: bool, chance: float) -> bool:
-        """Return whether this sample is struck, given the last and an even chance of 0 to 1."""
+        """Return whether this sample is affected; `chance` is uniform in 0 to 1."""
         if struck:
             return chance < 1.0 - 1.0 / self.burst
         return chance < self.share / ((1.0 - self.share) * self.burst)
@@ -259,6 +259,6 @@ class LostSamples(SampleEffect):
 
 @dataclass(frozen=True, slots=True)
 class RepeatedSamples(SampleEffect):
-    """Samples with the values of the one before, at the time of their own."""
+    """Samples that repeat the values of the one before, with a new time."""
 
     type: Literal["repeated_samples"] = "repeated_samples"

@@ -1,4 +1,4 @@
-"""What the initialisation of a joint goes by, and what it remembers."""
+"""Inputs and state of the initialisation of a joint."""
 
 import math
 from enum import IntEnum
@@ -7,18 +7,18 @@ from typing import NamedTuple
 from slave.calibration.cell import Cell
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.trend import Trend
-from slave.gate import Verdict
+from slave.gate import GateFlags
 
 Tendons = tuple[float, ...]
 
 
 class Phase(IntEnum):
-    """What the procedure is doing; the words are for the operator."""
+    """Phases of the procedure, with a text for the operator."""
 
     text: str
 
     def __new__(cls, number: int, text: str) -> "Phase":
-        """Give each phase its words, `phase.text`."""
+        """Attach the text, `phase.text`."""
         phase = int.__new__(cls, number)
         phase._value_ = number
         phase.text = text
@@ -26,30 +26,30 @@ class Phase(IntEnum):
 
     TAKE_UP = 0, "taking up"
     SEEK = 1, "seeking the stop"
-    PROBE = 2, "trying the load cell"
-    SLACKEN = 3, "loosening the other tendon"
+    PROBE = 2, "testing the load cell"
+    SLACKEN = 3, "slackening the other tendon"
     RELEASE = 4, "releasing"
     PULL = 5, "pulling"
     DRAG = 6, "dragging"
     RETURN = 7, "going back"
     SETTLE = 8, "settling"
     DONE = 9, "done"
-    RELAX = 10, "letting go"
+    RELAX = 10, "lowering the tensions"
     REFUSED = 11, "refused"
 
 
-class Seen(NamedTuple):
-    """What is known of one joint at a tick; one entry a tendon."""
+class JointReadings(NamedTuple):
+    """Measurements of one joint at a tick; one entry per tendon."""
 
     tension: Tendons  # [N] newest at the housing
     travel: Tendons  # [m] newest of the encoders
-    motor: Tendons  # [m] what the gate let through last
-    verdict: Verdict = Verdict.PASSED  # and what it had to do
+    motor: Tendons  # [m] last output of the gate
+    verdict: GateFlags = GateFlags.PASSED  # of the gate at the last tick
     fresh: bool = True  # whether tension and travel are new
 
 
 class Contact(NamedTuple):
-    """Where a stop was felt, and how soft the tendon is when pulled against it."""
+    """The contact with a stop, and the compliance of the tendon pulled against it."""
 
     travel: float  # [m] of the motor
     tension: float  # [N] at the housing, a little after the joint moved freely
@@ -57,14 +57,14 @@ class Contact(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """What the procedure is told of a joint."""
+    """Constants of a joint for the procedure."""
 
     number: int  # from 1
-    compliance: Tendons  # [m/N] one a tendon: pulled against a stop, none can be softer
+    compliance: Tendons  # [m/N] of each tendon: upper bound at a stop
 
 
-class Memory(NamedTuple):
-    """All that the procedure of a joint remembers from one tick to the next."""
+class ProcedureState(NamedTuple):
+    """State of the procedure of a joint between ticks."""
 
     phase: Phase = Phase.TAKE_UP
     side: int = 0  # the tendon that is pulled; of a pair, 2 and 3 are a and b again, in drags
@@ -73,24 +73,24 @@ class Memory(NamedTuple):
     origin: Tendons = ()  # [m] travel when the phase began
     tension: Tendons = ()  # [N] smoothed
     trend: Trend | None = None
-    contact: Contact | None = None  # where the pulled tendon was soft last
-    stops: tuple[Contact, ...] = ()  # found so far, one a side
-    lane: float = 0.0  # [m] that the motor shall pull in this drag
+    contact: Contact | None = None  # last point at which the pulled tendon was soft
+    stops: tuple[Contact, ...] = ()  # found so far, one per side
+    lane: float = 0.0  # [m] length of this drag
     easing: bool = False  # in a drag: the other tendon is paid out faster than it is drawn
     home: Tendons = ()  # [m] travel when all tendons were taut for the first time
     lowest: float = math.inf  # [m] travel of the other tendon in this phase
     highest: float = 0.0  # [N] smoothed tension of the pulled tendon in this phase
     cells: tuple[Cell, ...] = ()
-    tried: float = -math.inf  # [m] travel where the pulled tendon's cell was alive for sure
-    steady: float = 0.0  # [s] for which all tendons have had the tension they are brought to
-    blocked: Tendons = ()  # [s] for which the gate has not let each motor go as asked
-    moved: Tendons = ()  # [m] how far each motor was asked to go last, and from where
+    tried: float = -math.inf  # [m] travel at which the pulled tendon's load cell last responded
+    steady: float = 0.0  # [s] for which all tendons have had their target tension
+    blocked: Tendons = ()  # [s] for which the gate has blocked each motor
+    moved: Tendons = ()  # [m] last commanded motion of each motor, and its start
     before: Tendons = ()  # [m]
-    refusal: str = ""  # why it was refused, in words
+    refusal: str = ""  # reason of the abort
 
 
-def begin(memory: Memory, phase: Phase, seen: Seen) -> Memory:
-    """Return the memory at the beginning of a phase."""
+def begin(memory: ProcedureState, phase: Phase, seen: JointReadings) -> ProcedureState:
+    """Return the state at the start of a phase."""
     return memory._replace(
         phase=phase,
         elapsed=0.0,
@@ -105,18 +105,18 @@ def begin(memory: Memory, phase: Phase, seen: Seen) -> Memory:
     )
 
 
-def refuse(memory: Memory, seen: Seen, why: str) -> Memory:
-    """Return the memory of a procedure that gives up: it lets the tensions down, and then holds."""
+def refuse(memory: ProcedureState, seen: JointReadings, why: str) -> ProcedureState:
+    """Return the state of an aborted procedure, which lowers the tensions and then holds."""
     return begin(memory._replace(refusal=memory.refusal or why), Phase.RELAX, seen)
 
 
-def ended(memory: Memory) -> bool:
-    """Return whether nothing will move any more."""
+def is_ended(memory: ProcedureState) -> bool:
+    """Return whether the procedure has ended."""
     return memory.phase in (Phase.DONE, Phase.REFUSED)
 
 
-def progress(config: InitialiseConfig, memory: Memory) -> float:
-    """Return the share of the phases that is behind a joint, 0 to 1."""
+def progress(config: InitialiseConfig, memory: ProcedureState) -> float:
+    """Return the fraction of the phases that a joint has completed, 0 to 1."""
     if memory.phase is Phase.DONE:
         return 1.0
     a_side = 2 * config.loops + 4  # taking up, seeking, loosening, and the releases and pulls
