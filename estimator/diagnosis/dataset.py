@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.model import Base, Simulated, base_of, scene_of, simulate
-from estimator.diagnosis.record import Record, in_full
+from estimator.diagnosis.record import Record, at_rows, first_look, in_full
 from estimator.effects.effect import PROXIMAL_TENSION, Effect, EffectContext, Values
 
 ROUGHLY = 3e-3  # of a channel's range
@@ -24,7 +24,7 @@ class Dataset(NamedTuple):
 
     records: tuple[Record, ...]
     base: Base
-    scale: tuple[dict[str, float], ...]  # what residuals count in, by record and channel
+    scale: tuple[dict[str, Array], ...]  # what residuals count in, by record and channel, (n,) each
 
 
 class Model(NamedTuple):
@@ -62,8 +62,8 @@ def dataset_of(records: Sequence[Record]) -> Dataset:
     """
     scale = tuple(
         {
-            channel: max(noise, ROUGHLY * float(np.ptp(record.signals[channel])))
-            for channel, noise in record.noise.items()
+            channel: np.maximum(sigma, ROUGHLY * float(np.ptp(record.signals[channel])))
+            for channel, sigma in record.sigma.items()
         }
         for record in records
     )
@@ -75,21 +75,42 @@ def whole(dataset: Dataset) -> Dataset:
     return dataset._replace(records=tuple(map(in_full, dataset.records)))
 
 
+def thin(dataset: Dataset, most: int) -> Dataset:
+    """Return a dataset of about `most` samples a record, for a first look."""
+    kept = [first_look(record, most) for record in dataset.records]
+    return dataset._replace(
+        records=tuple(at_rows(*one) for one in zip(dataset.records, kept, strict=True)),
+        scale=tuple(
+            {channel: each[rows] for channel, each in scale.items()}
+            for scale, rows in zip(dataset.scale, kept, strict=True)
+        ),
+    )
+
+
 def mean_noise(dataset: Dataset) -> dict[str, float]:
-    """Return the noise of each channel, in its unit."""
+    """Return the noise of each channel, in its unit: the mean over all samples that count."""
     return {
-        channel: float(np.sqrt(np.mean([record.noise[channel] ** 2 for record in dataset.records])))
-        for channel in dataset.records[0].compared
+        channel: math.sqrt(float(np.mean(np.concatenate(squares))))
+        for channel, squares in _squares(dataset).items()
     }
 
 
 def tolerance(dataset: Dataset) -> dict[str, float]:
-    """Return the error of each channel that noise makes, and a simulation off by `ACCURACY`."""
+    """Return the mean error of each channel, over `Record.sigma`, that is nothing wrong.
+
+    Noise makes it, and a simulation that is off by `ACCURACY` of the range.
+    """
+    tolerances = {}
+    for channel, squares in _squares(dataset).items():
+        off = ACCURACY * max(float(np.ptp(one.signals[channel])) for one in dataset.records)
+        tolerances[channel] = math.sqrt(1.0 + float(np.mean(off**2 / np.concatenate(squares))))
+    return tolerances
+
+
+def _squares(dataset: Dataset) -> dict[str, list[Array]]:
     return {
-        channel: math.hypot(
-            noise, ACCURACY * max(float(np.ptp(one.signals[channel])) for one in dataset.records)
-        )
-        for channel, noise in mean_noise(dataset).items()
+        channel: [one.sigma[channel][one.good[channel]] ** 2 for one in dataset.records]
+        for channel in dataset.records[0].compared
     }
 
 
@@ -100,7 +121,7 @@ def rescaled(dataset: Dataset, fit: Fit) -> Dataset:
         each = {}
         for channel in record.compared:
             off = (one.signals[channel] - record.signals[channel])[record.good[channel]]
-            each[channel] = math.hypot(record.noise[channel], LEFT * float(off.std()))
+            each[channel] = np.hypot(record.sigma[channel], LEFT * float(off.std()))
         scale.append(each)
     return dataset._replace(scale=tuple(scale))
 
@@ -138,7 +159,7 @@ def residual(dataset: Dataset, fit: Fit) -> Array:
         for channel in record.compared:
             counts = record.train & record.good[channel]
             off = one.signals[channel] - record.signals[channel]
-            parts.append(off[counts] / scale[channel])
+            parts.append((off / scale[channel])[counts])
         expected = expected_taut(record, fit.model)
         if expected is not None:
             parts.append(np.array([(own[0] - expected.travel) / expected.uncertainty]))

@@ -36,7 +36,7 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
-from estimator.diagnosis.record import Record, RecordError, felt, in_short_blocks
+from estimator.diagnosis.record import Record, RecordError, in_short_blocks, with_driver_noise
 from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (
     Errors,
@@ -105,7 +105,7 @@ def diagnose(
     dataset = dataset_of(records)
     report("fitting the plain law", 0.0)
     plain = baseline(dataset)
-    noisy = [felt(record, _again(record, dataset, plain)) for record in records]
+    noisy = [with_driver_noise(record, _again(record, dataset, plain)) for record in records]
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
         dataset = dataset_of(noisy)
         plain = baseline(dataset)
@@ -213,7 +213,9 @@ def _brief(dataset: Dataset, plain: Fit) -> bool:
         excess = np.zeros(record.block[-1] + 1)
         for channel in record.compared:
             good = record.good[channel]
-            off = (one.signals[channel] - record.signals[channel])[good] / record.noise[channel]
+            off = (one.signals[channel] - record.signals[channel])[good] / record.sigma[channel][
+                good
+            ]
             excess += np.bincount(record.block[good], off**2 - 1.0, len(excess))
         excess = np.maximum(excess, 0.0)
         most = max(most, float(np.convolve(excess, np.ones(2)).max()))
@@ -235,8 +237,8 @@ def _is_noise(dataset: Dataset, found: dict[str, Errors]) -> bool:
 
 
 def _within(dataset: Dataset, found: dict[str, Errors], times: float) -> bool:
-    noise, floor = mean_noise(dataset), tolerance(dataset)
-    return all(math.sqrt(one.mean) * noise[c] < times * floor[c] for c, one in found.items())
+    floor = tolerance(dataset)
+    return all(math.sqrt(one.mean) < times * floor[c] for c, one in found.items())
 
 
 def _score(dataset: Dataset, base: dict[str, Errors], one: Candidate) -> float:
@@ -290,13 +292,12 @@ def _simplest(
 
 def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
     base, at_first = errors(dataset, fit), errors(dataset, plain)
-    noise = mean_noise(dataset)
     ranked = [
         Ranked(
             one.effect.name,
             one.effect.label,
             _score(dataset, base, one),
-            {c: math.sqrt(e.mean) * noise[c] for c, e in one.held_out.items()},
+            {c: e.rmse for c, e in one.held_out.items()},
             left_of(one.held_out, at_first),
             {
                 p.name: value

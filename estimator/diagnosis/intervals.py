@@ -69,9 +69,9 @@ def _inaccuracy(dataset: Dataset, model: Model) -> Array:
     parts = []
     for record, scale in zip(dataset.records, dataset.scale, strict=True):
         for channel in record.compared:
-            count = int((record.train & record.good[channel]).sum())
-            off = ACCURACY * float(np.ptp(record.signals[channel])) / scale[channel]
-            parts.append(np.full(count, off))
+            counts = record.train & record.good[channel]
+            off = ACCURACY * float(np.ptp(record.signals[channel]))
+            parts.append(off / scale[channel][counts])
         if expected_taut(record, model) is not None:
             parts.append(np.zeros(1))
     return np.concatenate(parts)

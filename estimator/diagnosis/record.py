@@ -8,14 +8,16 @@ other channels are compared as they are, without filters.
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.diagnosis.smoothing import smooth
 from estimator.effects.effect import (
     CHANNELS,
     PROXIMAL_DISPLACEMENT,
@@ -37,6 +39,13 @@ TURN = 1e-3  # of the range of the drive: turns that are no jitter of an encoder
 SPEED_OVER = 0.02  # [s] over which speed is taken
 ORDERS = (2, 3, 4, 5, 6)  # of the differences that an encoder's noise is taken from
 JITTER = 4.0  # times its noise: a driver that turns by less has not turned
+TURNED = 3.0  # times its noise: the least that a motion without its noise turns by
+MOSTLY = 0.9  # of its samples: what noise is left on them
+DRAWS = 8  # of the driver's noise
+REST = 3  # samples: fewer are no rest
+PLACES_OF_TURN = 24  # that are tried in a rest
+SAME = 6.0  # squares of the noise: an error that is no larger than another
+NEARBY = 5  # samples over which the variance that it makes is averaged
 ROUND = 0.4  # of the largest bend about a turn, that the least has: it is no corner
 
 
@@ -78,7 +87,10 @@ class Record:
     speed
         Its rate, shape (n,).
     noise
-        Standard deviation of what a simulation cannot know, by channel.
+        Standard deviation of the white noise of each channel, the driver's too.
+    sigma
+        Standard deviation of what a simulation cannot know, by channel, shape (n,) each: the
+        channel's own noise, and what the driver's noise makes of it; see `with_driver_noise`.
     good
         Which samples count, by channel, shape (n,) each.
     measured
@@ -99,6 +111,7 @@ class Record:
     drive: Array
     speed: Array
     noise: dict[str, float]
+    sigma: dict[str, Array]
     good: dict[str, Mask]
     measured: Mask
     train: Mask
@@ -118,7 +131,13 @@ class Record:
         return bool(np.median(T[:5]) <= 5.0 * self.noise[PROXIMAL_TENSION])
 
 
-def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
+def prepare(
+    time: Array,
+    signals: Signals,
+    *,
+    most: int = MOST,
+    noise: Mapping[str, float] = MappingProxyType({}),
+) -> Record:
     """Return a record made ready.
 
     Parameters
@@ -130,6 +149,9 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         [m], shape (n,).
     most : int
         Samples that are kept of a longer record.
+    noise : mapping
+        Standard deviation of a channel's white noise, [N] and [m], where it is known better than
+        the data tell it.
 
     Raises
     ------
@@ -158,17 +180,15 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         troubles += spikes
     time, signals, good, thinned = _thinned(time, signals, good, most)
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
-    noise = {
-        name: max(noise_sigma(signal[good[name]]), FLOOR * float(np.ptp(signal)), 1e-9)
-        for name, signal in signals.items()
-    }
+    least = {name: max(FLOOR * float(np.ptp(signal)), 1e-9) for name, signal in signals.items()}
+    sigma = {name: noise_sigma(signal[good[name]]) for name, signal in signals.items()}
     whole = np.interp(time, time[good[driver]], signals[driver][good[driver]])
     measured = np.ones(len(time), dtype=np.bool_)
-    if driver == PROXIMAL_TENSION:
-        drive = np.maximum(monotone(whole, JITTER * noise_sigma(whole)), 0.0)
-    else:
-        jitter = JITTER * _encoder_noise(whole)
-        drive = monotone(whole, jitter)
+    if driver != PROXIMAL_TENSION:
+        sigma[driver] = _encoder_noise(whole)
+    sigma |= noise
+    drive, jitter = _drive(driver, whole, sigma[driver])
+    if driver != PROXIMAL_TENSION:
         turns = _between_samples(time, drive, jitter)
         added = {name: np.interp(turns.time, time, signal) for name, signal in signals.items()}
         signals = {name: np.insert(one, turns.rows, added[name]) for name, one in signals.items()}
@@ -178,6 +198,7 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         drive = np.insert(drive, turns.rows, turns.drive)
         good[PROXIMAL_TENSION], trouble = _between_turns(time, drive, good[PROXIMAL_TENSION])
         troubles += trouble
+    sigma |= {name: max(sigma[name], least[name]) for name in signals if name != driver}
     block = _blocks(time)
     return Record(
         time=time,
@@ -185,7 +206,8 @@ def prepare(time: Array, signals: Signals, *, most: int = MOST) -> Record:
         driver=driver,
         drive=drive,
         speed=rate(time, drive),
-        noise=noise,
+        noise=sigma,
+        sigma={name: np.full(len(time), sigma[name]) for name in signals if name != driver},
         good=good,
         measured=measured,
         train=block % 2 == 0,
@@ -214,39 +236,109 @@ def _blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
     return np.asarray((time - time[0]) / length, dtype=np.int64)
 
 
-def felt(record: Record, again: Callable[[Record], Simulation]) -> Record:
-    """Return a record whose noise has in it what the driver's own noise does to a simulation.
+def with_driver_noise(record: Record, again: Callable[[Record], Simulation]) -> Record:
+    """Return a record whose `sigma` has in it what the driver's noise does to a simulation.
 
-    `again` simulates a record; here with the driver's noise put on a second time. An encoder has
-    none that would show.
+    Friction remembers where the driver turned, so an error of the driver is seen most just behind a
+    turn, where the tension changes with the root of the travel: `again` simulates a record whose
+    driver has noise once more (parametric bootstrap), and the variance that makes is taken sample
+    by sample.
     """
-    if record.driver != PROXIMAL_TENSION:
+    sigma = record.noise[record.driver]
+    if not sigma > 0.0:
         return record
-    sigma = noise_sigma(record.signals[record.driver])
-    jitter = sigma * np.random.default_rng(0).standard_normal(len(record.time))
-    drive = np.maximum(monotone(record.drive + jitter, 4.0 * sigma), 0.0)
-    other, same = again(replace(record, drive=drive)), again(record)
-    noise = dict(record.noise)
-    for channel in record.compared:
-        off = other.signals[channel] - same.signals[channel]
-        noise[channel] = math.hypot(noise[channel], float(np.sqrt(np.mean(off**2))))
-    return replace(record, noise=noise)
+    rng = np.random.default_rng(0)
+    same = again(record).signals
+    power = {channel: np.zeros_like(record.time) for channel in record.compared}
+    for _ in range(DRAWS):
+        noisy = record.drive + sigma * rng.standard_normal(len(record.time))
+        drive, _ = _drive(record.driver, noisy, sigma)
+        other = again(replace(record, drive=drive)).signals
+        for channel, total in power.items():
+            total += (other[channel] - same[channel]) ** 2 / DRAWS
+    near = np.ones(NEARBY) / NEARBY
+    return replace(
+        record,
+        sigma={
+            channel: np.sqrt(record.noise[channel] ** 2 + np.convolve(total, near, mode="same"))
+            for channel, total in power.items()
+        },
+    )
 
 
-def thin(record: Record, most: int) -> Record:
-    """Return a record of about `most` samples, for a first look; the driver's turns all stay."""
+def _drive(driver: str, measured: Array, sigma: float) -> tuple[Array, float]:
+    """Return a driver without its noise, and how far it has to turn to have turned."""
+    if driver == PROXIMAL_TENSION:
+        jitter = JITTER * sigma
+        return np.maximum(monotone(measured, jitter), 0.0), jitter
+    found = smooth(measured, sigma)
+    jitter = max(JITTER * float(np.quantile(found.sigma, MOSTLY)), TURNED * sigma)
+    turns = _ends_of_rests(measured, found.signal, sigma, _turning_points(found.signal, jitter))
+    return _monotone_between(found.signal, turns, jitter), jitter
+
+
+def _ends_of_rests(measured: Array, smoothed: Array, sigma: float, turns: list[int]) -> list[int]:
+    """Return turning points, each as late as the noise lets it be.
+
+    A motor that rests before it turns back has its extreme anywhere in the rest, by noise. Put
+    there, friction would have turned round for the rest of that time.
+    """
+    from scipy.optimize import isotonic_regression
+
+    out = list(turns)
+    for i in range(1, len(turns) - 1):
+        turn, high = turns[i], smoothed[turns[i]] > smoothed[turns[i - 1]]
+
+        def near(rows: Array, turn: int = turn) -> int:
+            off = np.flatnonzero(np.abs(smoothed[rows] - smoothed[turn]) > JITTER * sigma)
+            return int(off[0]) if len(off) else len(rows)
+
+        begin = turn - near(np.arange(turn, out[i - 1], -1)) + 1
+        end = turn + near(np.arange(turn, turns[i + 1])) - 1
+        if end - turn < REST:
+            continue
+        late = np.unique(np.linspace(turn, end, PLACES_OF_TURN).astype(np.int64))
+        errors = [
+            float(
+                np.sum(
+                    (
+                        isotonic_regression(measured[begin : at + 1], increasing=high).x
+                        - measured[begin : at + 1]
+                    )
+                    ** 2
+                )
+                + np.sum(
+                    (
+                        isotonic_regression(measured[at : end + 1], increasing=not high).x
+                        - measured[at : end + 1]
+                    )
+                    ** 2
+                )
+            )
+            for at in late
+        ]
+        out[i] = int(late[np.flatnonzero(np.array(errors) <= min(errors) + SAME * sigma**2)[-1]])
+    return out
+
+
+def first_look(record: Record, most: int) -> Mask:
+    """Return which samples of a record stay for a first look: about `most`, and all turns."""
     n = len(record.time)
-    if n <= most:
-        return record
     kept = np.zeros(n, dtype=np.bool_)
     kept[:: math.ceil(n / most)] = True
-    kept[_turning_points(record.drive, 1e-3 * float(np.ptp(record.drive)))] = True
+    kept[_turning_points(record.drive, TURN * float(np.ptp(record.drive)))] = True
+    return kept
+
+
+def at_rows(record: Record, kept: Mask) -> Record:
+    """Return a record of some of its samples."""
     return replace(
         record,
         time=record.time[kept],
         signals={name: signal[kept] for name, signal in record.signals.items()},
         drive=record.drive[kept],
         speed=record.speed[kept],
+        sigma={name: sigma[kept] for name, sigma in record.sigma.items()},
         good={name: good[kept] for name, good in record.good.items()},
         measured=record.measured[kept],
         train=record.train[kept],
@@ -256,11 +348,14 @@ def thin(record: Record, most: int) -> Record:
 
 def monotone(signal: Array, band: float) -> Array:
     """Return a signal made monotone between turning points that are more than `band` apart."""
-    from scipy.optimize import isotonic_regression  # here: the control processes import this module
-
     if band <= 0.0:
         return signal
-    turns = _turning_points(signal, band)
+    return _monotone_between(signal, _turning_points(signal, band), band)
+
+
+def _monotone_between(signal: Array, turns: list[int], band: float) -> Array:
+    from scipy.optimize import isotonic_regression  # here: the control processes import this module
+
     if len(turns) <= 2 and float(np.ptp(signal)) <= band:
         return np.full_like(signal, float(signal.mean()))
     out = signal.copy()

@@ -215,7 +215,7 @@ def remains(found: Diagnosis) -> list[str]:
             for s in found.structure
             if s.channel == channel
         ]
-        if one.rmse < NOISE * floor[channel]:
+        if one.rmse < NOISE * floor[channel] * noise:
             what = "no more than noise and the simulation's own error"
         elif along:
             what = f"the residual depends on {', '.join(along)}"
