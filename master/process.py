@@ -12,11 +12,8 @@ in again. `teleop set` changes some settings while this runs.
 """
 
 import argparse
-from collections import Counter
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -27,24 +24,22 @@ from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import Verdict
 from master.settings import SettingsRecord
-from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns, quiet_garbage
+from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.compile_cache import announced
-from teleop.config import add_arguments as add_config_arguments
-from teleop.config import load
-from teleop.coupling import Bilateral, LedgerPublisher
-from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.coupling import Bilateral
+from teleop.errors import TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.link import NEVER_NS, Link
+from teleop.loop_process import LoopProcess, conclude, run_session
 from teleop.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
-from teleop.meter import LoopMeter, format_reason
+from teleop.meter import format_reason
+from teleop.options import add_options
 from teleop.packet import Packet
-from teleop.process import Stop, destination, seconds, supervised, write_summary
-from teleop.realtime import enter_loop, go_realtime
-from teleop.remote.requests import RequestListener, Requests, SettingRequest
-from teleop.run_config import RunConfig
-from teleop.session import OutlineReader, Reason, SessionOutline, State
-from teleop.summary import loop_lines, trouble
-from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, LEDGER, REPORT, STATE, Role
+from teleop.process import Stop
+from teleop.remote.requests import Requests, SettingRequest
+from teleop.run_config import load_section
+from teleop.session import Reason, SessionOutline, State
+from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, STATE, Role
 
 DIRECT = Bilateral()
 COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
@@ -53,19 +48,16 @@ LATE_ANSWERS = 20  # in a row, and the link is taken for one on which it is no u
 TRY_EVERY = 100  # ticks, whether it still is one
 
 
-class Master:
+class Master(LoopProcess):
     """The world around `loop.command` and `loop.force`: one device, one link, and the counts.
 
     Parameters
     ----------
     commands_every : int
         Ticks of the device for one command on the link.
-
-    Attributes
-    ----------
-    error : TeleopError or None
-        What ended the session, if it was not asked to end.
     """
+
+    role, verdict = Role.MASTER, Verdict
 
     def __init__(
         self,
@@ -76,26 +68,21 @@ class Master:
         bilateral: Bilateral = DIRECT,
         commands_every: int = 1,
     ) -> None:
-        self.error: TeleopError | None = None
         self._memory = loop.start(device.axes, now_ns())
         self.memory: loop.MasterState = one(self._memory)
         self._now = as_bytes(self._memory)
         self._before, self._commanded = self._now.copy(), self._now.copy()
-        self._outline = OutlineReader(self._memory["session"])
+        super().__init__(link, grid.stats, self._memory, device.axes)
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
         self._write_hand = partial(hand_input.fill, self._ticks["hand"])
-        self._live, self._link, self._device = live.start(config), link, device
+        self._live, self._device = live.start(config), device
         self._settings = SettingsRecord(config, bilateral)
         self._command, self._hand = Packet(Command), Packet(Hand)
         self._force = np.zeros(MAX_JOINTS)  # [N] that the gate let through
-        self._requests = RequestListener(link)
         self._stop_text = ""  # who called for the last stop
         self._commands_every, self._index = commands_every, 0
         self._wait_ns, self._late_answers = round(WAIT * grid.period_ns), 0
-        self._ledger = LedgerPublisher(Role.MASTER, self._memory["coupling"], device.axes)
-        self._meter = LoopMeter(Role.MASTER, grid.stats)
-        self._verdicts: Counter[int] = Counter()
         self._start_ns = now_ns()
         self._published = self._outline()
         self._away = ""  # why the device cannot be read, while it is looked for
@@ -138,12 +125,7 @@ class Master:
             self._device.write((0.0,) * self._device.axes)
         self._link.publish(COMMAND, Command())
         off = SessionOutline()
-        publish_event(self._link, Role.MASTER, off, f"off: {self.error or 'ended'}")
-
-    def summary(self) -> dict[str, Any]:
-        """Return the run in numbers."""
-        verdicts = {str(Verdict(bits).name): n for bits, n in self._verdicts.items()}
-        return self._meter.summary(self._outline(), self._link.counts(), verdicts)
+        publish_event(self._link, Role.MASTER, off, f"off: {self.ended or 'ended'}")
 
     def _read(self, time_s: float) -> tuple[Reason, HandState | None, str]:
         """Read the device; return what is wrong with it, the hand, and why the device is away."""
@@ -288,14 +270,14 @@ class Master:
                 self._hand.records,
             )
             self._link.publish_packet(HAND, self._hand)
-        if self._ledger.is_due(tick.stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
-            self._link.publish_packet(LEDGER, self._ledger.filled())
+        self._publish_ledger(tick.stamp_ns)
         if side != self._published:
             self._publish_session(side)
-        self._report(tick.stamp_ns, side)
+        if self._report(tick.stamp_ns, self._states.counts):
+            self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
 
     def _device_failed(self, error: DeviceFault) -> Reason:
-        self.error = self.error or TeleopError(f"haptic device: {error}")
+        self._end(TeleopError(f"haptic device: {error}"))
         return Reason.DEVICE_FAULT
 
     def _publish_session(self, side: SessionOutline) -> None:
@@ -342,70 +324,29 @@ class Master:
         text = f"haptic device: {away or back}"
         publish_event(self._link, Role.MASTER, self._outline(), text)
 
-    def _report(self, stamp_ns: int, side: SessionOutline) -> None:
-        report = self._meter.report(stamp_ns, side, self._states.counts)
-        if report is None:
-            return
-        self._link.publish(REPORT, report)
-        self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
-        try:
-            self._link.check_peers()
-        except PeerError as error:
-            self.error = self.error or error
-
-
-def run(master: Master, grid: Grid, stop_for: Callable[[str], None]) -> None:
-    """Tick until told to stop; the hand is left without force however this ends."""
-    try:
-        with quiet_garbage():
-            for tick in grid:
-                master.tick(tick)
-                if master.error:
-                    stop_for(str(master.error))
-    finally:
-        master.close()
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop master`."""
-    add_config_arguments(parser)
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
-    )
+    add_options(parser, "--config", "--set", "--duration", "--json")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
-    shared = load(args.config, RunConfig, None, args.overrides)
-    config = load(args.config, MasterConfig, "master", args.overrides)
-    config.check_rate(shared.rate_hz)
+    shared, config = load_section(args, MasterConfig, "master")
     with announced("the master's loop", COMPILE_S):
         warm_up()
     stop = Stop(args.duration)
-    # before the link: its threads inherit the priority
-    granted = go_realtime(shared.realtime)
-    with ExitStack() as stack:
-        # a master that is refused as the second one must not have touched the device
-        link = stack.enter_context(Link(shared.link, shared.session, Role.MASTER))
+
+    def start(link: Link, stack: ExitStack) -> tuple[Master, Grid, Stop]:
         stop.wake = link.wake
         device = open_device(config.device)
         stack.callback(device.close)
         commands_every = config.commands_every(shared.rate_hz)
         grid = Grid(shared.rate_hz * commands_every, stop)
         master = Master(config, link, device, grid, shared.bilateral, commands_every)
-        enter_loop(granted, shared.realtime)
-        run(master, grid, stop.request)
-        summary = master.summary()
-    summary |= {"stopped": stop.reason, "realtime": granted}
-    write_summary(args.json, summary)
-    if not supervised():
-        print("\n".join(loop_lines(summary)))
-    if master.error:
-        raise master.error
-    if not supervised() and (ended := trouble({"master": summary})):
-        raise TeleopError(ended)
-    return 0
+        return master, grid, stop
+
+    return conclude(args, *run_session(Role.MASTER, shared, start))
 
 
 def warm_up() -> None:

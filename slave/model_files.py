@@ -4,7 +4,6 @@
 --model 1a=left.yaml --model 1b=r.yaml    of these, by joint and side or by number
 """
 
-import argparse
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,18 +20,6 @@ Given = Mapping[str, Path]
 """Model files by the name of their tendon; that of every other tendon by the empty name."""
 
 _NAMED = re.compile(r"(?P<tendon>[1-9][0-9]*[ab]?)=(?P<file>.+)")
-
-
-def add_argument(parser: argparse.ArgumentParser) -> None:
-    """Add `--model` to a command; `given` reads it (`args.model`)."""
-    parser.add_argument(
-        "--model",
-        action="append",
-        default=[],
-        metavar="[1a=]FILE",
-        help="model.yaml of `teleop diagnose --out`, in place of what is known of the sheaths; "
-        "1a=FILE for one tendon of several",
-    )
 
 
 def parse(words: Sequence[str]) -> dict[str, Path]:

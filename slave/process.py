@@ -11,8 +11,7 @@ go and engages again; after an emergency stop (`teleop stop`) that has to be res
 """
 
 import argparse
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
@@ -36,12 +35,11 @@ from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
 from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns, quiet_garbage
 from teleop.compile_cache import announced
-from teleop.config import add_arguments as add_config_arguments
-from teleop.config import load
-from teleop.coupling import Bilateral, LedgerPublisher
-from teleop.errors import PeerError, TeleopError, UsageError
+from teleop.coupling import Bilateral
+from teleop.errors import TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.link import Link
+from teleop.loop_process import LoopProcess, conclude, run_session
 from teleop.messages import (
     MAX_JOINTS,
     PROFILE_POINTS,
@@ -50,15 +48,15 @@ from teleop.messages import (
     TendonState,
     TensionProfile,
 )
-from teleop.meter import LoopMeter, format_reason
+from teleop.meter import format_reason
+from teleop.options import add_options
 from teleop.packet import Packet
-from teleop.process import Stop, destination, seconds, supervised, write_summary
-from teleop.realtime import enter_loop, go_realtime
+from teleop.process import Stop
 from teleop.remote.requests import RequestListener, Requests, call_stop
-from teleop.run_config import RunConfig
-from teleop.session import OutlineReader, Reason, SessionOutline, State
-from teleop.summary import force_line, loop_lines, trouble
-from teleop.topics import COMMAND, LEDGER, REPORT, STATE, TENDONS, Role
+from teleop.run_config import load_section
+from teleop.session import Reason, SessionOutline, State
+from teleop.summary import force_line
+from teleop.topics import COMMAND, STATE, TENDONS, Role
 
 DYNAMICS_COMPILE_S = 14.0  # [s] more
 ROWS = 32  # samples that a tick takes at first; more are made room for
@@ -73,16 +71,10 @@ class Past(NamedTuple):
     samples: tuple[RigSample, ...]  # all that it has given since, oldest first
 
 
-class SlaveProcess:
-    """The world around `loop.tick`: one rig, one link, and the counts.
+class SlaveProcess(LoopProcess):
+    """The world around `loop.tick`: one rig, one link, and the counts."""
 
-    Attributes
-    ----------
-    error : TeleopError or None
-        What ended the session, if it was not asked to end.
-    ended : str
-        Why it is over, from this side; empty while it is not.
-    """
+    role, verdict = Role.SLAVE, Verdict
 
     def __init__(
         self,
@@ -95,13 +87,11 @@ class SlaveProcess:
         bilateral: Bilateral = loop.DIRECT,
         requests: RequestListener | None = None,
     ) -> None:
-        self.error: TeleopError | None = None
-        self.ended = ""
-        self._link, self._rig, self._model = link, rig, model
+        self._rig, self._model = rig, model
         past = past or Past(now_ns(), ())
         self._slave = loop.start(model, config, bilateral, rig.starts_at_zero, past.samples)
         self.memory: SlaveMemory = one(self._slave.memory)
-        self._outline = OutlineReader(self._slave.memory["session"])
+        super().__init__(link, clock.stats, self._slave.memory, len(model.joints), requests)
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
         self._has_motor = self._slave.memory["has_motor"]
         self._estimated, self._ticked = self._slave.estimated, self._slave.ticked
@@ -114,15 +104,10 @@ class SlaveProcess:
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
         self._answer_ns = self._state.records["answer_ns"]
-        self._meter = LoopMeter(Role.SLAVE, clock.stats)
         self._telemetry = Telemetry(link, model, self._slave)
         self._score = Score(max(model.tension_noise for model in model.models))
-        self._verdicts = Counter[int]()
         self._timeout_ns = round(config.command_timeout * 1e9)
         self._start_ns = past.start_ns
-        sides = self._slave.memory["coupling"]
-        self._ledger = LedgerPublisher(Role.SLAVE, sides, len(model.joints))
-        self._requests = requests or RequestListener(link)
 
     def tick(self, tick: Tick) -> None:
         """Answer the newest command; then do what nobody waits for."""
@@ -170,10 +155,10 @@ class SlaveProcess:
 
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
-        verdicts = {str(Verdict(bits).name): n for bits, n in self._verdicts.items()}
-        side = self._outline()
-        numbers = self._meter.summary(side, self._link.counts(), verdicts)
-        return numbers | {"force_error": self._score.summary(), "rig": self._rig.summary()}
+        return super().summary() | {
+            "force_error": self._score.summary(),
+            "rig": self._rig.summary(),
+        }
 
     def _take_back(self) -> None:
         """Forget the tick that was just stepped, and what was estimated ahead for it."""
@@ -227,10 +212,6 @@ class SlaveProcess:
         self._end(TeleopError(f"rig: {error}"))
         return Reason.RIG_FAULT
 
-    def _end(self, error: TeleopError) -> None:
-        self.error = self.error or error
-        self.ended = str(self.error)
-
     def _follow_up(self, tick: Tick, time_s: float, requests: Requests) -> int:
         """Do what nobody waits for, once the answer is out; return how long the rig took [ns]."""
         slave, rows, samples = self._slave, self._rows, self._samples
@@ -250,10 +231,9 @@ class SlaveProcess:
             self._link.publish_packet(TENDONS, self._tendon_state)
         self._score.add_rows(slave.layout, rows, samples)
         self._requests.relay(Role.SLAVE, side, requests.words)
-        if self._ledger.is_due(tick.stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
-            self._link.publish_packet(LEDGER, self._ledger.filled())
+        self._publish_ledger(tick.stamp_ns)
         self._telemetry(time_s)
-        self._report(tick.stamp_ns)
+        self._report(tick.stamp_ns, self._commands.counts)
         if ahead is not None:
             self._estimate_ahead(ahead)
         return rig_ns
@@ -273,54 +253,21 @@ class SlaveProcess:
             self._link.publish_packet(STATE, self._state)
             return None
 
-    def _report(self, stamp_ns: int) -> None:
-        side = self._outline()
-        report = self._meter.report(stamp_ns, side, self._commands.counts)
-        if report is None:
-            return
-        self._link.publish(REPORT, report)
-        try:
-            self._link.check_peers()
-        except PeerError as error:
-            self._end(error)
-
-
-def run(slave: SlaveProcess, clock: EventClock, stop_for: Callable[[str], None]) -> None:
-    """Tick until told to stop; the others are told, however this ends."""
-    try:
-        with quiet_garbage():
-            for tick in clock:
-                slave.tick(tick)
-                if slave.ended:
-                    stop_for(slave.ended)
-    finally:
-        slave.close()
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop slave`."""
-    add_config_arguments(parser)
-    model_files.add_argument(parser)
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
-    )
+    add_options(parser, "--config", "--set", "--model", "--duration", "--json")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
-    shared = load(args.config, RunConfig, None, args.overrides)
-    config = load(args.config, SlaveConfig, "slave", args.overrides)
-    config.check_rate(shared.rate_hz)
+    shared, config = load_section(args, SlaveConfig, "slave")
     files = model_files.parse(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")
     prepare(config, with_dynamics=bool(files) or has_model_file(config))
-    # before the link: its threads inherit the priority
-    granted = go_realtime(shared.realtime)
-    with ExitStack() as stack:
-        # a slave that is refused as the second one must not have touched the rig
-        link = stack.enter_context(Link(shared.link, shared.session, Role.SLAVE))
+
+    def start(link: Link, stack: ExitStack) -> tuple[SlaveProcess, EventClock, Stop]:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         require_carried(rig)
@@ -333,21 +280,13 @@ def main(args: argparse.Namespace) -> int:
         model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
         slave = SlaveProcess(config, link, rig, model, clock, past, shared.bilateral, requests)
-        enter_loop(granted, shared.realtime)
-        run(slave, clock, stop.request)
-        summary = slave.summary()
+        return slave, clock, stop
+
+    slave, summary = run_session(Role.SLAVE, shared, start)
     if isinstance(config.rig, SimulatedRigConfig):
         for line in late(config.rig.effects, summary["seconds"]):
             print(line, flush=True)
-    summary |= {"stopped": stop.reason, "realtime": granted}
-    write_summary(args.json, summary)
-    if not supervised():
-        print("\n".join([*loop_lines(summary), f"force     {force_line(summary['force_error'])}"]))
-    if slave.error:
-        raise slave.error
-    if not supervised() and (ended := trouble({"slave": summary})):
-        raise TeleopError(ended)
-    return 0
+    return conclude(args, slave, summary, [f"force     {force_line(summary['force_error'])}"])
 
 
 def require_carried(rig: Rig) -> None:

@@ -21,7 +21,6 @@ Numbers are finite, unless the field's default is infinite or it says `metadata=
 Anything else is a `UsageError` of one line: file, dotted key, what it is, what is allowed.
 """
 
-import argparse
 import dataclasses
 import math
 import re
@@ -80,21 +79,6 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
         return cast(T, _Builder(source).dataclass(cls, tree.get(section), (section,), None))
     mine = {key: value for key, value in tree.items() if key in own}
     return cast(T, _Builder(source).dataclass(cls, mine, (), None))
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add `--config FILE` and `--set KEY=VALUE` to a command (`args.config`, `args.overrides`)."""
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="config file (YAML); defaults without one"
-    )
-    parser.add_argument(
-        "--set",
-        dest="overrides",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override one value of the config, e.g. --set link.master=tcp/127.0.0.1:9000",
-    )
 
 
 def as_tree(config: Any) -> Any:

@@ -81,7 +81,6 @@ class Wire:
         return struct.calcsize(self.code)
 
 
-U8 = Annotated[int, Wire("B", "uint8", "u1")]
 U32 = Annotated[int, Wire("I", "uint32", "<u4")]
 U64 = Annotated[int, Wire("Q", "uint64", "<u8")]
 I64 = Annotated[int, Wire("q", "int64", "<i8")]

@@ -92,6 +92,11 @@ def die_with_launcher() -> None:
         die_with_parent(int(os.environ[SUPERVISED]))
 
 
+def let_loops_first() -> None:
+    """Lower the priority of this process: loops on the same processor go first."""
+    os.nice(5)
+
+
 def has_display() -> bool:
     """Return whether a window can be opened here."""
     if sys.platform != "linux":

@@ -1,15 +1,19 @@
 """What every process of a session must agree on: the config file's shared keys."""
 
+import argparse
 import re
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
+from teleop.config import load
 from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.errors import UsageError
 from teleop.force_attenuation import ConfidenceConfig
 from teleop.link.config import LinkConfig
 from teleop.realtime import RealtimeConfig
+
+T = TypeVar("T")
 
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
 PERIODS = 3  # of the link that a timeout is at least: a lost message and jitter are no silence
@@ -46,6 +50,18 @@ class RateChecked(Protocol):
 
     def check_rate(self, rate_hz: float) -> None:
         """Raise `UsageError` if something in this section does not go with `rate_hz` [Hz]."""
+
+
+def load_section(args: argparse.Namespace, cls: type[T], section: str) -> tuple[RunConfig, T]:
+    """Return the shared keys and one section of the config that a command line names.
+
+    `UsageError` if they cannot be, or do not go with each other.
+    """
+    shared = load(args.config, RunConfig, None, args.overrides)
+    config = load(args.config, cls, section, args.overrides)
+    if isinstance(config, RateChecked):
+        config.check_rate(shared.rate_hz)
+    return shared, config
 
 
 def require_periods(key: str, timeout_s: float, rate_hz: float) -> None:

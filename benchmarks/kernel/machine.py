@@ -3,7 +3,6 @@
 import json
 import subprocess
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 _PROCESSOR = "Nehalem,+rdrand"  # what numpy needs, and a source of random numbers; no more
@@ -54,12 +53,7 @@ class Machine:
     def __enter__(self) -> "Machine":
         return self
 
-    def __exit__(
-        self,
-        _type: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._process.kill()
         self._process.wait()
 

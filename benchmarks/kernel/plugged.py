@@ -10,7 +10,6 @@ import select
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Any
 
 from benchmarks.kernel.uhid import Uhid
@@ -32,12 +31,7 @@ class Plugged:
     def __enter__(self) -> "Plugged":
         return self
 
-    def __exit__(
-        self,
-        _type: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._process.kill()
         self._process.join()
 

@@ -167,15 +167,7 @@ def calibrate(
     M_rel = release_slope(loop, largest) or Measured(
         pattern.slope(1.0), K.uncertainty * pattern.slope(1.0)
     )
-    if not M_rel.value > M_pull.value:
-        raise CalibrationError(
-            f"the release slope {M_rel.value:.3g} m/N is not above the pull slope "
-            f"{M_pull.value:.3g} m/N: no friction shows; check that the tip is blocked"
-        )
-    K_loop = Measured(
-        math.log(M_rel.value / M_pull.value),
-        math.hypot(M_rel.uncertainty / M_rel.value, M_pull.uncertainty / M_pull.value),
-    )
+    K_loop = _loop_friction(M_pull, M_rel)
     M_e = _elongation_constant(loop)
     K_paper = K_paper_ratio = None
     if axial_stiffness is not None and length is not None:
@@ -200,6 +192,19 @@ def calibrate(
         misfit=found.misfit,
         uniform=uniform,
         agree=uniform and (K_paper is None or _agree(K, K_paper)),
+    )
+
+
+def _loop_friction(M_pull: Measured, M_rel: Measured) -> Measured:
+    """Return K = ln(M_rel/M_pull) (T6)."""
+    if not M_rel.value > M_pull.value:
+        raise CalibrationError(
+            f"the release slope {M_rel.value:.3g} m/N is not above the pull slope "
+            f"{M_pull.value:.3g} m/N: no friction shows; check that the tip is blocked"
+        )
+    return Measured(
+        math.log(M_rel.value / M_pull.value),
+        math.hypot(M_rel.uncertainty / M_rel.value, M_pull.uncertainty / M_pull.value),
     )
 
 

@@ -9,14 +9,8 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.diagnosis.model import Base, Simulated, base_of, scene_of, simulate
 from estimator.diagnosis.record import Record, at_rows, first_look, in_full
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION, Effect, EffectContext, Values
-
-ROUGHLY = 3e-3  # of a channel's range
-ACCURACY = 1e-3  # of it, that a simulation is taken to be off by itself
-NOISE = 1.25  # times the tolerance: an error that is nothing wrong with the model
-LEFT = 0.3  # of the root mean square that a model leaves
-TAKEN_UP = 2.0  # standard uncertainties about its start within which a slack record is taut
-TAUT_LEAST = 1e-6  # [m]
 
 
 class Dataset(NamedTuple):
@@ -24,7 +18,7 @@ class Dataset(NamedTuple):
 
     records: tuple[Record, ...]
     base: Base
-    scale: tuple[dict[str, Array], ...]  # what residuals count in, by record and channel, (n,) each
+    scale: tuple[dict[str, Array], ...]  # what residuals count in, by record and channel
 
 
 class Model(NamedTuple):
@@ -62,7 +56,7 @@ def dataset_of(records: Sequence[Record]) -> Dataset:
     """
     scale = tuple(
         {
-            channel: np.maximum(sigma, ROUGHLY * float(np.ptp(record.signals[channel])))
+            channel: np.maximum(sigma, SETTINGS.scale_min * float(np.ptp(record.signals[channel])))
             for channel, sigma in record.sigma.items()
         }
         for record in records
@@ -88,28 +82,31 @@ def thin(dataset: Dataset, most: int) -> Dataset:
 
 
 def mean_noise(dataset: Dataset) -> dict[str, float]:
-    """Return the noise of each channel, in its unit: the mean over all samples that count."""
+    """Return the rms of what a simulation cannot know in each channel, in its unit."""
     return {
-        channel: math.sqrt(float(np.mean(np.concatenate(squares))))
-        for channel, squares in _squares(dataset).items()
+        channel: math.sqrt(float(np.mean(variance)))
+        for channel, variance in _variances(dataset).items()
     }
 
 
 def tolerance(dataset: Dataset) -> dict[str, float]:
-    """Return the mean error of each channel, over `Record.sigma`, that is nothing wrong.
+    """Return the rms error of each channel, over `Record.sigma`, that is nothing wrong.
 
-    Noise makes it, and a simulation that is off by `ACCURACY` of the range.
+    By noise, and by the `Settings.accuracy` of a simulation.
     """
     tolerances = {}
-    for channel, squares in _squares(dataset).items():
-        off = ACCURACY * max(float(np.ptp(one.signals[channel])) for one in dataset.records)
-        tolerances[channel] = math.sqrt(1.0 + float(np.mean(off**2 / np.concatenate(squares))))
+    for channel, variance in _variances(dataset).items():
+        most = max(float(np.ptp(one.signals[channel])) for one in dataset.records)
+        off = SETTINGS.accuracy * most
+        tolerances[channel] = math.sqrt(1.0 + float(np.mean(off**2 / variance)))
     return tolerances
 
 
-def _squares(dataset: Dataset) -> dict[str, list[Array]]:
+def _variances(dataset: Dataset) -> dict[str, Array]:
     return {
-        channel: [one.sigma[channel][one.good[channel]] ** 2 for one in dataset.records]
+        channel: np.concatenate(
+            [one.sigma[channel][one.good[channel]] ** 2 for one in dataset.records]
+        )
         for channel in dataset.records[0].compared
     }
 
@@ -121,7 +118,8 @@ def rescaled(dataset: Dataset, fit: Fit) -> Dataset:
         each = {}
         for channel in record.compared:
             off = (one.signals[channel] - record.signals[channel])[record.good[channel]]
-            each[channel] = np.hypot(record.sigma[channel], LEFT * float(off.std()))
+            left = SETTINGS.residual_share * float(off.std())
+            each[channel] = np.hypot(record.sigma[channel], left)
         scale.append(each)
     return dataset._replace(scale=tuple(scale))
 
@@ -180,5 +178,5 @@ def expected_taut(record: Record, model: Model) -> Expected | None:
     tension = max(0.0, float(record.signals[PROXIMAL_TENSION][:5].mean()))
     return Expected(
         float(record.drive[0]) - compliance * tension,
-        max(TAKEN_UP * compliance * sigma, TAUT_LEAST),
+        max(SETTINGS.taut_sigma * compliance * sigma, SETTINGS.taut_sigma_min),
     )

@@ -7,7 +7,6 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
-    NOISE,
     Dataset,
     Fit,
     contexts,
@@ -17,6 +16,7 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.fit import slopes_of
 from estimator.diagnosis.outcome import DetectionLimit
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect
 
 
@@ -65,6 +65,7 @@ def _of_least(dataset: Dataset, change: Array) -> float:
             at += count
         at += record.starts_slack and len(dataset.base.own) > 0
     shares = [
-        math.sqrt(squares[c] / max(counts[c], 1) / ((NOISE * floor[c]) ** 2 - 1.0)) for c in floor
+        math.sqrt(squares[c] / max(counts[c], 1) / ((SETTINGS.noise_ratio * floor[c]) ** 2 - 1.0))
+        for c in floor
     ]
     return max(shares) if np.isfinite(shares).all() else 0.0

@@ -10,7 +10,6 @@ import numpy as np
 from estimator.diagnosis import experiments
 from estimator.diagnosis.baseline import baseline
 from estimator.diagnosis.dataset import (
-    NOISE,
     Dataset,
     Fit,
     contexts,
@@ -24,7 +23,7 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.fit import improved, own_only, refitted
 from estimator.diagnosis.free_friction import wanders
-from estimator.diagnosis.intervals import parameters
+from estimator.diagnosis.intervals import Named, parameters
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
@@ -49,23 +48,11 @@ from estimator.diagnosis.score import (
     surely_better,
 )
 from estimator.diagnosis.search import Candidate, Report, candidates
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect
 
-MOST = 3  # causes, one after another
-MARGIN = 15.0  # ln of probability that a cause must bring, its parameters paid for
-LEAST_GAIN = 0.04  # of the error, where noise is all that is left
-SURE = 0.98  # of bootstrapped records
-ALIKE = 6.0  # ln of probability within which two causes are not told apart
-ALIKE_LEFT = 0.015  # of what noise does not explain
-UNSURE_LEFT = 0.1  # of it, where the bootstrap is not sure which is better
-RIVALS = 2  # at most, besides the cause
-LEAST_LEFT = 0.01  # of it, that is worth looking for another cause
-EXPLAINED = 0.25  # of what noise does not explain, that may be left of a cause that is named
-FURTHER = 2.5  # times the tolerance: an error that is worth another cause
-AHEAD = 1.5  # times as cheap as any other: a cause that is followed although not worth it alone
 LAST = 12  # rounds of the fit to all samples
-BRIEF = 0.8  # of what is wrong, in two blocks
 
 
 def quiet(_what: str, _share: float) -> None:
@@ -115,7 +102,7 @@ def diagnose(
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
-    for _ in range(MOST):
+    for _ in range(SETTINGS.causes_max):
         if _is_noise(dataset, errors(dataset, fit)) or (steps and _is_all(dataset, fit, plain)):
             break
         rest = [effect for effect in usable if effect.name not in fit.names]
@@ -124,7 +111,7 @@ def diagnose(
         if step is not None and not steps:
             without = _without(dataset, step.fit, step.effect)
             if (
-                _matters(dataset, step.fit, without, step.effect) < MARGIN
+                _matters(dataset, step.fit, without, step.effect) < SETTINGS.margin
             ):  # the previous fit was a local minimum
                 plain = fit = without
                 continue
@@ -136,6 +123,7 @@ def diagnose(
         steps.append(step)
         fit = step.fit
     steps, fit = _needed(dataset, steps, fit)
+    steps, fit = _distinct(dataset, plain, steps, fit)
     return _outcome(dataset, plain, fit, steps, first, usable, validate)
 
 
@@ -155,13 +143,13 @@ def _by_two(
     """
     ahead = sorted(found, key=lambda one: one.cost)
     others = [one.cost for one in ahead if one.effect.name != ahead[0].effect.name] if ahead else []
-    if not others or ahead[0].cost * AHEAD > min(others):
+    if not others or ahead[0].cost * SETTINGS.ahead > min(others):
         return []
     lead = ahead[0]
     rest = [effect for effect in rest if effect.name != lead.effect.name]
     more = candidates(dataset, lead.fit, rest, report, workers)
     second = _step(dataset, plain, lead.fit, more)
-    if second is None or not _within(dataset, errors(dataset, second.fit), FURTHER):
+    if second is None or not _within(dataset, errors(dataset, second.fit), SETTINGS.further):
         return []
     return [Step(lead.effect, (), _ranking(dataset, plain, fit, list(found)), lead.fit), second]
 
@@ -170,9 +158,29 @@ def _needed(dataset: Dataset, steps: list[Step], fit: Fit) -> tuple[list[Step], 
     """Return the causes without those that later ones have made needless, and the fit of them."""
     for step in steps[:-1] if len(steps) > 1 else ():
         without = _without(dataset, fit, step.effect)
-        if _matters(dataset, fit, without, step.effect) < MARGIN:
+        if _matters(dataset, fit, without, step.effect) < SETTINGS.margin:
             steps = [one for one in steps if one is not step]
             fit = without
+    return steps, fit
+
+
+def _distinct(dataset: Dataset, plain: Fit, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
+    """Return the causes without those whose size may be none, and the fit of them."""
+    while steps:
+        full = rescaled(whole(dataset), fit)
+        last = improved(full, contexts(dataset, plain), fit.model, LAST)
+        found = {one.name: one for one in parameters(full, contexts(dataset, plain), last)}
+
+        def is_distinct(step: Step, found: dict[str, Named] = found) -> bool:
+            sizes = [p for p in step.effect.parameters if p.neutral is not None and not p.jumps]
+            named = [found[f"{step.effect.name}.{p.name}"] for p in sizes]
+            return not named or any(one.excludes_neutral for one in named)
+
+        needless = [step for step in steps if not is_distinct(step)]
+        if not needless:
+            break
+        steps = [step for step in steps if step is not needless[-1]]
+        fit = _without(dataset, fit, needless[-1].effect)
     return steps, fit
 
 
@@ -220,20 +228,20 @@ def _brief(dataset: Dataset, plain: Fit) -> bool:
         excess = np.maximum(excess, 0.0)
         most = max(most, float(np.convolve(excess, np.ones(2)).max()))
         total += float(excess.sum())
-    return most > BRIEF * total
+    return most > SETTINGS.brief * total
 
 
 def _is_all(dataset: Dataset, fit: Fit, plain: Fit) -> bool:
     """Return whether too little is left for another cause to be told from what a model is not."""
     found = errors(dataset, fit)
-    if left_of(found, errors(dataset, plain)) < LEAST_LEFT:
+    if left_of(found, errors(dataset, plain)) < SETTINGS.left_min:
         return True
-    return _within(dataset, found, FURTHER)
+    return _within(dataset, found, SETTINGS.further)
 
 
 def _is_noise(dataset: Dataset, found: dict[str, Errors]) -> bool:
-    """Return whether errors are what noise makes, and a simulation that is off by ACCURACY."""
-    return _within(dataset, found, NOISE)
+    """Return whether errors are what noise makes, and a simulation's own error."""
+    return _within(dataset, found, SETTINGS.noise_ratio)
 
 
 def _within(dataset: Dataset, found: dict[str, Errors], times: float) -> bool:
@@ -254,20 +262,23 @@ def _step(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> Ste
         return None
     best = _simplest(dataset, plain, base, order)
     if (
-        _score(dataset, base, best) < MARGIN
-        or gain_of(best.held_out, base) < LEAST_GAIN
-        or surely_better(best.held_out, base) < SURE
+        _score(dataset, base, best) < SETTINGS.margin
+        or gain_of(best.held_out, base) < SETTINGS.gain_min
+        or surely_better(best.held_out, base) < SETTINGS.confidence
     ):
         return None
     most = left_of(best.held_out, errors(dataset, plain))
     rivals: list[str] = []
     for other in order:
-        if other.effect.name in (best.effect.name, *rivals) or len(rivals) == RIVALS:
+        if other.effect.name in (best.effect.name, *rivals) or len(rivals) == SETTINGS.rivals_max:
             continue
         behind = _score(dataset, base, best) - _score(dataset, base, other)
         more = left_of(other.held_out, errors(dataset, plain)) - most
-        unsure = surely_better(best.held_out, other.held_out) < SURE and more < UNSURE_LEFT
-        if behind < ALIKE or more < ALIKE_LEFT or unsure:
+        unsure = (
+            surely_better(best.held_out, other.held_out) < SETTINGS.confidence
+            and more < SETTINGS.unsure_left
+        )
+        if behind < SETTINGS.alike or more < SETTINGS.alike_left or unsure:
             rivals.append(other.effect.name)
     return Step(best.effect, tuple(rivals), _ranking(dataset, plain, fit, found), best.fit)
 
@@ -280,8 +291,8 @@ def _simplest(
     One with more can be bent into another: an antagonist of hardly any friction is joint friction.
     """
     best, at_first = order[0], errors(dataset, plain)
-    most = left_of(best.held_out, at_first) + ALIKE_LEFT
-    least = _score(dataset, base, best) - ALIKE
+    most = left_of(best.held_out, at_first) + SETTINGS.alike_left
+    least = _score(dataset, base, best) - SETTINGS.alike
     alike = [
         one
         for one in order
@@ -328,14 +339,14 @@ def _outcome(
     astray = not _is_noise(dataset, after) and wanders(dataset, fit)
     if not steps:
         verdict = Verdict.CLEAN if _is_noise(dataset, before) else Verdict.UNEXPLAINED
-    elif astray or (left > EXPLAINED and not _is_noise(dataset, after)):
+    elif astray or (left > SETTINGS.explained and not _is_noise(dataset, after)):
         verdict = Verdict.UNEXPLAINED
     elif any(step.rivals for step in steps):
         verdict = Verdict.AMBIGUOUS
     else:
         verdict = Verdict.NAMED
     numbers = {
-        one.name: Number(one.value, one.low, one.high, one.parameter.unit)
+        one.name: Number(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
         for one in parameters(full, contexts(dataset, plain), last)
     }
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]

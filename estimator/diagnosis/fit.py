@@ -19,6 +19,7 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.record import Record
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
@@ -35,9 +36,7 @@ QUICK = 4  # of a first one
 SEARCH = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched
 STEPS = 8  # on each of these
 EQUAL = 1e-6  # of a cost
-BLIND = 4.0  # times as uncertain as from all samples: a part of them that cannot tell a number
 WEAK = 1e-8  # information on a number about which there is none
-LOOSE = 0.5  # [N] at the tip that hardly moves what it pulls at
 
 
 def improved(
@@ -75,7 +74,9 @@ def refitted(
     in hardly any of its samples, as where a record starts.
     """
     layout = Layout(of, fit.model)
-    told = ~layout.when & (_uncertain(part, about, fit) < BLIND * _uncertain(of, about, fit))
+    told = ~layout.when & (
+        _uncertain(part, about, fit) < SETTINGS.blind * _uncertain(of, about, fit)
+    )
     return _descended(part, about, layout, fit.model, rounds, told)
 
 
@@ -98,7 +99,7 @@ def own_start(record: Record, compliance: float) -> Values:
         return (taut,)
     loose = record.signals[DISTAL_DISPLACEMENT]
     if DISTAL_TENSION in record.signals:
-        low = record.signals[DISTAL_TENSION] <= LOOSE
+        low = record.signals[DISTAL_TENSION] <= SETTINGS.loose_tension
         loose = loose[low] if low.any() else loose
     return (taut, float(np.min(loose)))
 

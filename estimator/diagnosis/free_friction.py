@@ -10,13 +10,13 @@ from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Fit, contexts, rescaled, whole
 from estimator.diagnosis.fit import improved
 from estimator.diagnosis.score import errors, left_of
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 from estimator.lumped.lumped_model import Physics
 
 KNOTS = 20
 OF_TIME = frozenset({"friction_step", "friction_drift"})
 ROUNDS = 25
-FAR = 0.3  # of what the described course leaves: so much less is another course
 
 
 def _knots(context: EffectContext) -> Array:
@@ -55,7 +55,7 @@ def wanders(dataset: Dataset, fit: Fit) -> bool:
 
 def _far_better(dataset: Dataset, free: Fit, described: Fit) -> bool:
     a, b = (errors(dataset, one, held_out=False) for one in (free, described))
-    return left_of(a, b) < FAR
+    return left_of(a, b) < SETTINGS.free_friction
 
 
 def freed(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:

@@ -8,7 +8,6 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
-    ACCURACY,
     Dataset,
     Fit,
     Model,
@@ -19,10 +18,9 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.fit import SEARCH, slopes_of
 from estimator.diagnosis.layout import Layout
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import EffectContext, Parameter
 
-COVER = 1.96  # standard uncertainties on each side of a value
-FARTHEST = 60.0  # [s] that a time is tried to be wrong by
 HALVED = 5  # times, the step that is one too far
 
 
@@ -35,13 +33,33 @@ class Named(NamedTuple):
     low: float
     high: float
 
+    @property
+    def excludes_neutral(self) -> bool:
+        """Whether the interval leaves out the value at which an effect does nothing.
+
+        Where a bound of the parameter keeps that value away, the interval must keep off the bound.
+        """
+        p, neutral = self.parameter, self.parameter.neutral
+        if neutral is None:
+            return True
+        above = self.low > max(neutral, p.low)
+        below = self.high < min(neutral, p.high)
+        return above or below
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the value is at a bound of what the parameter may be."""
+        p = self.parameter
+        near = 1e-3 * (p.high - p.low)
+        return self.value <= p.low + min(near, p.step) or self.value >= p.high - min(near, p.step)
+
 
 def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tuple[Named, ...]:
     """Return all numbers of a model but those of single records, with their intervals.
 
     From the scatter of the residuals and their correlation from one sample to the next, and from
-    what a simulation that is off by `ACCURACY` could make of a number at worst; of a time that no
-    slope leads to, by how far it can be moved until the residuals are as much larger.
+    what a simulation that is off by `Settings.accuracy` could make of a number at worst; of a time
+    that no slope leads to, by how far it can be moved until the residuals are as much larger.
     """
     layout = Layout(dataset, fit.model)
     J, r = slopes_of(dataset, about, fit), residual(dataset, fit)
@@ -54,10 +72,10 @@ def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tu
     found = []
     for i, value in enumerate(layout.values(fit.model)[: layout.common]):
         p = layout.parameters[i]
-        reach = math.hypot(COVER * float(sigma[i]), float(most_off[i])) * layout.step(i)
+        reach = math.hypot(SETTINGS.cover * float(sigma[i]), float(most_off[i])) * layout.step(i)
         low, high = value - reach, value + reach
         if p.jumps:
-            most = cost(dataset, fit) + COVER**2 * spread
+            most = cost(dataset, fit) + SETTINGS.cover**2 * spread
             low = min(low, value + _reach(dataset, about, layout, fit, i, -1.0, most))
             high = max(high, value + _reach(dataset, about, layout, fit, i, 1.0, most))
         found.append(Named(layout.names[i], p, value, max(low, p.low), min(high, p.high)))
@@ -70,7 +88,7 @@ def _inaccuracy(dataset: Dataset, model: Model) -> Array:
     for record, scale in zip(dataset.records, dataset.scale, strict=True):
         for channel in record.compared:
             counts = record.train & record.good[channel]
-            off = ACCURACY * float(np.ptp(record.signals[channel]))
+            off = SETTINGS.accuracy * float(np.ptp(record.signals[channel]))
             parts.append(off / scale[channel][counts])
         if expected_taut(record, model) is not None:
             parts.append(np.zeros(1))
@@ -94,7 +112,7 @@ def _reach(
         return cost(dataset, simulated(dataset, about, layout.unpack(x))) <= most
 
     near, far = 0.0, way * SEARCH[-1]
-    while bears(far) and abs(far) < FARTHEST:
+    while bears(far) and abs(far) < SETTINGS.onset_max:
         near, far = far, 2.0 * far
     for _ in range(HALVED):
         middle = 0.5 * (near + far)

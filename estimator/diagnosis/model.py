@@ -7,6 +7,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.record import Record
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
@@ -25,8 +26,6 @@ FRICTION = Parameter("K", "", 0.01, 5.0, 0.05)
 COMPLIANCE = Parameter("L/EA", "m/N", 1e-7, 2e-3, 5e-6)
 TIP = Parameter("tip compliance", "m/N", 0.0, 0.1, 1e-5)
 TAUT = Parameter("taut at", "m", -10.0, 10.0, 1e-5)  # of each record
-ASSUMED = 1e-4  # [m/N] L/EA where no travel was measured: tensions alone do not tell it
-TAUT_WITHIN = 3.0  # times the noise: a tension at the start that is none
 TIP_ZERO = Parameter("tip zero", "m", -10.0, 10.0, 1e-6)  # of each record
 
 
@@ -58,7 +57,7 @@ def own_bounds(record: Record) -> list[tuple[float, float]]:
     if bounds and record.starts_slack:
         T = record.signals[PROXIMAL_TENSION]
         soft = float(np.ptp(record.drive)) / float(np.ptp(T))
-        near = TAUT_WITHIN * record.noise[PROXIMAL_TENSION] * soft
+        near = SETTINGS.slack_noise * record.noise[PROXIMAL_TENSION] * soft
         bounds[0] = (float(record.drive[0]) - near, float(record.drive[0]) + near)
     return bounds
 
@@ -84,7 +83,7 @@ def simulate(
         On top, in this order.
     """
     K, *elastic = shared
-    compliance, tip = elastic if elastic else (ASSUMED, 0.0)
+    compliance, tip = elastic if elastic else (SETTINGS.assumed_compliance, 0.0)
     physics = Physics(np.full(len(record.time), K), compliance, even_weights(), tip)
     for effect, values in effects:
         physics = effect.physics(physics, values, context)

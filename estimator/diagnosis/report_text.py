@@ -3,9 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 
-from estimator.diagnosis.dataset import NOISE, tolerance
-from estimator.diagnosis.engine import EXPLAINED
-from estimator.diagnosis.model import ASSUMED
+from estimator.diagnosis.dataset import tolerance
 from estimator.diagnosis.outcome import (
     DetectionLimit,
     Diagnosis,
@@ -15,6 +13,7 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, Effect
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
@@ -173,7 +172,7 @@ def next_steps(found: Diagnosis) -> list[str]:
     if found.dataset.records[0].driver == PROXIMAL_TENSION and (rough := _with_lengths(found)):
         steps.append(
             f"Record the motor's travel: without it {', '.join(rough)} "
-            f"hold for an L/EA of {quantity(ASSUMED, 'm/N')} only."
+            f"hold for an L/EA of {quantity(SETTINGS.assumed_compliance, 'm/N')} only."
         )
     if found.verdict is Verdict.UNEXPLAINED and _unsure(found):
         steps.append(
@@ -215,7 +214,7 @@ def remains(found: Diagnosis) -> list[str]:
             for s in found.structure
             if s.channel == channel
         ]
-        if one.rmse < NOISE * floor[channel] * noise:
+        if one.rmse < SETTINGS.noise_ratio * floor[channel] * noise:
             what = "no more than noise and the simulation's own error"
         elif along:
             what = f"the residual depends on {', '.join(along)}"
@@ -265,7 +264,7 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
 def interval(number: Number) -> str:
     """Return from where to where a value may be."""
     ends = (quantity(end, number.unit, digits(number)) for end in (number.low, number.high))
-    return " to ".join(ends)
+    return " to ".join(ends) + (", at its bound" if number.at_bound else "")
 
 
 def digits(number: Number) -> int:
@@ -304,7 +303,7 @@ def _unsure(found: Diagnosis) -> list[str]:
     """Return names of causes that would explain what no cause was surely found for."""
     if found.steps:
         return []
-    names = [one.name for one in found.ranking if one.left < EXPLAINED]
+    names = [one.name for one in found.ranking if one.left < SETTINGS.explained]
     return list(dict.fromkeys(names))[:UNSURE]
 
 

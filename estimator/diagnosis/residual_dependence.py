@@ -5,10 +5,8 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.outcome import Structure
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION
-
-BINS = 12
-LEAST = 0.05  # of the residual's variance
 
 
 def structure(dataset: Dataset, fit: Fit) -> tuple[Structure, ...]:
@@ -35,14 +33,14 @@ def structure(dataset: Dataset, fit: Fit) -> tuple[Structure, ...]:
         r = np.concatenate(residual)
         for what, parts in along.items():
             share = explained(r, np.concatenate(parts))
-            if share > LEAST:
+            if share > SETTINGS.dependence_min:
                 found.append(Structure(what, channel, share))
     return tuple(sorted(found, key=lambda one: -one.share))
 
 
 def explained(residual: Array, signal: Array) -> float:
     """Return the share of a residual's variance that is between bins of a signal."""
-    edges = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, BINS + 1)))
+    edges = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, SETTINGS.dependence_bins + 1)))
     if len(edges) < 2 or not residual.var() > 0.0:
         return 0.0
     bin_of = np.clip(np.searchsorted(edges, signal, side="right") - 1, 0, len(edges) - 2)

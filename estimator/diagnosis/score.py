@@ -8,11 +8,9 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Fit
+from estimator.diagnosis.settings import SETTINGS
 
-BIN = 1.0  # [s] that errors are summed over, at most; longer than they remember each other
 DRAWS = 400
-LEAST = 0.5  # squares of the noise: better than this is not better
-LEAST_INDEPENDENT = 0.02  # of the samples, however alike neighbours are
 
 
 class Errors(NamedTuple):
@@ -39,7 +37,7 @@ def errors(dataset: Dataset, fit: Fit, *, held_out: bool = True) -> dict[str, Er
     parts: dict[str, list[Errors]] = {}
     for record, one in zip(dataset.records, fit.simulated, strict=True):
         # no bin goes beyond its block: both numbers rise with time
-        bins = ((record.time - record.time[0]) / BIN).astype(np.int64) + record.block
+        bins = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + record.block
         for channel in record.compared:
             rows = record.good[channel] & (record.train != held_out)
             error = (record.signals[channel] - one.signals[channel])[rows]
@@ -111,10 +109,10 @@ def left_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:
     left = total = 0.0
     for channel, one in b.items():
         excess = max(one.mean - 1.0, 0.0)
-        if excess < 0.1:
+        if excess < SETTINGS.excess_min:
             continue
         weight = math.sqrt(excess)
-        left += weight * min(max(a[channel].mean - 1.0, 0.0) / excess, 4.0)
+        left += weight * min(max(a[channel].mean - 1.0, 0.0) / excess, SETTINGS.excess_ratio_max)
         total += weight
     return left / total if total else 0.0
 
@@ -130,7 +128,7 @@ def bootstrapped_gain(a: Errors, b: Errors, seed: int = 0) -> tuple[float, float
 
 
 def _floored(one: Errors) -> float:
-    return max(one.mean, LEAST)
+    return max(one.mean, SETTINGS.variance_min)
 
 
 def _independent(off: Array) -> float:
@@ -138,4 +136,4 @@ def _independent(off: Array) -> float:
     power = float(centred @ centred)
     r = float(centred[1:] @ centred[:-1]) / power if power > 0.0 else 0.0
     r = min(max(r, 0.0), 0.9999)
-    return max((1.0 - r) / (1.0 + r), LEAST_INDEPENDENT)
+    return max((1.0 - r) / (1.0 + r), SETTINGS.independent_min)

@@ -27,17 +27,15 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.fit import improved, moved, slopes_of
 from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.score import Errors, errors
+from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
 THIN = 1200  # samples of a record in a first look
 SECOND, BARE = 10, 12  # starts of all effects, besides the best of each
 HALVINGS = 3  # of a linear step that leads uphill
 ROUNDS = (4, 6)  # of the first fits, on thin records
-KEPT = (14, 6)  # effects that go on after each of them
 LONG = 25  # rounds of the last fit, on whole records
-AT_BOUND = 0.03  # of a bound: a number so near to it hardly moves away from it again
 FURTHEST = 6.0  # times a start's amplitude that a linear step may go
-HOPELESS = (40.0, 4.0)  # times the best's cost: not worth going on with
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
@@ -102,7 +100,7 @@ def candidates(
     begin = [*firsts, *_cheapest(seconds, SECOND), *_cheapest(bare, BARE)]
     models = [one.model for one in sorted(begin, key=lambda one: one.cost)]
     best: list[Candidate] = []
-    for rounds, kept, hopeless in zip(ROUNDS, KEPT, HOPELESS, strict=True):
+    for rounds, kept, hopeless in zip(ROUNDS, SETTINGS.kept, SETTINGS.hopeless, strict=True):
 
         def fitted(model: Model, rounds: int = rounds) -> Candidate:
             return _candidate(thin_bench, around, model, rounds)
@@ -234,7 +232,8 @@ def _off_bounds(model: Model, context: EffectContext) -> Model | None:
 
 def _at_bound(value: float, parameter: Parameter) -> bool:
     return any(
-        abs(value - bound) <= AT_BOUND * abs(bound) for bound in (parameter.low, parameter.high)
+        abs(value - bound) <= SETTINGS.at_bound * abs(bound)
+        for bound in (parameter.low, parameter.high)
     )
 
 

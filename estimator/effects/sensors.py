@@ -1,6 +1,7 @@
 """Effects in the sensors and in how they are read: readings differ, the tendon does not."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,22 +34,8 @@ WORDS = {
 Change = Callable[[Array, Values, EffectContext], Array]
 
 
-def _sensor(
-    name: str,
-    channel: str,
-    cause: str,
-    equation: str,
-    parameters: tuple[Parameter, ...],
-    source: str,
-    advice: str,
-    starts: Callable[[EffectContext], Iterable[Values]],
-    forward: Change,
-    inverse: Change,
-    where: str = "",
-    needs: frozenset[str] = frozenset(),
-    correction: CorrectionKind | None = None,
-) -> Effect:
-    """Return an effect of one sensor: `forward` makes its reading, `inverse` takes it back."""
+def _of_sensor(channel: str, forward: Change, inverse: Change, effect: Effect) -> Effect:
+    """Return an effect as one of a sensor: `forward` makes its reading, `inverse` takes it back."""
 
     def measure(signals: Signals, values: Values, context: EffectContext) -> Signals:
         if context.driver == channel:
@@ -58,51 +45,49 @@ def _sensor(
     def invert(drive: Array, values: Values, context: EffectContext) -> Array:
         return inverse(drive, values, context) if context.driver == channel else drive
 
-    return Effect(
-        name=name,
-        cause=cause,
-        equation=equation,
-        parameters=parameters,
-        source=source,
-        advice=advice,
-        starts=starts,
+    at_housing = channel in (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT)
+    return replace(
+        effect,
         measure=measure,
         invert=invert,
-        where=where,
-        needs=needs | {channel},
-        correction=correction if channel in (PROXIMAL_TENSION, PROXIMAL_DISPLACEMENT) else None,
+        needs=effect.needs | {channel},
+        correction=effect.correction if at_housing else None,
     )
 
 
 def _gain(name: str, channel: str) -> Effect:
-    return _sensor(
-        name,
+    return _of_sensor(
         channel,
-        f"{WORDS[channel]} has a wrong gain",
-        "reading = (1 + gain) T",
-        (Parameter("gain", "", -0.8, 4.0, 0.02),),
-        "range assumed: 0.25 to 5 %, more after a repair",
-        f"Hang known weights on {WORDS[channel]}.",
-        lambda _: [(0.03,)],
         lambda T, values, _: (1.0 + values[0]) * T,
         lambda T, values, _: T / (1.0 + values[0]),
-        correction=CorrectionKind.TENSION_GAIN,
+        Effect(
+            name=name,
+            cause=f"{WORDS[channel]} has a wrong gain",
+            equation="reading = (1 + gain) T",
+            parameters=(Parameter("gain", "", -0.8, 4.0, 0.02),),
+            source="range assumed: 0.25 to 5 %, more after a repair",
+            advice=f"Hang known weights on {WORDS[channel]}.",
+            starts=lambda _: [(0.03,)],
+            correction=CorrectionKind.TENSION_GAIN,
+        ),
     )
 
 
 def _bias(name: str, channel: str) -> Effect:
-    return _sensor(
-        name,
+    return _of_sensor(
         channel,
-        f"{WORDS[channel]} does not read zero without tension",
-        "reading = T + bias",
-        (Parameter("bias", "N", -20.0, 20.0, 0.05),),
-        "range assumed: up to 1 % of full scale",
-        f"Tare {WORDS[channel]} while the tendon is slack.",
-        lambda _: [(0.1,)],
         lambda T, values, _: T + values[0],
         lambda T, values, _: T - values[0],
-        correction=CorrectionKind.TENSION_BIAS,
+        Effect(
+            name=name,
+            cause=f"{WORDS[channel]} does not read zero without tension",
+            equation="reading = T + bias",
+            parameters=(Parameter("bias", "N", -20.0, 20.0, 0.05),),
+            source="range assumed: up to 1 % of full scale",
+            advice=f"Tare {WORDS[channel]} while the tendon is slack.",
+            starts=lambda _: [(0.1,)],
+            correction=CorrectionKind.TENSION_BIAS,
+        ),
     )
 
 
@@ -111,17 +96,19 @@ def _ramp(values: Values, context: EffectContext) -> Array:
 
 
 def _drift(name: str, channel: str) -> Effect:
-    return _sensor(
-        name,
+    return _of_sensor(
         channel,
-        f"the zero of {WORDS[channel]} wanders",
-        "reading = T + rate t",
-        (Parameter("rate", "N/min", -20.0, 20.0, 0.05),),
-        "range assumed: 0.01 to 0.05 % of full scale per kelvin",
-        f"Let {WORDS[channel]} warm up, and tare it between runs.",
-        lambda _: [(0.2,)],
         lambda T, values, context: T + _ramp(values, context),
         lambda T, values, context: T - _ramp(values, context),
+        Effect(
+            name=name,
+            cause=f"the zero of {WORDS[channel]} wanders",
+            equation="reading = T + rate t",
+            parameters=(Parameter("rate", "N/min", -20.0, 20.0, 0.05),),
+            source="range assumed: 0.01 to 0.05 % of full scale per kelvin",
+            advice=f"Let {WORDS[channel]} warm up, and tare it between runs.",
+            starts=lambda _: [(0.2,)],
+        ),
     )
 
 
@@ -155,18 +142,21 @@ def _led(signal: Array, values: Values, context: EffectContext) -> Array:
 
 
 def _lag(channel: str, forward: Change, inverse: Change, equation: str, how: str) -> Effect:
-    return _sensor(
-        "sensor_lag",
+    return _of_sensor(
         channel,
-        f"{WORDS[channel]} is late",
-        equation,
-        (Parameter("time", "s", 0.0, 2.0, 0.01),),
-        "range assumed: 1 to 100 ms",
-        "Compare the edges of one sharp pull in all channels; look at filters and time stamps.",
-        lambda _: [(0.03,)],
         forward,
         inverse,
-        f"{WORDS[channel]}, {how}",
+        Effect(
+            name="sensor_lag",
+            cause=f"{WORDS[channel]} is late",
+            equation=equation,
+            parameters=(Parameter("time", "s", 0.0, 2.0, 0.01),),
+            source="range assumed: 1 to 100 ms",
+            advice="Compare the edges of one sharp pull in all channels; look at filters and time "
+            "stamps.",
+            starts=lambda _: [(0.03,)],
+            where=f"{WORDS[channel]}, {how}",
+        ),
     )
 
 
@@ -179,36 +169,41 @@ def _limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Values]]:
 
 
 def _saturation(channel: str) -> Effect:
-    return _sensor(
-        "saturation",
+    return _of_sensor(
         channel,
-        f"{WORDS[channel]} reads no more than a limit",
-        "reading = min(T, limit)",
-        (Parameter("limit", "N", 0.1, 1e4, 0.2, None),),
-        "range of the cell",
-        "Use a cell of a wider range, or pull less.",
-        _limit_starts(channel),
         lambda T, values, _: np.minimum(T, values[0]),
         lambda T, _values, _context: T,
-        WORDS[channel],
+        Effect(
+            name="saturation",
+            cause=f"{WORDS[channel]} reads no more than a limit",
+            equation="reading = min(T, limit)",
+            parameters=(Parameter("limit", "N", 0.1, 1e4, 0.2, None),),
+            source="range of the cell",
+            advice="Use a cell of a wider range, or pull less.",
+            starts=_limit_starts(channel),
+            where=WORDS[channel],
+        ),
     )
 
 
 def _scale(channel: str) -> Effect:
-    return _sensor(
-        "encoder_scale",
+    return _of_sensor(
         channel,
-        f"{WORDS[channel]} counts too much or too little, as on a pulley of another radius",
-        "reading = (1 + gain) q",
-        (Parameter("gain", "", -0.8, 4.0, 0.02),),
-        "range assumed: up to 5 %, by the wrap radius",
-        f"Measure a known travel with {WORDS[channel]}.",
-        lambda _: [(0.03,)],
         lambda q, values, _: (1.0 + values[0]) * q,
         lambda q, values, _: q / (1.0 + values[0]),
-        WORDS[channel],
-        frozenset({PROXIMAL_DISPLACEMENT}),
-        CorrectionKind.DISPLACEMENT_GAIN,
+        Effect(
+            name="encoder_scale",
+            cause=f"{WORDS[channel]} counts too much or too little, as on a pulley of another "
+            "radius",
+            equation="reading = (1 + gain) q",
+            parameters=(Parameter("gain", "", -0.8, 4.0, 0.02),),
+            source="range assumed: up to 5 %, by the wrap radius",
+            advice=f"Measure a known travel with {WORDS[channel]}.",
+            starts=lambda _: [(0.03,)],
+            where=WORDS[channel],
+            needs=frozenset({PROXIMAL_DISPLACEMENT}),
+            correction=CorrectionKind.DISPLACEMENT_GAIN,
+        ),
     )
 
 
@@ -218,22 +213,24 @@ def _slipped(values: Values, context: EffectContext) -> Array:
 
 
 def _slip(channel: str) -> Effect:
-    return _sensor(
-        "encoder_slip",
+    return _of_sensor(
         channel,
-        f"{WORDS[channel]} slipped at one time",
-        "reading = q + slip from the onset on",
-        (
-            Parameter("slip", "m", -0.05, 0.05, 2e-5),
-            Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
-        ),
-        "range assumed: 0.01 to 1 mm",
-        f"Return to a hard stop and compare; tighten the coupling of {WORDS[channel]}.",
-        lambda context: [(5e-5, t) for t in context.instants(2 * ONSETS)],
         lambda q, values, context: q + _slipped(values, context),
         lambda q, values, context: q - _slipped(values, context),
-        WORDS[channel],
-        frozenset({PROXIMAL_DISPLACEMENT}),
+        Effect(
+            name="encoder_slip",
+            cause=f"{WORDS[channel]} slipped at one time",
+            equation="reading = q + slip from the onset on",
+            parameters=(
+                Parameter("slip", "m", -0.05, 0.05, 2e-5),
+                Parameter("onset", "s", 1.0, 1e6, 0.3, None, jumps=True),
+            ),
+            source="range assumed: 0.01 to 1 mm",
+            advice=f"Return to a hard stop and compare; tighten the coupling of {WORDS[channel]}.",
+            starts=lambda context: [(5e-5, t) for t in context.instants(2 * ONSETS)],
+            where=WORDS[channel],
+            needs=frozenset({PROXIMAL_DISPLACEMENT}),
+        ),
     )
 
 

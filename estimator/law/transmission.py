@@ -1,9 +1,9 @@
 """The transmission law of a tendon in its sheath: what the housing does, the tip feels.
 
 State in, state out: `tables` prepares a sheath, `slack_profile` or `pretensioned_profile` gives the
-first profile, `drive_proximal` and `drive_distal` return the next one, `observe` reads it. The
-functions named push_* are the same steps in place, for loops that are compiled themselves or that
-own their profile. The law is the play operator of docs/theory.md (T10), (T11), (T18); Phee et al.
+first profile, `drive_proximal` returns the next one, `observe` reads it. The functions named push_*
+are steps in place from either end, for loops that are compiled themselves or that own their
+profile. The law is the play operator of docs/theory.md (T10), (T11), (T18); Phee et al.
 2009, eqs. (1)-(25) are its special cases of one pull and one release.
 """
 
@@ -22,7 +22,6 @@ from estimator.law.profile import (
     FLOOR,
     Profile,
     forgotten,
-    log_tension,
     point,
     point_count,
     pretensioned_profile,
@@ -33,7 +32,7 @@ from estimator.law.profile import (
     tension_of,
 )
 from estimator.law.sheath import SheathError
-from estimator.law.tables import Tables, arc_length, friction_coordinate, integral, tables
+from estimator.law.tables import Tables, arc_length, friction_coordinate, tables
 
 __all__ = [
     "CAPACITY",
@@ -44,10 +43,7 @@ __all__ = [
     "Profile",
     "Tables",
     "batch",
-    "certified_interval",
-    "drive_distal",
     "drive_proximal",
-    "envelope",
     "forgotten",
     "front_depth",
     "observe",
@@ -57,7 +53,6 @@ __all__ = [
     "push_distal",
     "push_proximal",
     "read_out",
-    "sensitivity",
     "slack_profile",
     "tables",
     "tension_at",
@@ -118,14 +113,6 @@ def drive_proximal(tables: Tables, profile: Profile, tension: float) -> Profile:
     return after
 
 
-def drive_distal(tables: Tables, profile: Profile, tension: float) -> Profile:
-    """Return the profile after the load has brought T_out to `tension` [N]."""
-    _require_tension(tension)
-    after = profile.copy()
-    push_distal(tables, after, tension)
-    return after
-
-
 def observe(tables: Tables, profile: Profile) -> Observation:
     """Return tensions, elongation, phase and front of `profile`."""
     T_in, T_out, elongation, phase, front = read_out(tables, profile)
@@ -164,44 +151,6 @@ def front_depth(profile: Profile) -> tuple[float, float]:
     else:
         s, y, _ = point(profile, 1)
     return s, y
-
-
-@compiled
-def sensitivity(tables: Tables, profile: Profile) -> tuple[float, float]:
-    """Return (dT_out/dT_in, de/dT_in [m/N]) for a T_in that goes on as it went (T6), (T7)."""
-    _, _, slope = point(profile, 0)
-    if slope == 0.0:
-        return 0.0, 0.0
-    s, _, _ = point(profile, 1)
-    gain = math.exp(slope * tables[_K]) if point_count(profile) == 2 else 0.0
-    return gain, integral(tables, s, slope) / tables[_EA]
-
-
-@compiled
-def envelope(tables: Tables, T_in: float) -> tuple[float, float]:
-    """Return the least and largest T_out [N] that `T_in` [N] alone allows, any history (T2)."""
-    return _cone(tables, log_tension(tables, T_in), tables[_K])
-
-
-@compiled
-def certified_interval(tables: Tables, profile: Profile) -> tuple[float, float]:
-    """Return the least and largest T_out [N] that moving the motor has not excluded.
-
-    While T_in moves and q_p agrees with the model (T19), the front is where the profile has it, at
-    depth a, and the tension T(a) there is certain. The tip may have been driven meanwhile, but its
-    own front cannot have come nearer than a, so T_out lies in the cone of (T2) that starts there:
-    [T(a) e^-(K-a), T(a) e^(rho (K-a))], every value of which the tip can take unseen. It is one
-    point once the motor's front has reached the tip. Where the motor has held still while the tip
-    could move, nothing of the profile is certain but T_in: use `envelope`.
-    """
-    s, y = front_depth(profile)
-    return _cone(tables, y, tables[_K] - s)
-
-
-@compiled
-def _cone(tables: Tables, y: float, ds: float) -> tuple[float, float]:
-    """Return the tensions [N] that friction allows `ds` further down from log tension `y`."""
-    return tension_of(tables, y - ds), tension_of(tables, y + tables[_ASYMMETRY] * ds)
 
 
 @compiled

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from estimator.lumped.nodes import (
     NODES,
     PLACES,
@@ -81,6 +81,14 @@ class Motion(NamedTuple):
     proximal_displacement: Array  # q_p [m], zero for the slack tendon
     distal_displacement: Array  # q_d [m], zero for the unloaded tip
     compliance: Array  # dq_p/dT_in [m/N] as the motor went on
+
+
+class _Contacts(NamedTuple):
+    """What contacts remember, shape (NODES - 1,) each."""
+
+    sliding: Array  # which way, 0 for those that stick
+    speed: Array  # [m/s]
+    rested: Array  # 1 for those that have taken hold, 0 for those that have let go
 
 
 class _Holder(NamedTuple):
@@ -287,9 +295,8 @@ def advance(
     """
     law, holder, softness, weights, even, spread = _line(constants)
     out = np.empty((len(samples), 5))
-    mass, damping, told = holder.mass, holder.damping, len(speeds) > 0
+    told = len(speeds) > 0
     late = law.stribeck != 0.0 and law.stribeck_memory > 0.0
-    leans = law.give > 0.0
     state, lengths = memory[:NODES], memory[LENGTHS:_CREPT]
     crept, sliding = memory[_CREPT:_ENDS], memory[_SLIDING:_SPEED]
     speed, rested = memory[_SPEED:_RESTED], memory[_RESTED:]
@@ -299,60 +306,25 @@ def advance(
     q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
     for i in range(len(samples)):
         dt, friction, stretch = samples[i, DT], samples[i, FRICTION], samples[i, STRETCH]
-        offset, compliance = samples[i, OFFSET], samples[i, COMPLIANCE]
-        target, rate = samples[i, TARGET], samples[i, SPEED]
-        heavy = compliance > 0.0 and (mass > 0.0 or damping > 0.0)
+        compliance, target, rate = samples[i, COMPLIANCE], samples[i, TARGET], samples[i, SPEED]
         gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
         kept = crept * (1.0 - gain) + even * stretch
         scale = 1.0 + law.creep * gain
         tendon = Tendon(law, half, drag, dt, weights, scale, kept)
-        c, known = compliance, 0.0
-        if heavy and dt > 0.0:  # the trapezoidal rule: what follows from the past, and what is free
-            from_rest = q - offset
-            c = compliance / (1.0 + compliance * (4.0 * mass / dt + 2.0 * damping) / dt)
-            known = mass * (4.0 * (from_rest / dt + v) / dt + a)
-            known += damping * (2.0 * from_rest / dt + v)
-        tip = Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
+        tip = _tip_of(holder, compliance, samples[i, OFFSET], dt, q, v, a, load)
         if law.stribeck != 0.0 and not late:
             speed[:] = speeds if told else spread * (rate * softness if forced else rate)
         fill_contacts(law, friction, state, speed, rested, half, drag)
-        if leans:
+        if law.give > 0.0:
             reach = settle(tendon, tip, state, lengths, target, forced, after)
-            state[:] = after
-            for j in range(NODES):
-                lengths[j] = elongation(tendon, j, after[j])[0] + kept[j]
+            _take_over(tendon, after, state, lengths)
         else:
+            heavy = compliance > 0.0 and (holder.mass > 0.0 or holder.damping > 0.0)
             begin = target if math.isnan(before) else before
-            most = _PIECE if law.static != 0.0 else 1.0
-            done, share, reach = 0.0, most, 0.0
-            gone[:] = 0.0
-            while done < 1.0:
-                goal = begin + (done + share) * (target - begin)
-                part = Tendon(law, half, drag, share * dt, weights, scale, kept)
-                ended, reach = slide(
-                    part, tip, state, lengths, goal, forced, after, sliding, slid, work
-                )
-                if not ended:  # in circles: from rest, and if need be by a smaller step
-                    sliding[:] = 0.0
-                    ended, reach = slide(
-                        part, tip, state, lengths, goal, forced, after, sliding, slid, work
-                    )
-                if not ended and share > smallest and not heavy:
-                    sliding[:] = 0.0
-                    share *= 0.5
-                    continue
-                done += share
-                share = min(2.0 * share, most, 1.0 - done)
-                gone += slid
-                state[:] = after
-                if law.static != 0.0:
-                    take_hold(law, part.dt, slid, rested)
-                    fill_contacts(law, friction, state, speed, rested, half, drag)
-                for j in range(NODES):
-                    lengths[j] = elongation(part, j, after[j])[0] + kept[j]
-                at, _slope, load = tip_travel(tip, after[NODES - 1])
-                if done < 1.0:
-                    tip = Tip(c, known, offset, tip.low, tip.high, tip.stiffness, at, load)
+            tip, reach = _slide_by_parts(
+                tendon, tip, friction, begin, target, forced, 1.0 if heavy else smallest,
+                _Contacts(sliding, speed, rested), state, lengths, after, slid, gone, work,
+            )  # fmt: skip
         if late and dt > 0.0:
             now = speeds if told else np.abs(gone) / dt
             speed += -math.expm1(-dt / law.stribeck_memory) * (now - speed)
@@ -369,3 +341,92 @@ def advance(
         out[i, 2], out[i, 3], out[i, 4] = lengths.sum() + q, q, reach
     memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, before
     return out
+
+
+@compiled_in_caller
+def _tip_of(
+    holder: _Holder,
+    compliance: float,
+    offset: float,
+    dt: float,
+    q: float,
+    v: float,
+    a: float,
+    load: float,
+) -> Tip:
+    """Return what the tip pulls at in a sample, its inertia by the trapezoidal rule.
+
+    `q` [m], `v` [m/s] and `a` [m/s^2] are those of the tip one sample ago.
+    """
+    c, known = compliance, 0.0
+    mass, damping = holder.mass, holder.damping
+    heavy = compliance > 0.0 and (mass > 0.0 or damping > 0.0)
+    if heavy and dt > 0.0:  # what follows from the past, and what is free
+        from_rest = q - offset
+        c = compliance / (1.0 + compliance * (4.0 * mass / dt + 2.0 * damping) / dt)
+        known = mass * (4.0 * (from_rest / dt + v) / dt + a)
+        known += damping * (2.0 * from_rest / dt + v)
+    return Tip(c, known, offset, holder.low, holder.high, holder.stiffness, q, load)
+
+
+@compiled_in_caller
+def _slide_by_parts(
+    tendon: Tendon,
+    tip: Tip,
+    friction: float,
+    begin: float,
+    target: float,
+    forced: bool,
+    smallest: float,
+    contacts: _Contacts,
+    state: Array,
+    lengths: Array,
+    after: Array,
+    slid: Array,
+    gone: Array,
+    work: Array,
+) -> tuple[Tip, float]:
+    """Drive from `begin` to `target` with contacts that stick or slide, in as many parts as needed.
+
+    Returns the tip as it is in the last part, and dq_p/dT_in [m/N]; fills `gone` [m], the sum of
+    what slid.
+    """
+    law, half, drag = tendon.law, tendon.half, tendon.drag
+    sliding, speed, rested = contacts
+    most = _PIECE if law.static != 0.0 else 1.0
+    done, share, reach = 0.0, most, 0.0
+    gone[:] = 0.0
+    while done < 1.0:
+        goal = begin + (done + share) * (target - begin)
+        part = Tendon(law, half, drag, share * tendon.dt, tendon.weights, tendon.scale, tendon.kept)
+        ended, reach = slide(part, tip, state, lengths, goal, forced, after, sliding, slid, work)
+        if not ended:  # in circles: from rest, and if need be by a smaller step
+            sliding[:] = 0.0
+            ended, reach = slide(
+                part, tip, state, lengths, goal, forced, after, sliding, slid, work
+            )
+        if not ended and share > smallest:
+            sliding[:] = 0.0
+            share *= 0.5
+            continue
+        done += share
+        share = min(2.0 * share, most, 1.0 - done)
+        gone += slid
+        _take_over(tendon, after, state, lengths)
+        if law.static != 0.0:
+            take_hold(law, part.dt, slid, rested)
+            fill_contacts(law, friction, state, speed, rested, half, drag)
+        at, _slope, load = tip_travel(tip, after[NODES - 1])
+        if done < 1.0:
+            tip = Tip(
+                tip.compliance, tip.known, tip.offset, tip.low, tip.high, tip.stiffness, at, load
+            )
+    return tip, reach
+
+
+@compiled_in_caller
+def _take_over(tendon: Tendon, tension: Array, state: Array, lengths: Array) -> None:
+    """Take over the tensions that were found, and the lengths of the nodes that follow."""
+    state[:] = tension
+    for j in range(NODES):
+        lengths[j] = elongation(tendon, j, tension[j])[0] + tendon.kept[j]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from estimator import signals
 from estimator.array_types import Array
-from estimator.compiled import compiled
+from estimator.compiled import compiled, compiled_in_caller
 from estimator.law import tables as _tables
 from estimator.law.profile import log_tension, push_proximal, tension_of
 from estimator.law.transmission import read_out, tension_at
@@ -209,6 +209,16 @@ def advance_law(
     return T, q
 
 
+class _Tension(NamedTuple):
+    """T_in of one sample, filtered [N]."""
+
+    mean: float  # over the time constant
+    held: float  # the mean behind its dead band; 0 for a slack tendon
+    sigma: float  # of the mean
+    band: float  # the dead band
+    slack: bool
+
+
 @compiled
 def _advance_law(
     prepared: PreparedTendon,
@@ -219,35 +229,52 @@ def _advance_law(
     estimate: TendonEstimate,
 ) -> None:
     """Take one corrected sample by the closed law alone."""
-    table, profile = prepared.tables[:], state.profile[:]
+    table = prepared.tables[:]
     unheard = prepared.tip_tension_rate * dt if dt > 0.0 else 0.0
     state.proved_low -= unheard
     state.proved_high += unheard
-    sigma = prepared.tension_noise
-    if (
-        not math.isfinite(T)
-        or math.isinf(q)
-        or not (0.0 <= dt < math.inf)
-        or T + NEGATIVE + 6.0 * sigma < 0.0
-        or T > LARGEST
-    ):
+    if not _is_valid(prepared, T, q, dt):
         status = INVALID_INPUT | (0 if _erased(table, state) else UNINITIALISED)
         state.has_displacement = False
         low, high = max(state.low - unheard, 0.0), state.high + unheard
         _report(table, state, low, high, math.nan, status, estimate)
         return
-
-    status = 0
-    tau = prepared.time_constant
     if not state.started:
         state.started = True
         state.mean_tension = state.held_tension = T
-        state.tension_variance = sigma * sigma
+        state.tension_variance = prepared.tension_noise * prepared.tension_noise
+    tension = _filter_tension(prepared, state, T, dt)
+    status = SLACK if tension.slack else 0
+    status |= _update_profile(prepared, state, tension, q, dt)
+    if not _erased(table, state):
+        status |= UNINITIALISED
+    low, high = _bounds(prepared, state, tension, T)
+    _report(table, state, low, high, q, status, estimate)
+
+
+@compiled_in_caller
+def _is_valid(prepared: PreparedTendon, T: float, q: float, dt: float) -> bool:
+    """Return whether a sample can be one; a displacement may be missing."""
+    lowest = T + NEGATIVE + 6.0 * prepared.tension_noise
+    return not (
+        not math.isfinite(T)
+        or math.isinf(q)
+        or not (0.0 <= dt < math.inf)
+        or lowest < 0.0
+        or T > LARGEST
+    )
+
+
+@compiled_in_caller
+def _filter_tension(
+    prepared: PreparedTendon, state: EstimatorState, T: float, dt: float
+) -> _Tension:
+    """Average the tension, hold it within its dead band, and age what was proved of T_out."""
+    sigma, tau = prepared.tension_noise, prepared.time_constant
     mean = signals.average(state.mean_tension, T, dt, tau)
     # what was proved of T_out ages by what the motor itself may have changed since
     fall = state.mean_tension - mean
-    by_release = math.exp(table[_ASYMMETRY] * table[_K])
-    state.proved_low -= max(fall, 0.0) * by_release
+    state.proved_low -= max(fall, 0.0) * _by_release(prepared.tables[:])
     state.proved_high += max(-fall, 0.0)
     state.tension_variance = signals.averaged_variance(state.tension_variance, sigma, dt, tau)
     sigma_mean = math.sqrt(state.tension_variance)
@@ -257,36 +284,46 @@ def _advance_law(
     slack = mean <= 3.0 * max(sigma_mean, TENSION_FLOOR)
     if slack:
         held = 0.0
-        status |= SLACK
     state.least_tension = min(state.least_tension, held)
     state.most_tension = max(state.most_tension, held)
+    return _Tension(mean, held, sigma_mean, band, slack)
 
+
+@compiled_in_caller
+def _update_profile(
+    prepared: PreparedTendon, state: EstimatorState, tension: _Tension, q: float, dt: float
+) -> int:
+    """Drive the profile by whichever end moved; return the status bits of that."""
+    table, profile = prepared.tables[:], state.profile[:]
+    mean, held, sigma_mean = tension.mean, tension.held, tension.sigma
     if math.isnan(q):
-        status |= TENSION_ONLY
         state.has_displacement = state.tip_drives = False
         state.proved_low, state.proved_high = 0.0, math.inf
         state.held_tension = held
         push_proximal(table, profile, held)
+        return TENSION_ONLY
+    if not state.has_displacement or tension.slack:
+        push_proximal(table, profile, held)
+        state.held_tension, state.mean_displacement = held, q
+        state.held_displacement = q
+        state.tip_drives, state.has_displacement = False, True
+        anchor(prepared, state, held, q)
+        open_window(state, mean, q)
     else:
-        fresh = not state.has_displacement or slack
-        mean_q = q if fresh else signals.average(state.mean_displacement, q, dt, tau)
-        if fresh:
-            push_proximal(table, profile, held)
-            state.held_tension, state.mean_displacement = held, mean_q
-            state.held_displacement = mean_q
-            state.tip_drives, state.has_displacement = False, True
-            anchor(prepared, state, held, mean_q)
-            open_window(state, mean, mean_q)
-        else:
-            sure_T = band + BOUND * (sigma_mean + TENSION_FLOOR)
-            follow(prepared, state, held, mean_q, sure_T, dt)
-            tighten(prepared, state, mean, mean_q, sigma_mean, dt)
-        if state.tip_drives:
-            status |= TIP_MOVED
-    if not _erased(table, state):
-        status |= UNINITIALISED
+        mean_q = signals.average(state.mean_displacement, q, dt, prepared.time_constant)
+        sure_T = tension.band + BOUND * (sigma_mean + TENSION_FLOOR)
+        follow(prepared, state, held, mean_q, sure_T, dt)
+        tighten(prepared, state, mean, mean_q, sigma_mean, dt)
+    return TIP_MOVED if state.tip_drives else 0
 
-    margin = BOUND * sigma
+
+@compiled_in_caller
+def _bounds(
+    prepared: PreparedTendon, state: EstimatorState, tension: _Tension, T: float
+) -> tuple[float, float]:
+    """Return the interval of T_out [N]: (T2) with the sensor noise, cut by what was proved."""
+    table, mean, held = prepared.tables[:], tension.mean, tension.held
+    margin = BOUND * prepared.tension_noise
     K = table[_K] * (1.0 + prepared.friction_error)
     low = tension_of(table, log_tension(table, min(mean, T, held) - margin) - K)
     high = tension_of(
@@ -295,11 +332,17 @@ def _advance_law(
     if state.proved_low > state.proved_high:
         state.proved_low, state.proved_high = 0.0, math.inf
     # the average lags: so much the tip may be ahead of what was proved by it
-    proved_low = state.proved_low - max(mean - T, 0.0) * by_release
+    proved_low = state.proved_low - max(mean - T, 0.0) * _by_release(table)
     proved_high = state.proved_high + max(T - mean, 0.0)
     if max(low, proved_low) <= min(high, proved_high):
         low, high = max(low, proved_low), min(high, proved_high)
-    _report(table, state, low, high, q, status, estimate)
+    return low, high
+
+
+@compiled
+def _by_release(table: Array) -> float:
+    """Return by how much more T_out falls than T_in when all of the tendon is released."""
+    return math.exp(table[_ASYMMETRY] * table[_K])
 
 
 @compiled

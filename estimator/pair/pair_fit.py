@@ -98,49 +98,30 @@ def fit(
     """
     check(records)
     _check_bends(records, law)
-    absent = _ABSENT[law] | ({"growth": 0.0} if each_friction else {})
-    free = [n for n in _SHARED if n not in absent and not (each_friction and n == "friction")]
-    first = start._replace(**absent)
+    layout = _Layout(records, law, start, each_friction)
     thinned = [_thinned(record) for record in records]
-    ks = ["friction"] * len(records) if each_friction else []
-    names = [*free, *ks, *["neutral"] * len(records)]
-    low, high = (np.array([getattr(bound, name) for name in names]) for bound in (LOW, HIGH))
-    begin = np.array([getattr(first, name) for name in names])
-    if each_friction:
-        begin[len(free) : -len(records)] = [start.friction_at(r.bend) for r in records]
-    begin = np.clip(begin, low + 1e-6, high - 1e-6)
-
-    def models(values: Array) -> list[PairModel]:
-        shared = first._replace(**dict(zip(free, map(float, values), strict=False)))
-        own_K = values[len(free) : -len(records)]
-        neutrals = values[-len(records) :]
-        if not each_friction:
-            return [shared._replace(neutral=float(zero)) for zero in neutrals]
-        pairs = zip(own_K, neutrals, strict=True)
-        return [shared._replace(friction=float(K), neutral=float(zero)) for K, zero in pairs]
-
     remembered = [_Tendons(record, law) for record in thinned]
 
     def left(values: Array) -> Array:
-        each = zip(models(values), thinned, remembered, strict=True)
+        each = zip(layout.models(values), thinned, remembered, strict=True)
         return np.concatenate([_left(model, record, law, made) for model, record, made in each])
 
     found = least_squares(
         left,
-        begin,
-        bounds=(low, high),
-        x_scale=np.maximum(np.abs(begin), 0.02),
+        layout.begin,
+        bounds=layout.bounds,
+        x_scale=np.maximum(np.abs(layout.begin), 0.02),
         diff_step=STEP,
         ftol=ENOUGH,
         max_nfev=ROUNDS,
     )
-    each = models(found.x)
+    each = layout.models(found.x)
     frictions = tuple(float(m.friction_at(r.bend)) for m, r in zip(each, records, strict=True))
     neutral = float(np.mean([m.neutral for m in each]))
     errors = np.full(len(records), np.nan)
     if each_friction:
         strokes = _strokes(thinned, law)
-        errors = _errors(found.jac, found.fun, strokes)[len(free) : -len(records)]
+        errors = _errors(found.jac, found.fun, strokes)[layout.frictions]
     return PairFit(
         law,
         each[0]._replace(neutral=neutral),
@@ -163,6 +144,44 @@ def strokes_of(command: Array) -> NDArray[np.intp]:
             ways[i] = ways[i - 1]
     turned = (ways[1:] != ways[:-1]) & (ways[:-1] != 0.0)
     return np.concatenate([[0], np.cumsum(turned)])
+
+
+class _Layout:
+    """Which numbers of a fit are free: shared ones, a K of each record if wanted, and its neutral.
+
+    Attributes
+    ----------
+    begin, bounds
+        Where the search begins, and within what it stays.
+    frictions
+        Which of the numbers are the frictions of single records.
+    """
+
+    def __init__(
+        self, records: Sequence[PairRecord], law: Law, start: PairModel, each_friction: bool
+    ) -> None:
+        own_K = {"growth": 0.0, "friction": start.friction} if each_friction else {}
+        absent = _ABSENT[law] | own_K
+        self._free = [name for name in _SHARED if name not in absent]
+        self._first, self._count = start._replace(**absent), len(records)
+        self._each_friction = each_friction
+        self.frictions = slice(len(self._free), -len(records))
+        own = ["friction"] * len(records) if each_friction else []
+        names = [*self._free, *own, *["neutral"] * len(records)]
+        low, high = (np.array([getattr(bound, name) for name in names]) for bound in (LOW, HIGH))
+        begin = np.array([getattr(self._first, name) for name in names])
+        if each_friction:
+            begin[self.frictions] = [start.friction_at(record.bend) for record in records]
+        self.begin, self.bounds = np.clip(begin, low + 1e-6, high - 1e-6), (low, high)
+
+    def models(self, values: Array) -> list[PairModel]:
+        """Return the model of each record."""
+        shared = self._first._replace(**dict(zip(self._free, map(float, values), strict=False)))
+        neutrals = values[-self._count :]
+        if not self._each_friction:
+            return [shared._replace(neutral=float(zero)) for zero in neutrals]
+        pairs = zip(values[self.frictions], neutrals, strict=True)
+        return [shared._replace(friction=float(K), neutral=float(zero)) for K, zero in pairs]
 
 
 class _Tendons:

@@ -15,7 +15,6 @@ CONFIDENCE = 0.95
 
 COMMAND = "command taken as the angle"
 SHARE = "a fixed share of the command"
-BASELINES = (COMMAND, SHARE)
 
 Report = Callable[[str, float], None]
 

@@ -30,9 +30,9 @@ from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from teleop.clock import Grid, Tick, now_ns
-from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import UsageError
+from teleop.options import add_option, add_options
 from teleop.process import Stop, destination
 from teleop.realtime import go_realtime
 from teleop.run_config import RunConfig
@@ -44,7 +44,8 @@ NOTED_EVERY_S = 10.0  # [s] likewise, where the output is no terminal
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop calibrate`."""
-    add_config_arguments(parser)
+    add_options(parser, "--config", "--set")
+    add_option(parser, "--quick", "one loop in place of three, under 20 s a joint")
     parser.add_argument(
         "--joint",
         type=int,
@@ -52,9 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="N",
         help="only this joint, counted from 1; needs an earlier file for the others",
-    )
-    parser.add_argument(
-        "--quick", action="store_true", help="one loop in place of three, under 20 s a joint"
     )
     parser.add_argument(
         "--together",

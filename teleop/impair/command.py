@@ -22,14 +22,14 @@ from contextlib import ExitStack
 from typing import Any, get_type_hints
 
 from teleop.clock import quiet_garbage
-from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import WAIT_S, DelayQueue
 from teleop.impair.direction import Direction
 from teleop.link.bridge import Bank, ask
-from teleop.process import Stop, destination, seconds, supervised, write_summary
+from teleop.options import add_options
+from teleop.process import Stop, supervised, write_summary
 from teleop.realtime import go_realtime, limit_computing
 from teleop.run_config import RunConfig
 from teleop.summary import impair_lines
@@ -131,7 +131,7 @@ class Proxy:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop impair`."""
-    add_config_arguments(parser)
+    add_options(parser, "--config", "--set", "--duration", "--json")
     parser.add_argument(
         "action",
         nargs="*",
@@ -147,8 +147,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             option = f"--{item.name.replace('_', '-')}"
             both.add_argument(option, dest=item.name, type=float, metavar="X")
     parser.add_argument("--seed", type=int, metavar="N", help="the same seed, the same fates")
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
-    parser.add_argument("--json", type=destination, metavar="FILE", help="write the counts to FILE")
 
 
 def main(args: argparse.Namespace) -> int:

@@ -10,42 +10,33 @@ Python: see docs/recordings.md.
 
 import argparse
 import dataclasses
-import os
 import time
 from pathlib import Path
 from typing import Any
 
 from teleop.clock import now_ns
-from teleop.config import add_arguments as add_config_arguments
-from teleop.config import load
 from teleop.link import Link
-from teleop.process import Stop, destination, folder, seconds, supervised, write_summary
+from teleop.options import add_options
+from teleop.process import Stop, folder, let_loops_first, supervised, write_summary
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
-from teleop.run_config import RunConfig
+from teleop.run_config import load_section
 from teleop.topics import TOPICS, Role
-
-_NICENESS = 5  # where loops and recorder share a processor, the loops go first
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop record`."""
-    add_config_arguments(parser)
+    add_options(parser, "--config", "--set", "--duration", "--json")
     parser.add_argument("--out", type=folder, metavar="DIR", help="record into DIR (recordings)")
-    parser.add_argument("--duration", type=seconds, metavar="S", help="end after S seconds")
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
-    )
 
 
 def main(args: argparse.Namespace) -> int:
     """Record until told to stop; returns the exit code."""
-    run = load(args.config, RunConfig, None, args.overrides)
-    config = load(args.config, RecordConfig, "record", args.overrides)
+    run, config = load_section(args, RecordConfig, "record")
     if args.out:
         config = dataclasses.replace(config, directory=args.out)
     config_text = args.config.read_text() if args.config else ""
-    os.nice(_NICENESS)
+    let_loops_first()
     stop = Stop(args.duration)
     with Link(run.link, run.session, Role.RECORDER) as link:
         listener = link.listen(TOPICS)

@@ -17,11 +17,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from teleop.clock import now_ns
-from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.link import Link
 from teleop.messages import LAYOUT
+from teleop.options import add_options
 from teleop.process import Stop
 from teleop.recording.readdress import Readdress
 from teleop.recording.reader import RecordingInfo, open_recording, read_messages
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--session", metavar="NAME", help="play it as session NAME (<recorded session>-replay)"
     )
-    add_config_arguments(parser)
+    add_options(parser, "--config", "--set")
 
 
 def main(args: argparse.Namespace) -> int:

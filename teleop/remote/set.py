@@ -10,11 +10,11 @@ The master answers with the new value, or says why not. Nothing is written to th
 import argparse
 import time
 
-from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages import TEXT_BYTES, Answer, Setting, text_bytes, text_of
+from teleop.options import add_options
 from teleop.run_config import RunConfig
 from teleop.topics import ANSWER, SETTING, Role
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop set`."""
     parser.add_argument("key", metavar="KEY", help="e.g. force.scale")
     parser.add_argument("value", metavar="VALUE", help="as in a config file")
-    add_config_arguments(parser)
+    add_options(parser, "--config", "--set")
 
 
 def main(args: argparse.Namespace) -> int:

@@ -16,10 +16,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import TeleopError
 from teleop.link import Link
+from teleop.options import add_options
 from teleop.process import Stop
 from teleop.remote.requests import CALL, LEAVE, RESET, WATCH, call_reset, call_stop
 from teleop.remote.watches import BEAT_S
@@ -35,7 +35,7 @@ SIDES: dict[Role, Topic[Any]] = {Role.MASTER: COMMAND, Role.SLAVE: STATE}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop stop`."""
-    add_config_arguments(parser)
+    add_options(parser, "--config", "--set")
     way = parser.add_mutually_exclusive_group()
     way.add_argument("--reset", action="store_true", help="take an emergency stop back")
     way.add_argument("--watch", action="store_true", help="stop when this process ends")

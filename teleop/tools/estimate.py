@@ -31,11 +31,11 @@ from slave.config import SlaveConfig, tendon_configs
 from slave.rigs.simulated.simulated import SimulatedRigConfig, joint_tendons
 from slave.score import Score
 from slave.tendon_config import TendonConfig
-from teleop.config import add_arguments as add_config_arguments
 from teleop.config import as_tree, load
 from teleop.data.table import Columns, MeasuredTable, check_destination, read_table, write_table
 from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS, PHASE_NAMES
+from teleop.options import add_option, add_options
 from teleop.process import destination, write_summary
 from teleop.summary import force_line
 
@@ -45,9 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("data", type=Path, metavar="DATA", help="measured data, or a recording")
     model = parser.add_argument_group("the model of the sheath, one of")
     model.add_argument("--fit", action="store_true", help="fit it to the data")
-    model.add_argument("--calibration", type=Path, metavar="FILE", help="a calibration file")
-    model_files.add_argument(parser)
-    add_config_arguments(parser)
+    for name in ("--calibration", "--model", "--config"):
+        add_option(model, name)
     fit = parser.add_argument_group("with --fit")
     fit.add_argument(
         "--save", type=destination, metavar="FILE", help="write the fit as a calibration"
@@ -72,14 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="[m] of the sheath (default 1); data tell only EA/L, so that EA scales with it; with "
         "--model too",
     )
-    parser.add_argument(
-        "--column",
-        action="append",
-        default=[],
-        metavar="NAME=COLUMN",
-        help="what the data call proximal_tension, proximal_displacement, distal_tension, "
-        "distal_displacement or time, e.g. --column proximal_tension=T_in",
-    )
+    add_options(parser, "--set", "--column", "--drop-nonfinite", "--json")
     parser.add_argument(
         "--tendon",
         metavar="1a",
@@ -87,14 +79,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default the first)",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
-    )
-    parser.add_argument(
-        "--drop-nonfinite",
-        action="store_true",
-        help="leave out rows with values that are not finite",
-    )
 
 
 def main(args: argparse.Namespace) -> int:

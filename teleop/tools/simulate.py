@@ -25,6 +25,7 @@ from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.config import load
 from teleop.data.table import Columns, check_destination, write_table
 from teleop.errors import UsageError
+from teleop.options import add_options
 from teleop.tools.motion import MOTIONS, Keep, Memory, Motion, Scale, Seen
 
 KEEP = 0.5  # [N] enough for a tendon not to go slack
@@ -56,50 +57,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rate", type=float, default=1000.0, help="[Hz] of samples (default 1000)")
     parser.add_argument("--seed", type=int, help="of the noise, in place of the config's")
-    parser.add_argument(
-        "--peak",
-        type=float,
-        default=scale.peak,
-        help=f"[N] housing tension to turn at (default {scale.peak:g})",
-    )
-    parser.add_argument(
-        "--speed",
-        type=float,
-        default=scale.speed,
-        help=f"[m/s] of the motor between turns (default {scale.speed:g})",
-    )
-    parser.add_argument(
-        "--stroke",
-        type=float,
-        default=scale.stroke,
-        help=f"[m] of the sine (default {scale.stroke:g})",
-    )
-    parser.add_argument(
-        "--period",
-        type=float,
-        default=scale.period,
-        help=f"[s] of the sine (default {scale.period:g})",
-    )
+    for name, default, text in (
+        ("peak", scale.peak, "[N] housing tension to turn at"),
+        ("speed", scale.speed, "[m/s] of the motor between turns"),
+        ("stroke", scale.stroke, "[m] of the sine"),
+        ("period", scale.period, "[s] of the sine"),
+        ("keep", KEEP, "[N] housing tension of the other tendon of a pair"),
+    ):
+        parser.add_argument(
+            f"--{name}", type=float, default=default, help=f"{text} (default {default:g})"
+        )
     parser.add_argument(
         "--side",
         choices=("a", "b"),
         default="a",
         help="which tendon of a pair makes the motion (default a)",
     )
-    parser.add_argument(
-        "--keep",
-        type=float,
-        default=KEEP,
-        help=f"[N] housing tension of the other one (default {KEEP:g})",
-    )
-    parser.add_argument(
-        "--set",
-        dest="overrides",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override one value of the config",
-    )
+    add_options(parser, "--set")
 
 
 def main(args: argparse.Namespace) -> int:

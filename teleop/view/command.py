@@ -11,46 +11,30 @@ It only listens: neither loop ever waits for it. See docs/viewing.md.
 """
 
 import argparse
-import os
 import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from teleop import config as configuration
 from teleop.errors import TeleopError
 from teleop.link import Link
-from teleop.process import (
-    Stop,
-    destination,
-    has_display,
-    seconds,
-    supervised,
-    write_summary,
-)
+from teleop.options import ViewMode, add_options
+from teleop.process import Stop, has_display, let_loops_first, supervised, write_summary
 from teleop.recording.reader import open_recording
 from teleop.recording.replay import require_playable
-from teleop.run_config import RunConfig
+from teleop.run_config import load_section
 from teleop.topics import TOPICS, Role
 from teleop.view.config import LAYOUTS, ViewConfig
 from teleop.view.feed import Discard, Fed, Show, from_link, from_recording
 from teleop.view.scene import Scene
-from teleop.view.sinks import MODES, Mode, Sink
-
-_NICENESS = 5  # where loops and view share a processor, the loops go first
+from teleop.view.sinks import Sink
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("file", nargs="?", metavar="FILE", help="a recording (.mcap); none = live")
-    configuration.add_arguments(parser)
-    parser.add_argument(
-        "--view",
-        choices=MODES,
-        help="a window, a page for a browser on this machine, a Rerun file, or nothing at all "
-        "(default: native with a screen, web without)",
-    )
+    add_options(parser, "--config", "--set", "--view", "--duration", "--json")
     parser.add_argument(
         "--layout",
         choices=LAYOUTS,
@@ -59,21 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"
     )
-    parser.add_argument("--duration", type=seconds, metavar="S", help="stop after S seconds")
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
-    )
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
-    config = configuration.load(args.config, ViewConfig, "view", args.overrides)
+    run, config = load_section(args, ViewConfig, "view")
     config = replace(config, layout=args.layout or config.layout)
-    run = configuration.load(args.config, RunConfig, None, args.overrides)
-    mode: Mode = args.view or ("native" if has_display() else "web")
+    mode: ViewMode = args.view or ("native" if has_display() else "web")
     if args.file is not None:
         require_playable(open_recording(args.file))
-    os.nice(_NICENESS)
+    let_loops_first()
     stop = Stop(args.duration)
     name = Path(args.file).stem if args.file else run.session
     summary: dict[str, Any] = {"session": run.session, "view": mode, "source": args.file or "link"}

@@ -6,20 +6,18 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Self, get_args
+from typing import Self
 
 import rerun as rr
 
 from teleop.errors import UsageError
+from teleop.options import ViewMode
 from teleop.process import has_display
 from teleop.view.config import ViewConfig
 from teleop.view.layouts import blueprint
 from teleop.view.page import Page
 from teleop.view.viewer_process import ViewerProcess, free_port
 
-Mode = Literal["native", "web", "rrd", "none"]
-MODES: tuple[Mode, ...] = get_args(Mode)
 APPLICATION = "teleop"
 _FLUSH_S = 3.0
 _PROBE_S = 1.0
@@ -42,7 +40,7 @@ class Sink:
     """
 
     def __init__(
-        self, mode: Mode, config: ViewConfig, session: str, out: Path | None, live: bool
+        self, mode: ViewMode, config: ViewConfig, session: str, out: Path | None, live: bool
     ) -> None:
         self.lines: list[str] = []
         self._mode = mode
@@ -70,12 +68,7 @@ class Sink:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

@@ -1,7 +1,4 @@
-import argparse
 import json
-import signal
-import socket
 import time
 from dataclasses import replace
 
@@ -12,11 +9,12 @@ from master.config import MasterConfig
 from master.device import DeviceFault, DeviceLost, HandState
 from master.devices.virtual import VirtualConfig
 from master.gate import FADE_S
-from master.process import LATE_ANSWERS, TRY_EVERY, WAIT, Master, run
+from master.process import LATE_ANSWERS, TRY_EVERY, WAIT, Master
 from teleop.clock import Grid, now_ns
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
+from teleop.loop_process import run
 from teleop.messages import (
     STAGE_NAMES,
     Command,
@@ -47,6 +45,7 @@ from teleop.topics import (
     STOP,
     Role,
 )
+from tests.one_side import arguments_of, without_traces
 
 
 class Line:
@@ -630,31 +629,12 @@ def test_a_setting_is_changed_told_and_answered_and_a_refused_one_says_why():
 
 @pytest.fixture
 def quiet_process(monkeypatch):
-    """Let a command run inside the test process without leaving its traces there."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setattr(process, "go_realtime", lambda _: ["a test"])
-    monkeypatch.setattr(process, "enter_loop", lambda *_: None)
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    with without_traces(monkeypatch):
+        yield
 
 
 def arguments(*words):
-    ports = []
-    for _ in range(2):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            ports.append(probe.getsockname()[1])
-    parser = argparse.ArgumentParser()
-    process.add_arguments(parser)
-    return parser.parse_args(
-        [
-            f"--set=link.master=tcp/127.0.0.1:{ports[0]}",
-            f"--set=link.slave=tcp/127.0.0.1:{ports[1]}",
-            "--set=session=alone",
-            *words,
-        ]
-    )
+    return arguments_of(process, *words)
 
 
 @pytest.mark.usefixtures("quiet_process")

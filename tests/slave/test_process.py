@@ -1,9 +1,6 @@
-import argparse
 import itertools
 import json
 import math
-import signal
-import socket
 import time
 from dataclasses import replace
 from functools import partial
@@ -14,12 +11,13 @@ import pytest
 from slave import loop, process, rigs
 from slave.calibration.config import InitialiseConfig
 from slave.config import SlaveConfig, TendonConfig
-from slave.process import SlaveProcess, run
+from slave.process import SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Heard, Latest
+from teleop.loop_process import run
 from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
 from teleop.remote.requests import CALL, RESET, RequestListener
 from teleop.session import Reason, State, outline
@@ -36,6 +34,7 @@ from teleop.topics import (
     TENDONS,
     Role,
 )
+from tests.one_side import arguments_of, without_traces
 
 TENDON = TendonConfig(effective_friction=0.8)
 CONFIG = SlaveConfig(tendons=(TENDON,))
@@ -591,32 +590,12 @@ def test_what_goes_out_is_what_the_table_says():
 
 @pytest.fixture
 def quiet_process(monkeypatch):
-    """Let a command run inside the test process without leaving its traces there."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setattr(process, "go_realtime", lambda _: ["a test"])
-    monkeypatch.setattr(process, "enter_loop", lambda *_: None)
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    with without_traces(monkeypatch):
+        yield
 
 
 def arguments(*words):
-    ports = []
-    for _ in range(2):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            ports.append(probe.getsockname()[1])
-    parser = argparse.ArgumentParser()
-    process.add_arguments(parser)
-    return parser.parse_args(
-        [
-            f"--set=link.master=tcp/127.0.0.1:{ports[0]}",
-            f"--set=link.slave=tcp/127.0.0.1:{ports[1]}",
-            "--set=session=alone",
-            "--set=slave.calibration=as-built",
-            *words,
-        ]
-    )
+    return arguments_of(process, "--set=slave.calibration=as-built", *words)
 
 
 @pytest.mark.usefixtures("quiet_process")

@@ -13,9 +13,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from teleop import config
 from teleop.config import MAY_BE_INFINITE, SECTIONS, SHARED, as_tree, load
 from teleop.errors import UsageError
+from teleop.options import add_options
 from teleop.run_config import RunConfig
 
 
@@ -397,7 +397,7 @@ def test_the_mistakes_in_the_docs_are_what_the_loader_says(tmp_path: Path) -> No
 
 def test_command_line_arguments() -> None:
     parser = argparse.ArgumentParser()
-    config.add_arguments(parser)
+    add_options(parser, "--config", "--set")
     args = parser.parse_args(["--config", "a.yaml", "--set", "a=1", "--set", "b=2"])
     assert (args.config, args.overrides) == (Path("a.yaml"), ["a=1", "b=2"])
     assert parser.parse_args([]).config is None

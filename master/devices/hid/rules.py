@@ -1,10 +1,11 @@
-"""Permission to open HID devices on Linux: a udev rule for each model."""
+"""Permission to open HID devices on Linux: a udev rule for each model.
+
+They belong into a file that comes before 73-seat-late.rules, which reads the tag that they set.
+"""
 
 from collections.abc import Iterable
 
 from master.devices.hid import spacemouse
-
-PLACE = "/etc/udev/rules.d/70-tendon-teleop.rules"  # before 73-seat-late.rules, which reads the tag
 
 # vendor, product (None = every one), and what it is
 KNOWN: tuple[tuple[int, int | None, str], ...] = (

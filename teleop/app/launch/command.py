@@ -23,22 +23,14 @@ from teleop.app.launch import watch
 from teleop.app.launch.keys import HELP, Keys
 from teleop.app.launch.supervisor import Child, Supervisor
 from teleop.compile_cache import compiling_beside
-from teleop.config import add_arguments as add_config_arguments
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
 from teleop.impair.config import wanted
 from teleop.link import Link
 from teleop.link.ping_pong import ping_pong
 from teleop.messages import Command, SlaveState
-from teleop.process import (
-    INTERRUPTED,
-    Stop,
-    destination,
-    folder,
-    has_display,
-    seconds,
-    write_summary,
-)
+from teleop.options import add_options
+from teleop.process import INTERRUPTED, Stop, folder, has_display, write_summary
 from teleop.realtime import RealtimeConfig
 from teleop.run_config import RateChecked, RunConfig
 from teleop.status_line import StatusLine
@@ -64,30 +56,12 @@ _NEVER_BEGAN = (INTERRUPTED, -signal.SIGTERM)  # exit codes of a child told to e
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop run`."""
-    add_config_arguments(parser)
-    parser.add_argument(
-        "--duration", type=seconds, metavar="S", help="end after S seconds of running"
+    add_options(
+        parser, "--config", "--set", "--duration", "--view", "--calibration", "--model", "--json"
     )
     parser.add_argument("--record", type=folder, metavar="DIR", help="record the session into DIR")
     parser.add_argument(
-        "--view",
-        choices=("native", "web", "rrd", "none"),
-        help="where to show it; native with a screen, web without",
-    )
-    parser.add_argument(
         "--replay", type=Path, metavar="DATA", help="measured data in place of the rig"
-    )
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="the sheath's calibration")
-    parser.add_argument(
-        "--model",
-        action="append",
-        default=[],
-        metavar="[1a=]FILE",
-        help="model.yaml of `teleop diagnose --out`, in place of what is known of the sheaths; "
-        "1a=FILE for one tendon of several",
-    )
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write the summary to FILE"
     )
 
 

@@ -6,7 +6,6 @@ import sys
 import termios
 import time
 import tty
-from types import TracebackType
 from typing import Any, Self
 
 HELP = "space: emergency stop, r: reset it, Ctrl-C: end"
@@ -26,12 +25,7 @@ class Keys:
             tty.setcbreak(self._terminal)  # a key at a time, unseen; Ctrl-C still ends
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._terminal >= 0:
             termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
             self._terminal = -1

@@ -11,7 +11,8 @@ from typing import Any
 
 from teleop.config import load
 from teleop.errors import UsageError
-from teleop.process import destination, seconds, write_summary
+from teleop.options import add_option
+from teleop.process import seconds, write_summary
 from teleop.run_config import RunConfig
 from teleop.tools.bench import figures, machine, rigs, session
 from teleop.tools.bench.figures import Figure, Row
@@ -28,18 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=seconds, metavar="S", help=f"of each run (default {SECONDS:g})"
     )
-    parser.add_argument(
-        "--quick", action="store_true", help=f"{QUICK_RUNS} runs of {QUICK_SECONDS:g} s"
-    )
-    parser.add_argument("--json", type=destination, metavar="OUT", help="write the result to OUT")
+    add_option(parser, "--quick", f"{QUICK_RUNS} runs of {QUICK_SECONDS:g} s")
+    add_option(parser, "--json")
     parser.add_argument("--compare", type=Path, metavar="OLD", help="a result of --json, before")
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
     """Declare what chooses the session."""
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="a session of your own, on a simulated rig"
-    )
+    add_option(parser, "--config", help="config file (YAML) of a session on a simulated rig")
     parser.add_argument(
         "--joints", type=int, default=1, metavar="N", help="of the session otherwise (default 1)"
     )

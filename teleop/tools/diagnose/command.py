@@ -24,8 +24,9 @@ from estimator.diagnosis.record import Record, RecordError, prepare
 from teleop.data import model_file
 from teleop.data.table import Columns, MeasuredTable, read_table
 from teleop.errors import UsageError
+from teleop.options import add_option, add_options
 from teleop.parallel import processors
-from teleop.process import destination, make_folder, write_summary, write_whole
+from teleop.process import make_folder, write_summary, write_whole
 from teleop.tools import estimate
 from teleop.tools.diagnose import acceptance, effect_choice, report_json
 from teleop.tools.diagnose.acceptance import Compared
@@ -54,45 +55,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "data", nargs="+", type=Path, metavar="DATA", help="measured data, or recordings"
     )
     parser.add_argument(
-        "--validate",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=Path,
-        metavar="DATA",
-        help="further data of the bench, to be predicted and not fitted",
-    )
-    parser.add_argument(
         "--effects",
         default="all",
         metavar="NAME,NAME",
         help="causes to look among (default all; their names are in docs/diagnosis.md)",
     )
-    parser.add_argument(
-        "--calibration",
-        type=Path,
-        metavar="FILE",
-        help="a calibration, to be compared with what the data say",
-    )
-    parser.add_argument(
-        "--column",
-        action="append",
-        default=[],
-        metavar="NAME=COLUMN",
-        help="what the data call proximal_tension, proximal_displacement, distal_tension, "
-        "distal_displacement or time, e.g. --column proximal_tension=T_in",
-    )
+    add_option(parser, "--calibration", "to be compared with what the data say")
+    add_options(parser, "--column", "--drop-nonfinite", "--validate", "--out", "--json")
     parser.add_argument(
         "--tendon", metavar="N", help="which one, 1, 2, ..., of data that have several (default 1)"
-    )
-    parser.add_argument(
-        "--drop-nonfinite",
-        action="store_true",
-        help="leave out rows with values that are not finite",
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the report")
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write the report's numbers to FILE"
     )
 
 

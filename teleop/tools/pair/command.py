@@ -18,7 +18,8 @@ from estimator.pair.pair_fit import PairError, check
 from estimator.pair.pair_study import study, validate
 from teleop.config import load
 from teleop.errors import UsageError
-from teleop.process import destination, make_folder, write_summary, write_whole
+from teleop.options import add_options
+from teleop.process import make_folder, write_summary, write_whole
 from teleop.tools.pair import report_json, report_text
 from teleop.tools.pair.config import PairConfig
 from teleop.tools.pair.read import read
@@ -28,26 +29,14 @@ from teleop.tools.report.progress import Progress
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "data", nargs="+", type=Path, metavar="FILE", help="measured data, one file for each bend"
+        "data", nargs="+", type=Path, metavar="DATA", help="measured data, one file for each bend"
     )
-    parser.add_argument(
-        "--validate",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=Path,
-        metavar="FILE",
-        help="further files of the pair, to be predicted and not fitted",
-    )
+    add_options(parser, "--validate", "--out", "--json")
     parser.add_argument(
         "--columns",
         type=Path,
         metavar="FILE",
         help="what the columns are, and where the bend stands (see configs/endoscope-pair.yaml)",
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the report")
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write the report's numbers to FILE"
     )
 
 

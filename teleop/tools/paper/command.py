@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from teleop.errors import UsageError
+from teleop.options import add_option, add_options
 from teleop.parallel import parallel_map, processors
-from teleop.process import destination, make_folder, write_summary, write_whole
+from teleop.process import make_folder, write_summary, write_whole
 from teleop.tools.paper import report
 from teleop.tools.paper.demonstration import SPECIMEN, Demonstration, demonstrate
 from teleop.tools.paper.methods import METHODS, OURS
@@ -40,22 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sheaths", type=int, default=40, metavar="N", help="random sheaths (default 40)"
     )
     parser.add_argument("--seed", type=int, default=1, help="of sheaths and noise (default 1)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for tables and figures")
-    parser.add_argument(
-        "--json", type=destination, metavar="FILE", help="write all numbers to FILE"
-    )
+    add_options(parser, "--out", "--json")
+    add_option(parser, "--jobs", default=processors())
     parser.add_argument(
         "--figures",
         action=argparse.BooleanOptionalAction,
         default=True,
         help="draw figures into --out (default: yes)",
-    )
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        default=processors(),
-        metavar="N",
-        help="sheaths at a time (default: one for each processor)",
     )
 
 

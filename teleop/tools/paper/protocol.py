@@ -38,7 +38,6 @@ class Record(NamedTuple):
     leg: NDArray[np.int64]  # 0 while going to the first turn, 1 to the second, ...
     tension: Array  # [N] at the housing
     travel: Array  # [m] of the motor
-    loose_tension: Array  # [N] at the housing, of tendon b
     distal_tension: Array  # [N] true
     elongation: Array  # [m] true, of a tendon without tension 0
 
@@ -108,7 +107,6 @@ def _record(samples: list[RigSample], legs: list[int], stretch: float) -> Record
         np.array(legs, dtype=np.int64),
         of_a("proximal_tension"),
         travel,
-        np.array([sample.proximal_tension[1] for sample in samples]),
         of_a("bench_distal_tension"),
         travel - of_a("bench_distal_displacement") + stretch,
     )

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from teleop.errors import UsageError
+from teleop.options import add_option
 from teleop.parallel import parallel_map, processors
 from teleop.process import make_folder, write_summary, write_whole
 from teleop.tools.report.progress import Progress
@@ -51,35 +52,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--loss", type=float, default=0.0, metavar="SHARE", help="of the messages, each way"
     )
-    parser.add_argument(
-        "--force-scale",
-        type=float,
-        default=default.force_scale,
-        metavar="X",
-        help=f"force on the hand per force at the tip (default {default.force_scale:g})",
-    )
-    parser.add_argument(
-        "--position-scale",
-        type=float,
-        default=default.position_scale,
-        metavar="X",
-        help=f"tip travel per hand travel (default {default.position_scale:g})",
-    )
-    parser.add_argument("--quick", action="store_true", help="a rough look, in a minute")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("transparency"),
-        metavar="DIR",
-        help="folder for the page and the numbers (default transparency)",
-    )
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        default=processors(),
-        metavar="N",
-        help="measurements at a time (default: one for each processor)",
-    )
+    for name, value, text in (
+        ("force", default.force_scale, "force on the hand per force at the tip"),
+        ("position", default.position_scale, "tip travel per hand travel"),
+    ):
+        parser.add_argument(
+            f"--{name}-scale", type=float, default=value, metavar="X",
+            help=f"{text} (default {value:g})",
+        )  # fmt: skip
+    add_option(parser, "--quick", "two round trips, in a minute")
+    add_option(parser, "--out", "default transparency", default=Path("transparency"))
+    add_option(parser, "--jobs", default=processors())
 
 
 def main(args: argparse.Namespace) -> int:

@@ -1,5 +1,6 @@
 """transparency.html: the study on one page, which needs no network and no scripts."""
 
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -46,59 +47,81 @@ def render(study: Study, cases: list[Case]) -> str:
 
         page.heading("Settings")
         page.points(_settings(study))
-        page.heading("Rendered against true stiffness")
-        page.text(
-            f"A hand that goes its way presses a spring in {stiffness.STEPS} steps, up to "
-            f"{stiffness.FORCE:g} N at the tip, and rests after each. The slope of force over "
-            "motion, at rest, is what is felt. A ripple of the force above "
-            f"{report.RIPPLE:g} N is told."
-        )
-        figure("stiffness.png")
-        page.table(report.stiffnesses(study, cases), mark="")
-        page.heading("Z-width")
-        page.text(
-            f"A hand reaches through a contact, {1e3 * CONTACT:g} mm of the tip away, into a wall, "
-            f"pushes with {zwidth.PUSH:g} N and rests for {zwidth.REST:g} s. Stable: its swing in "
-            f"the last {zwidth.SPAN:g} s, beside its straight trend, is at most "
-            f"{1e3 * zwidth.SWING:g} mm, or at most {zwidth.FADES:g} times that of the same time "
-            f"before; on balance it never got more than {1e3 * zwidth.ENERGY:g} mJ out of the "
-            "system; and the session is still engaged. The stiffness rises "
-            f"{study.factor:g}-fold from {study.lowest:g} N/m until a wall is not stable; then it "
-            f"is halved in to {100 * (study.within - 1.0):.0f} %. Buzz is the standard deviation "
-            "of the force on the resting hand, in the stiffest stable wall."
-        )
-        figure("z-width.png")
-        page.table(report.widths(study, cases), mark="")
-        page.heading("Hybrid parameters")
-        page.text(
-            "f_h = h11 v_h + h12 f_e, −v_e = h21 v_h + h22 f_e (Hannaford 1989), f_h by the hand "
-            "on the device, f_e against the tip's motion, the device included. First the hand is "
-            f"moved by a multisine under a constant load of {LOAD:g} N, then it is held and the "
-            f"load is a multisine. Per line: {1e3 * study.excitation.speed:g} mm/s of the tip, "
-            f"{study.excitation.force:g} N; {study.excitation.draws} draws of phases, "
-            f"{study.excitation.periods} periods of {study.excitation.period:g} s each. "
-            "Coherence falls where an answer is noise or depends on the phases of other lines; "
-            "distortion is the answer at harmonics that were not asked."
-        )
-        for name in study.couplings:
-            figure(f"hybrid-{name}.png")
-        page.table(report.quality(cases), mark="")
-        page.heading("Absolute stability")
-        if "llewellyn.png" in captions:
-            page.text(
-                "η = (2 Re h11 Re h22 − Re(h12 h21)) / |h12 h21| (Llewellyn 1952; Adams & "
-                "Hannaford 1999). It is told where the coupling's law is linear and the network "
-                "constant; elsewhere it does not apply."
-            )
-            figure("llewellyn.png")
-        else:
-            page.text(
-                "Llewellyn's criterion applies to linear systems with a constant network; none "
-                "of these is one."
-            )
+        _add_stiffness(page, study, cases, figure)
+        _add_widths(page, study, cases, figure)
+        _add_hybrid(page, study, cases, figure)
+        _add_stability(page, figure, drawn="llewellyn.png" in captions)
     page.heading("What is not shown")
     page.points(MISSING)
     return page.render()
+
+
+def _add_stiffness(
+    page: Page, study: Study, cases: list[Case], figure: Callable[[str], None]
+) -> None:
+    """Add what is felt of a spring."""
+    page.heading("Rendered against true stiffness")
+    page.text(
+        f"A hand that goes its way presses a spring in {stiffness.STEPS} steps, up to "
+        f"{stiffness.FORCE:g} N at the tip, and rests after each. The slope of force over "
+        "motion, at rest, is what is felt. A ripple of the force above "
+        f"{report.RIPPLE:g} N is told."
+    )
+    figure("stiffness.png")
+    page.table(report.stiffnesses(study, cases), mark="")
+
+
+def _add_widths(page: Page, study: Study, cases: list[Case], figure: Callable[[str], None]) -> None:
+    """Add how stiff a wall may be."""
+    page.heading("Z-width")
+    page.text(
+        f"A hand reaches through a contact, {1e3 * CONTACT:g} mm of the tip away, into a wall, "
+        f"pushes with {zwidth.PUSH:g} N and rests for {zwidth.REST:g} s. Stable: its swing in "
+        f"the last {zwidth.SPAN:g} s, beside its straight trend, is at most "
+        f"{1e3 * zwidth.SWING:g} mm, or at most {zwidth.FADES:g} times that of the same time "
+        f"before; on balance it never got more than {1e3 * zwidth.ENERGY:g} mJ out of the "
+        "system; and the session is still engaged. The stiffness rises "
+        f"{study.factor:g}-fold from {study.lowest:g} N/m until a wall is not stable; then it "
+        f"is halved in to {100 * (study.within - 1.0):.0f} %. Buzz is the standard deviation "
+        "of the force on the resting hand, in the stiffest stable wall."
+    )
+    figure("z-width.png")
+    page.table(report.widths(study, cases), mark="")
+
+
+def _add_hybrid(page: Page, study: Study, cases: list[Case], figure: Callable[[str], None]) -> None:
+    """Add the two-port over frequency."""
+    page.heading("Hybrid parameters")
+    page.text(
+        "f_h = h11 v_h + h12 f_e, −v_e = h21 v_h + h22 f_e (Hannaford 1989), f_h by the hand "
+        "on the device, f_e against the tip's motion, the device included. First the hand is "
+        f"moved by a multisine under a constant load of {LOAD:g} N, then it is held and the "
+        f"load is a multisine. Per line: {1e3 * study.excitation.speed:g} mm/s of the tip, "
+        f"{study.excitation.force:g} N; {study.excitation.draws} draws of phases, "
+        f"{study.excitation.periods} periods of {study.excitation.period:g} s each. "
+        "Coherence falls where an answer is noise or depends on the phases of other lines; "
+        "distortion is the answer at harmonics that were not asked."
+    )
+    for name in study.couplings:
+        figure(f"hybrid-{name}.png")
+    page.table(report.quality(cases), mark="")
+
+
+def _add_stability(page: Page, figure: Callable[[str], None], *, drawn: bool) -> None:
+    """Add Llewellyn's criterion."""
+    page.heading("Absolute stability")
+    if drawn:
+        page.text(
+            "η = (2 Re h11 Re h22 − Re(h12 h21)) / |h12 h21| (Llewellyn 1952; Adams & "
+            "Hannaford 1999). It is told where the coupling's law is linear and the network "
+            "constant; elsewhere it does not apply."
+        )
+        figure("llewellyn.png")
+    else:
+        page.text(
+            "Llewellyn's criterion applies to linear systems with a constant network; none "
+            "of these is one."
+        )
 
 
 def _columns(study: Study) -> list[str]:

@@ -25,7 +25,6 @@ class Record(NamedTuple):
     load: Array  # [N] true, on the tip, half a tick later
     asked: Array  # [m] of the tip
     followed: Array  # [m]
-    credit: Array  # [J] of master and slave, shape (n, 2)
     engaged: NDArray[np.bool_]
     work: Array  # [J] done on the hand so far
     dragged: Array  # [m^2/s] times a damping at the hand: what that has dissipated [J]
@@ -70,9 +69,7 @@ def run(
         answer = system.tick(seen, push(time + DT / 2))
         rows.append((time, hand.position, hand.velocity, *answer))
         hand.advance(answer.force)
-    time, x, v, f, tip, load, asked, followed, *credit, engaged = np.array(rows, float).T
+    time, x, v, f, tip, load, asked, followed, engaged = np.array(rows, float).T
     work = np.concatenate([[0.0], np.cumsum(f[:-1] * np.diff(x))])
     dragged = np.concatenate([[0.0], np.cumsum(np.square(v[1:]) + np.square(v[:-1])) * DT / 2])
-    return Record(
-        time, x, v, f, tip, load, asked, followed, np.array(credit).T, engaged > 0, work, dragged
-    )
+    return Record(time, x, v, f, tip, load, asked, followed, engaged > 0, work, dragged)

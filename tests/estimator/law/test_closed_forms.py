@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from estimator.law import closed_forms as cf
 from tests.brute.chain import Chain, Force, Position
+from tests.estimator.law import paper_equations as eq
 
 MU, R, L, EA = 0.1, 0.15, 1.5, 9000.0
 K = MU * L / R
@@ -38,9 +39,9 @@ def uniform():
 def test_pull(uniform):
     T_in, T_out, e = uniform[0]
     assert cf.pull_tip_tension(T_in, K) == pytest.approx(T_out, rel=1e-4)
-    assert cf.bend_elongation(T_in, MU, R, EA, L) == pytest.approx(e, rel=1e-4)
-    assert cf.bend_elongation_from_ends(T_in, T_out, MU, R, EA) == pytest.approx(e, rel=1e-4)
-    assert cf.uniform_pull_constant(K, L, EA) * T_in == pytest.approx(e, rel=1e-4)
+    assert eq.bend_elongation(T_in, MU, R, EA, L) == pytest.approx(e, rel=1e-4)
+    assert eq.bend_elongation_from_ends(T_in, T_out, MU, R, EA) == pytest.approx(e, rel=1e-4)
+    assert eq.uniform_pull_constant(K, L, EA) * T_in == pytest.approx(e, rel=1e-4)
 
 
 def test_pull_to_release_then_release(uniform):
@@ -52,10 +53,10 @@ def test_pull_to_release_then_release(uniform):
     form = cf.pull_to_release_elongation(PEAK, T_in[waiting], K, L, EA)
     assert form == pytest.approx(e[waiting], rel=2e-4)
     assert T_out[~waiting] == pytest.approx(cf.release_tip_tension(T_in[~waiting], K), rel=1e-4)
-    M_e = cf.uniform_pull_constant(K, L, EA)
+    M_e = eq.uniform_pull_constant(K, L, EA)
     form = cf.uniform_release_elongation(T_in[~waiting], M_e, K)
     assert form == pytest.approx(e[~waiting], rel=1e-4)
-    back = cf.release_tension_from_elongation(PEAK, e[waiting], K, L, EA)
+    back = eq.release_tension_from_elongation(PEAK, e[waiting], K, L, EA)
     assert back == pytest.approx(T_in[waiting], rel=5e-3)
 
 
@@ -80,20 +81,20 @@ def test_front_is_where_the_tension_peaks_and_dips():
     for T in [PEAK, 9.0]:
         chain.move(Force(T), Position(0.0))
     x = np.argmax(chain.tensions) * L / beads
-    assert cf.pull_to_release_front(PEAK, 9.0, K, L) == pytest.approx(x, abs=1.5 * L / beads)
+    assert eq.pull_to_release_front(PEAK, 9.0, K, L) == pytest.approx(x, abs=1.5 * L / beads)
     for T in [TROUGH, 3.0]:
         chain.move(Force(T), Position(0.0))
     x = np.argmin(chain.tensions) * L / beads
-    assert cf.release_to_pull_front(TROUGH, 3.0, K, L) == pytest.approx(x, abs=1.5 * L / beads)
+    assert eq.release_to_pull_front(TROUGH, 3.0, K, L) == pytest.approx(x, abs=1.5 * L / beads)
 
 
 def test_areas_a_and_b_are_the_areas_beside_the_front():
     T_in = 8.0
-    X = cf.pull_to_release_front(PEAK, T_in, K, L)
+    X = eq.pull_to_release_front(PEAK, T_in, K, L)
     before, _ = quad(lambda x: T_in * math.exp(K * x / L), 0.0, X)
     beyond, _ = quad(lambda x: PEAK * math.exp(-K * x / L), X, L)
-    e_A = cf.pull_to_release_elongation_before_front(T_in, X, K, L, EA)
-    e_B = cf.pull_to_release_elongation_beyond_front(T_in, X, K, L, EA)
+    e_A = eq.pull_to_release_elongation_before_front(T_in, X, K, L, EA)
+    e_B = eq.pull_to_release_elongation_beyond_front(T_in, X, K, L, EA)
     assert (e_A, e_B) == pytest.approx((before / EA, beyond / EA))
     assert e_A + e_B == pytest.approx(cf.pull_to_release_elongation(PEAK, T_in, K, L, EA))
 
@@ -109,24 +110,24 @@ def test_sections_of_different_curvature():
     printed = cf.pull_constant(MU, LENGTHS, RADII, EA) * math.exp(K_bent)
     assert printed != pytest.approx(M_rel, rel=0.1)
     for turn, (T_in, _, e) in ((PEAK, release), (TROUGH, again)):
-        form = [cf.transition_elongation(turn, T, MU, LENGTHS, RADII, EA) for T in T_in[1:]]
+        form = [eq.transition_elongation(turn, T, MU, LENGTHS, RADII, EA) for T in T_in[1:]]
         assert form == pytest.approx(list(e[1:]), rel=2e-3)
 
 
 def test_section_by_section():
     x = np.linspace(0.0, sum(LENGTHS), 3001)
-    T = [cf.section_tension(PEAK, MU, LENGTHS, RADII, v) for v in x]
+    T = [eq.section_tension(PEAK, MU, LENGTHS, RADII, v) for v in x]
     ends = np.searchsorted(x, np.cumsum(LENGTHS) - 1e-9)
     areas = [np.trapezoid(T[: k + 1], x[: k + 1]) / EA for k in ends]
     assert cf.section_elongations(PEAK, MU, LENGTHS, RADII, EA) == pytest.approx(areas, rel=1e-3)
-    inside = cf.section_tension(PEAK, MU, LENGTHS, RADII, 0.1)
-    assert inside == pytest.approx(cf.bend_tension(PEAK, MU, RADII[0], 0.1))
+    inside = eq.section_tension(PEAK, MU, LENGTHS, RADII, 0.1)
+    assert inside == pytest.approx(eq.bend_tension(PEAK, MU, RADII[0], 0.1))
 
 
 def test_backlash_is_the_travel_the_tip_does_not_notice(uniform):
     for turn, swing, form in (
-        (PEAK, uniform[1], cf.pull_to_release_backlash),
-        (TROUGH, uniform[2], cf.release_to_pull_backlash),
+        (PEAK, uniform[1], eq.pull_to_release_backlash),
+        (TROUGH, uniform[2], eq.release_to_pull_backlash),
     ):
         T_in, _, e = swing
         last = np.interp(2 * K, np.abs(np.log(T_in / turn)), e)
@@ -138,12 +139,12 @@ def test_virgin_pull_from_pretension():
     (T_in, T_out, e) = chain_through([T_p, 25.0], tension=T_p)[0]
     early = T_in < T_p * math.exp(K)
     assert T_out[early] == pytest.approx(np.full(early.sum(), T_p))
-    assert cf.virgin_elongation(T_p, T_in[early], K, L, EA) == pytest.approx(e[early], rel=1e-4)
+    assert eq.virgin_elongation(T_p, T_in[early], K, L, EA) == pytest.approx(e[early], rel=1e-4)
 
 
 @pytest.mark.parametrize("true_K", [0.05, 0.5, 1.0, 3.0, 8.0])
 def test_friction_from_the_pull_constant(true_K):
-    M_e = cf.uniform_pull_constant(true_K, L, EA)
+    M_e = eq.uniform_pull_constant(true_K, L, EA)
     root = brentq(lambda k: math.exp(-k) - 1 + M_e * EA / L * k, 0.02, 20.0, xtol=1e-14)
     assert cf.friction_from_pull_constant(M_e, L, EA) == pytest.approx(root, rel=1e-7)
     assert root == pytest.approx(true_K, rel=1e-7)
@@ -155,5 +156,5 @@ def test_friction_from_an_impossible_pull_constant():
 
 
 def test_strain_and_compression():
-    assert cf.strain(9.0, EA) == pytest.approx(1e-3)
-    assert cf.sheath_compression(9.0) == -9.0
+    assert eq.strain(9.0, EA) == pytest.approx(1e-3)
+    assert eq.sheath_compression(9.0) == -9.0

@@ -7,11 +7,12 @@ import pytest
 
 from estimator.law.sheath import Section, Sheath
 from estimator.law.tables import MAX_SECTIONS
-from estimator.law.transmission import Phase, batch, envelope, slack_profile, tables
+from estimator.law.transmission import Phase, batch, slack_profile, tables
 from estimator.online import online
 from estimator.online.online import ModelError, Status, TendonEstimate, TendonModel
 from estimator.records import one
 from tests.brute.chain import Chain, Force, Position
+from tests.estimator.law.bounds import envelope
 from tests.estimator.scenarios import HIDDEN, RATE, SCENARIOS, held, play, random_legs, spring
 
 SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from teleop.tools.transparency.hand import DT, Arm, Device, Encoder, Guided, HandModel, reach
-from teleop.tools.transparency.rig import TENDON, Rig, free, tissue, wall
+from teleop.tools.transparency.rig import TENDON, Rig, free, wall
 
 
 def test_an_arm_swings_as_a_mass_on_a_spring_and_damper_does():
@@ -44,7 +44,11 @@ def test_an_encoder_tells_steps_and_a_filtered_velocity():
     assert np.mean([v for _, v in told[500:]]) == pytest.approx(0.02, rel=0.02)
 
 
-@pytest.mark.parametrize("meets", [free, wall(1e4), wall(100.0), tissue()])
+def tissue(q):
+    return 9400.0 * max(q - 0.0015, 0.0) ** 1.5
+
+
+@pytest.mark.parametrize("meets", [free, wall(1e4), wall(100.0), tissue])
 def test_at_the_tip_tension_and_load_are_in_balance(meets):
     rig = Rig(meets, noise=0.0)
     rig.wanted = (0.004,)

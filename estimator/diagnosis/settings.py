@@ -1,0 +1,86 @@
+"""All thresholds of the diagnosis in one place.
+
+Where no source is named, a value is a choice; benchmarks/hidden measures how often the verdict on
+simulated benches is right with it. How hard the fits search (rounds, starts, steps) stands where
+it is used.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Thresholds, by the decision that they are for."""
+
+    # which samples of a record count (record.py)
+    samples_min: int = 100  # of a record that is accepted
+    samples_max: int = 20_000  # that are simulated; a longer record is averaged
+    block: float = 5.0  # [s] that are fitted, and as long that are held out
+    blocks_min: int = 12  # of a record; in a short one they are shorter
+    short_block: float = 0.02  # of a block's length, where the error fills but a block or two
+    spike: float = 8.0  # times the local scatter by which a sample is off both its neighbours
+    noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
+    reversal: float = 1e-3  # of the drive's range that the motor goes back by, at least
+    jitter: float = 4.0  # standard deviations of the drive's noise: less is no reversal
+    jitter_quantile: float = 0.9  # of the noise that smoothing leaves on its samples
+    reversal_noise: float = 3.0  # standard deviations of a travel's noise that a reversal has
+    equal_error: float = 6.0  # noise variances by which two places of a reversal fit alike
+    corner: float = 0.4  # least over largest curvature about a reversal; below it is a corner
+    loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
+
+    # when a record starts slack, and where it is taut then (model.py, dataset.py)
+    assumed_compliance: float = 1e-4  # [m/N] L/EA without a travel: tensions do not tell it
+    slack_noise: float = 3.0  # standard deviations of a tension at the start that is none
+    taut_sigma: float = 2.0  # standard deviations of the tension: how surely the start tells it
+    taut_sigma_min: float = 1e-6  # [m]
+
+    # what a residual is measured in (dataset.py)
+    scale_min: float = 3e-3  # of a channel's range, while nothing is fitted yet
+    accuracy: float = 1e-3  # of a channel's range by which a simulation is off itself
+    residual_share: float = 0.3  # of the rms residual of a model, added to the noise
+    noise_ratio: float = 1.25  # rms residual over tolerance up to which nothing is wrong
+
+    # how probable held-out data are (score.py)
+    bin: float = 1.0  # [s] of errors that are resampled together; longer than they correlate
+    variance_min: float = 0.5  # noise variances: a mean square below it is not better
+    independent_min: float = 0.02  # of the samples that count, however correlated they are
+    excess_min: float = 0.1  # noise variances over 1 below which a channel has nothing to explain
+    excess_ratio_max: float = 4.0  # by which one channel may become worse, for the mean over all
+
+    # which candidates are followed (search.py, engine.py)
+    kept: tuple[int, ...] = (14, 6)  # effects that go on after each round of fits
+    hopeless: tuple[float, ...] = (40.0, 4.0)  # times the lowest cost, after each of them
+    at_bound: float = 0.03  # of a bound: a number so near to it hardly leaves it again
+    ahead: float = 1.5  # times as low a cost as any other's: followed though not enough alone
+
+    # when an effect is named (engine.py); docs/diagnosis.md, Verdicts
+    margin: float = 15.0  # log-likelihood ratio less the BIC penalty (Schwarz 1978)
+    gain_min: float = 0.04  # by which it lowers the error
+    confidence: float = 0.98  # share of bootstrap resamples in which it is better
+    causes_max: int = 3  # one on top of the other
+    explained: float = 0.25  # of the error beyond noise that may be left by named effects
+    free_friction: float = 0.3  # of what a step or drift leaves, left by friction free over time:
+    # less, and the friction wanders
+
+    # when two effects are not told apart (engine.py)
+    alike: float = 6.0  # log-likelihood ratio, penalties included
+    alike_left: float = 0.015  # of the error beyond noise
+    unsure_left: float = 0.1  # of it, where the bootstrap does not prefer one
+    rivals_max: int = 2  # that are reported beside the cause
+
+    # when to look no further (engine.py)
+    left_min: float = 0.01  # of the first error beyond noise
+    further: float = 2.5  # rms residual over tolerance
+    brief: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
+
+    # what a part of the samples tells (fit.py)
+    blind: float = 4.0  # times the uncertainty from all samples: too much to refit a number
+
+    # intervals, and what residuals depend on (intervals.py, residual_dependence.py)
+    cover: float = 1.96  # standard deviations on each side: 95 % of a normal distribution
+    onset_max: float = 60.0  # [s] that an onset is tried to be off by
+    dependence_min: float = 0.05  # of a residual's variance that is reported
+    dependence_bins: int = 12
+
+
+SETTINGS = Settings()

@@ -1,0 +1,153 @@
+"""What both sides of a session do around their tick: start, count, report, and end."""
+
+import argparse
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from enum import IntFlag
+from typing import Any, ClassVar, TypeVar
+
+from estimator.records import Records
+from teleop.clock import Tick, TickStats, quiet_garbage
+from teleop.coupling import LedgerPublisher
+from teleop.errors import PeerError, TeleopError
+from teleop.link import Counts, Link
+from teleop.meter import LoopMeter
+from teleop.process import Stop, supervised, write_summary
+from teleop.realtime import enter_loop, go_realtime
+from teleop.remote.requests import RequestListener
+from teleop.run_config import RunConfig
+from teleop.session import OutlineReader
+from teleop.summary import loop_lines, trouble
+from teleop.topics import LEDGER, REPORT, Role
+
+
+class LoopProcess(ABC):
+    """One side of a session: its link, its counts, and why it ended.
+
+    Parameters
+    ----------
+    link : Link
+        Of the session.
+    stats : TickStats
+        Of the clock that it ticks by.
+    memory : Records
+        State of the loop, shape (1,): `session`, and `coupling` with the energy ledger.
+    joints : int
+        Ports of the ledger in use.
+    requests : RequestListener, optional
+        A listener that is there already.
+
+    Attributes
+    ----------
+    error : TeleopError or None
+        What ended the session, if it was not asked to end.
+    ended : str
+        Why it is over, from this side; empty while it is not.
+    """
+
+    role: ClassVar[Role]
+    verdict: ClassVar[type[IntFlag]]  # of the gate
+
+    def __init__(
+        self,
+        link: Link,
+        stats: TickStats,
+        memory: Records,
+        joints: int,
+        requests: RequestListener | None = None,
+    ) -> None:
+        self.error: TeleopError | None = None
+        self.ended = ""
+        self._link = link
+        self._outline = OutlineReader(memory["session"])
+        self._ledger = LedgerPublisher(self.role, memory["coupling"], joints)
+        self._requests = requests or RequestListener(link)
+        self._meter = LoopMeter(self.role, stats)
+        self._verdicts = Counter[int]()
+
+    @abstractmethod
+    def tick(self, tick: Tick) -> None:
+        """Do one cycle of the loop."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the actuators safe and tell the peers; called however the loop ends."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the run in numbers."""
+        verdicts = {str(self.verdict(bits).name): n for bits, n in self._verdicts.items()}
+        return self._meter.summary(self._outline(), self._link.counts(), verdicts)
+
+    def _end(self, error: TeleopError) -> None:
+        """End the session; the first error is kept."""
+        self.error = self.error or error
+        self.ended = str(self.error)
+
+    def _publish_ledger(self, stamp_ns: int) -> None:
+        if self._ledger.is_due(stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
+            self._link.publish_packet(LEDGER, self._ledger.filled())
+
+    def _report(self, stamp_ns: int, counts: Counts) -> bool:
+        """Publish the report if it is due, and check that no peer is there twice."""
+        report = self._meter.report(stamp_ns, self._outline(), counts)
+        if report is None:
+            return False
+        self._link.publish(REPORT, report)
+        try:
+            self._link.check_peers()
+        except PeerError as error:
+            self._end(error)
+        return True
+
+
+Process = TypeVar("Process", bound=LoopProcess)
+Started = tuple[Process, Iterable[Tick], Stop]
+
+
+def run(process: LoopProcess, clock: Iterable[Tick], stop_for: Callable[[str], None]) -> None:
+    """Tick until told to stop; the actuators are left safe however this ends."""
+    try:
+        with quiet_garbage():
+            for tick in clock:
+                process.tick(tick)
+                if process.ended:
+                    stop_for(process.ended)
+    finally:
+        process.close()
+
+
+def run_session(
+    role: Role, shared: RunConfig, start: Callable[[Link, ExitStack], Started[Process]]
+) -> tuple[Process, dict[str, Any]]:
+    """Join the session, `start` the process with its hardware, and run it to its end.
+
+    Returns the process and its summary.
+    """
+    granted = go_realtime(shared.realtime)  # before the link: its threads inherit the priority
+    with ExitStack() as stack:
+        # a process that is refused as the second of its role must not have touched the hardware
+        link = stack.enter_context(Link(shared.link, shared.session, role))
+        process, clock, stop = start(link, stack)
+        enter_loop(granted, shared.realtime)
+        run(process, clock, stop.request)
+        summary = process.summary()
+    return process, summary | {"stopped": stop.reason, "realtime": granted}
+
+
+def conclude(
+    args: argparse.Namespace,
+    process: LoopProcess,
+    summary: dict[str, Any],
+    further: Sequence[str] = (),
+) -> int:
+    """Write and print the summary; return the exit code, or raise what ended the session."""
+    write_summary(args.json, summary)
+    if not supervised():
+        print("\n".join([*loop_lines(summary), *further]))
+    if process.error:
+        raise process.error
+    if not supervised() and (ended := trouble({process.role.name.lower(): summary})):
+        raise TeleopError(ended)
+    return 0

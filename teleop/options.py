@@ -1,0 +1,83 @@
+"""Command-line options that several commands share, each declared once."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from teleop.process import destination, seconds
+
+ViewMode = Literal["native", "web", "rrd", "none"]
+
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "--calibration": {"type": Path, "metavar": "FILE", "help": "calibration of the sheaths"},
+    "--column": {
+        "action": "append",
+        "default": [],
+        "metavar": "NAME=COLUMN",
+        "help": "what the data call proximal_tension, proximal_displacement, distal_tension, "
+        "distal_displacement or time, e.g. --column proximal_tension=T_in",
+    },
+    "--config": {
+        "type": Path,
+        "metavar": "FILE",
+        "help": "config file (YAML); defaults without one",
+    },
+    "--drop-nonfinite": {
+        "action": "store_true",
+        "help": "leave out rows with values that are not finite",
+    },
+    "--duration": {"type": seconds, "metavar": "S", "help": "end after S seconds"},
+    "--jobs": {
+        "type": int,
+        "metavar": "N",
+        "help": "processes that work in parallel (default: one for each processor)",
+    },
+    "--json": {"type": destination, "metavar": "FILE", "help": "write the results to FILE as JSON"},
+    "--model": {
+        "action": "append",
+        "default": [],
+        "metavar": "[1a=]FILE",
+        "help": "model.yaml of `teleop diagnose --out`, in place of what is known of the sheaths; "
+        "1a=FILE for one tendon of several",
+    },
+    "--out": {"type": Path, "metavar": "DIR", "help": "folder for the report"},
+    "--quick": {"action": "store_true", "help": "less accurate, in less time"},
+    "--set": {
+        "dest": "overrides",
+        "action": "append",
+        "default": [],
+        "metavar": "KEY=VALUE",
+        "help": "override one value of the config, e.g. --set link.master=tcp/127.0.0.1:9000",
+    },
+    "--validate": {
+        "nargs": "+",
+        "action": "extend",
+        "default": [],
+        "type": Path,
+        "metavar": "DATA",
+        "help": "further data, to be predicted and not fitted",
+    },
+    "--view": {
+        "choices": get_args(ViewMode),
+        "help": "a window, a page for a browser on this machine, a Rerun file, or nothing at all "
+        "(default: native with a screen, web without)",
+    },
+}
+
+
+def add_options(parser: argparse.ArgumentParser, *names: str) -> None:
+    """Add shared options to a command; `--set` is read as `args.overrides`."""
+    for name in names:
+        add_option(parser, name)
+
+
+def add_option(
+    parser: argparse.ArgumentParser | argparse._ArgumentGroup,
+    name: str,
+    detail: str = "",
+    **changes: Any,
+) -> None:
+    """Add one shared option; `detail` is added to its help, `changes` to its declaration."""
+    option = _OPTIONS[name]
+    text = f"{option['help']}: {detail}" if detail else option["help"]
+    parser.add_argument(name, **option | {"help": text} | changes)

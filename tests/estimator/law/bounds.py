@@ -1,0 +1,41 @@
+"""What docs/theory.md says of a profile and nothing but tests evaluates: slopes and bounds."""
+
+import math
+
+from estimator.law.profile import Profile, log_tension, point, point_count, tension_of
+from estimator.law.tables import ASYMMETRY, EA, K, Tables, integral
+from estimator.law.transmission import front_depth
+
+
+def sensitivity(tables: Tables, profile: Profile) -> tuple[float, float]:
+    """Return (dT_out/dT_in, de/dT_in [m/N]) for a T_in that goes on as it went (T6), (T7)."""
+    _, _, slope = point(profile, 0)
+    if slope == 0.0:
+        return 0.0, 0.0
+    s, _, _ = point(profile, 1)
+    gain = math.exp(slope * tables[K]) if point_count(profile) == 2 else 0.0
+    return gain, integral(tables, s, slope) / tables[EA]
+
+
+def envelope(tables: Tables, T_in: float) -> tuple[float, float]:
+    """Return the least and largest T_out [N] that `T_in` [N] alone allows, any history (T2)."""
+    return cone(tables, log_tension(tables, T_in), tables[K])
+
+
+def certified_interval(tables: Tables, profile: Profile) -> tuple[float, float]:
+    """Return the least and largest T_out [N] that moving the motor has not excluded.
+
+    While T_in moves and q_p agrees with the model (T19), the front is where the profile has it, at
+    depth a, and the tension T(a) there is certain. The tip may have been driven meanwhile, but its
+    own front cannot have come nearer than a, so T_out lies in the cone of (T2) that starts there:
+    [T(a) e^-(K-a), T(a) e^(rho (K-a))], every value of which the tip can take unseen. It is one
+    point once the motor's front has reached the tip. Where the motor has held still while the tip
+    could move, nothing of the profile is certain but T_in: use `envelope`.
+    """
+    s, y = front_depth(profile)
+    return cone(tables, y, tables[K] - s)
+
+
+def cone(tables: Tables, y: float, ds: float) -> tuple[float, float]:
+    """Return the tensions [N] that friction allows `ds` further down from log tension `y`."""
+    return tension_of(tables, y - ds), tension_of(tables, y + tables[ASYMMETRY] * ds)
