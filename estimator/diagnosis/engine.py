@@ -174,7 +174,9 @@ def _distinct(dataset: Dataset, plain: Fit, steps: list[Step], fit: Fit) -> tupl
         def is_distinct(step: Step, found: dict[str, Named] = found) -> bool:
             sizes = [p for p in step.effect.parameters if p.neutral is not None and not p.jumps]
             named = [found[f"{step.effect.name}.{p.name}"] for p in sizes]
-            return not named or any(one.excludes_neutral for one in named)
+            if len(named) > 1:  # which trade against each other, as a sine and a cosine
+                return any(one.is_significant for one in named)
+            return not named or named[0].excludes_neutral
 
         needless = [step for step in steps if not is_distinct(step)]
         if not needless:

@@ -31,6 +31,8 @@ def smooth(signal: Array, sigma: float) -> Smoothed:
     from scipy.signal import savgol_coeffs
 
     n = len(signal)
+    if not sigma > 0.0:
+        return Smoothed(signal, np.zeros(n))
     estimates, sigmas = [signal], [sigma]
     low, high = signal - _CONFIDENCE * sigma, signal + _CONFIDENCE * sigma
     agreed = np.ones(n, dtype=np.bool_)
