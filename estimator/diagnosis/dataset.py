@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.model import Base, Simulated, base_of, scene_of, simulate
-from estimator.diagnosis.record import Record, in_full
+from estimator.diagnosis.record import Record, at_rows, first_look, in_full
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_TENSION, Effect, EffectContext, Values
 
@@ -18,7 +18,7 @@ class Dataset(NamedTuple):
 
     records: tuple[Record, ...]
     base: Base
-    scale: tuple[dict[str, float], ...]  # what residuals count in, by record and channel
+    scale: tuple[dict[str, Array], ...]  # what residuals count in, by record and channel
 
 
 class Model(NamedTuple):
@@ -56,8 +56,8 @@ def dataset_of(records: Sequence[Record]) -> Dataset:
     """
     scale = tuple(
         {
-            channel: max(noise, SETTINGS.scale_min * float(np.ptp(record.signals[channel])))
-            for channel, noise in record.noise.items()
+            channel: np.maximum(sigma, SETTINGS.scale_min * float(np.ptp(record.signals[channel])))
+            for channel, sigma in record.sigma.items()
         }
         for record in records
     )
@@ -69,22 +69,45 @@ def whole(dataset: Dataset) -> Dataset:
     return dataset._replace(records=tuple(map(in_full, dataset.records)))
 
 
+def thin(dataset: Dataset, most: int) -> Dataset:
+    """Return a dataset of about `most` samples a record, for a first look."""
+    kept = [first_look(record, most) for record in dataset.records]
+    return dataset._replace(
+        records=tuple(at_rows(*one) for one in zip(dataset.records, kept, strict=True)),
+        scale=tuple(
+            {channel: each[rows] for channel, each in scale.items()}
+            for scale, rows in zip(dataset.scale, kept, strict=True)
+        ),
+    )
+
+
 def mean_noise(dataset: Dataset) -> dict[str, float]:
-    """Return the noise of each channel, in its unit."""
+    """Return the rms of what a simulation cannot know in each channel, in its unit."""
     return {
-        channel: float(np.sqrt(np.mean([record.noise[channel] ** 2 for record in dataset.records])))
-        for channel in dataset.records[0].compared
+        channel: math.sqrt(float(np.mean(variance)))
+        for channel, variance in _variances(dataset).items()
     }
 
 
 def tolerance(dataset: Dataset) -> dict[str, float]:
-    """Return the error of each channel by noise and by the `Settings.accuracy` of a simulation."""
+    """Return the rms error of each channel, over `Record.sigma`, that is nothing wrong.
+
+    By noise, and by the `Settings.accuracy` of a simulation.
+    """
+    tolerances = {}
+    for channel, variance in _variances(dataset).items():
+        most = max(float(np.ptp(one.signals[channel])) for one in dataset.records)
+        off = SETTINGS.accuracy * most
+        tolerances[channel] = math.sqrt(1.0 + float(np.mean(off**2 / variance)))
+    return tolerances
+
+
+def _variances(dataset: Dataset) -> dict[str, Array]:
     return {
-        channel: math.hypot(
-            noise,
-            SETTINGS.accuracy * max(float(np.ptp(one.signals[channel])) for one in dataset.records),
+        channel: np.concatenate(
+            [one.sigma[channel][one.good[channel]] ** 2 for one in dataset.records]
         )
-        for channel, noise in mean_noise(dataset).items()
+        for channel in dataset.records[0].compared
     }
 
 
@@ -95,9 +118,8 @@ def rescaled(dataset: Dataset, fit: Fit) -> Dataset:
         each = {}
         for channel in record.compared:
             off = (one.signals[channel] - record.signals[channel])[record.good[channel]]
-            each[channel] = math.hypot(
-                record.noise[channel], SETTINGS.residual_share * float(off.std())
-            )
+            left = SETTINGS.residual_share * float(off.std())
+            each[channel] = np.hypot(record.sigma[channel], left)
         scale.append(each)
     return dataset._replace(scale=tuple(scale))
 
@@ -135,7 +157,7 @@ def residual(dataset: Dataset, fit: Fit) -> Array:
         for channel in record.compared:
             counts = record.train & record.good[channel]
             off = one.signals[channel] - record.signals[channel]
-            parts.append(off[counts] / scale[channel])
+            parts.append((off / scale[channel])[counts])
         expected = expected_taut(record, fit.model)
         if expected is not None:
             parts.append(np.array([(own[0] - expected.travel) / expected.uncertainty]))

@@ -10,7 +10,6 @@ from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
     contexts,
-    mean_noise,
     residual,
     simulated,
     tolerance,
@@ -54,21 +53,19 @@ def detection_limits(
 
 def _of_least(dataset: Dataset, change: Array) -> float:
     """Return how many times the least that would be seen a change of the residual is."""
-    noise, floor = mean_noise(dataset), tolerance(dataset)
-    squares, counts, at = dict.fromkeys(noise, 0.0), dict.fromkeys(noise, 0), 0
+    floor = tolerance(dataset)
+    squares, counts, at = dict.fromkeys(floor, 0.0), dict.fromkeys(floor, 0), 0
     for record, scale in zip(dataset.records, dataset.scale, strict=True):
         for channel in record.compared:
-            count = int((record.train & record.good[channel]).sum())
-            squares[channel] += float(np.sum((scale[channel] * change[at : at + count]) ** 2))
+            rows = record.train & record.good[channel]
+            count = int(rows.sum())
+            noises = (scale[channel] / record.sigma[channel])[rows]
+            squares[channel] += float(np.sum((noises * change[at : at + count]) ** 2))
             counts[channel] += count
             at += count
         at += record.starts_slack and len(dataset.base.own) > 0
     shares = [
-        math.sqrt(
-            squares[c]
-            / max(counts[c], 1)
-            / ((SETTINGS.noise_ratio * floor[c]) ** 2 - noise[c] ** 2)
-        )
-        for c in noise
+        math.sqrt(squares[c] / max(counts[c], 1) / ((SETTINGS.noise_ratio * floor[c]) ** 2 - 1.0))
+        for c in floor
     ]
     return max(shares) if np.isfinite(shares).all() else 0.0

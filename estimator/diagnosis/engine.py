@@ -23,7 +23,7 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.fit import improved, own_only, refitted
 from estimator.diagnosis.free_friction import wanders
-from estimator.diagnosis.intervals import parameters
+from estimator.diagnosis.intervals import Named, parameters
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
@@ -35,7 +35,7 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
-from estimator.diagnosis.record import Record, RecordError, felt, in_short_blocks
+from estimator.diagnosis.record import Record, RecordError, in_short_blocks, with_driver_noise
 from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (
     Errors,
@@ -92,7 +92,7 @@ def diagnose(
     dataset = dataset_of(records)
     report("fitting the plain law", 0.0)
     plain = baseline(dataset)
-    noisy = [felt(record, _again(record, dataset, plain)) for record in records]
+    noisy = [with_driver_noise(record, _again(record, dataset, plain)) for record in records]
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
         dataset = dataset_of(noisy)
         plain = baseline(dataset)
@@ -123,6 +123,7 @@ def diagnose(
         steps.append(step)
         fit = step.fit
     steps, fit = _needed(dataset, steps, fit)
+    steps, fit = _distinct(dataset, plain, steps, fit)
     return _outcome(dataset, plain, fit, steps, first, usable, validate)
 
 
@@ -163,6 +164,28 @@ def _needed(dataset: Dataset, steps: list[Step], fit: Fit) -> tuple[list[Step], 
     return steps, fit
 
 
+def _distinct(dataset: Dataset, plain: Fit, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
+    """Return the causes without those whose size may be none, and the fit of them."""
+    while steps:
+        full = rescaled(whole(dataset), fit)
+        last = improved(full, contexts(dataset, plain), fit.model, LAST)
+        found = {one.name: one for one in parameters(full, contexts(dataset, plain), last)}
+
+        def is_distinct(step: Step, found: dict[str, Named] = found) -> bool:
+            sizes = [p for p in step.effect.parameters if p.neutral is not None and not p.jumps]
+            named = [found[f"{step.effect.name}.{p.name}"] for p in sizes]
+            if len(named) > 1:  # which trade against each other, as a sine and a cosine
+                return any(one.is_significant for one in named)
+            return not named or named[0].excludes_neutral
+
+        needless = [step for step in steps if not is_distinct(step)]
+        if not needless:
+            break
+        steps = [step for step in steps if step is not needless[-1]]
+        fit = _without(dataset, fit, needless[-1].effect)
+    return steps, fit
+
+
 def _without(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
     """Return a model without one of its effects, fitted from where it was with it."""
     rest = tuple(one for one in fit.model.effects if one[0].name != effect.name)
@@ -200,7 +223,9 @@ def _brief(dataset: Dataset, plain: Fit) -> bool:
         excess = np.zeros(record.block[-1] + 1)
         for channel in record.compared:
             good = record.good[channel]
-            off = (one.signals[channel] - record.signals[channel])[good] / record.noise[channel]
+            off = (one.signals[channel] - record.signals[channel])[good] / record.sigma[channel][
+                good
+            ]
             excess += np.bincount(record.block[good], off**2 - 1.0, len(excess))
         excess = np.maximum(excess, 0.0)
         most = max(most, float(np.convolve(excess, np.ones(2)).max()))
@@ -222,8 +247,8 @@ def _is_noise(dataset: Dataset, found: dict[str, Errors]) -> bool:
 
 
 def _within(dataset: Dataset, found: dict[str, Errors], times: float) -> bool:
-    noise, floor = mean_noise(dataset), tolerance(dataset)
-    return all(math.sqrt(one.mean) * noise[c] < times * floor[c] for c, one in found.items())
+    floor = tolerance(dataset)
+    return all(math.sqrt(one.mean) < times * floor[c] for c, one in found.items())
 
 
 def _score(dataset: Dataset, base: dict[str, Errors], one: Candidate) -> float:
@@ -280,13 +305,12 @@ def _simplest(
 
 def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
     base, at_first = errors(dataset, fit), errors(dataset, plain)
-    noise = mean_noise(dataset)
     ranked = [
         Ranked(
             one.effect.name,
             one.effect.label,
             _score(dataset, base, one),
-            {c: math.sqrt(e.mean) * noise[c] for c, e in one.held_out.items()},
+            {c: e.rmse for c, e in one.held_out.items()},
             left_of(one.held_out, at_first),
             {
                 p.name: value
@@ -324,7 +348,7 @@ def _outcome(
     else:
         verdict = Verdict.NAMED
     numbers = {
-        one.name: Number(one.value, one.low, one.high, one.parameter.unit)
+        one.name: Number(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
         for one in parameters(full, contexts(dataset, plain), last)
     }
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]

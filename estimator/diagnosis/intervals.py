@@ -32,6 +32,33 @@ class Named(NamedTuple):
     value: float
     low: float
     high: float
+    sampling: float  # half the interval that the scatter of the residuals alone makes
+
+    @property
+    def excludes_neutral(self) -> bool:
+        """Whether the interval leaves out the value at which an effect does nothing.
+
+        Where a bound of the parameter keeps that value away, the interval must keep off the bound.
+        """
+        p, neutral = self.parameter, self.parameter.neutral
+        if neutral is None:
+            return True
+        above = self.low > max(neutral, p.low)
+        below = self.high < min(neutral, p.high)
+        return above or below
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the scatter of the residuals alone leaves out the neutral value."""
+        neutral = self.parameter.neutral
+        return neutral is None or abs(self.value - neutral) > self.sampling
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the value is at a bound of what the parameter may be."""
+        p = self.parameter
+        near = 1e-3 * (p.high - p.low)
+        return self.value <= p.low + min(near, p.step) or self.value >= p.high - min(near, p.step)
 
 
 def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tuple[Named, ...]:
@@ -48,31 +75,50 @@ def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tu
     correlation = min(max(correlation, 0.0), 0.995)
     spread = float(r @ r) / max(len(r) - J.shape[1], 1) * (1.0 + correlation) / (1.0 - correlation)
     sigma = np.sqrt((inverse**2).sum(axis=1) * spread)
-    most_off = np.abs(inverse) @ _inaccuracy(dataset, fit.model)
+    most_off = _off_by_inaccuracy(dataset, fit.model, np.asarray(inverse))
     found = []
     for i, value in enumerate(layout.values(fit.model)[: layout.common]):
         p = layout.parameters[i]
-        reach = math.hypot(SETTINGS.cover * float(sigma[i]), float(most_off[i])) * layout.step(i)
+        sampling = SETTINGS.cover * float(sigma[i]) * layout.step(i)
+        reach = math.hypot(sampling, float(most_off[i]) * layout.step(i))
         low, high = value - reach, value + reach
         if p.jumps:
             most = cost(dataset, fit) + SETTINGS.cover**2 * spread
             low = min(low, value + _reach(dataset, about, layout, fit, i, -1.0, most))
             high = max(high, value + _reach(dataset, about, layout, fit, i, 1.0, most))
-        found.append(Named(layout.names[i], p, value, max(low, p.low), min(high, p.high)))
+        low, high = max(low, p.low), min(high, p.high)
+        found.append(Named(layout.names[i], p, value, low, high, sampling))
     return tuple(found)
 
 
-def _inaccuracy(dataset: Dataset, model: Model) -> Array:
-    """Return by how much each residual may be off because a simulation is."""
-    parts = []
+def _off_by_inaccuracy(dataset: Dataset, model: Model, inverse: Array) -> Array:
+    """Return how far each number may be off because a simulation is, shape (numbers,).
+
+    A simulation may be off by `Settings.accuracy`, at worst within a bin of time, and for an effect
+    independently of it in the next; the law's own numbers are fitted to all samples, and may be off
+    the same way in all of them.
+    """
+    parts, bins, first = [], [], 0
     for record, scale in zip(dataset.records, dataset.scale, strict=True):
+        bin_of = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + first
+        first = int(bin_of[-1]) + 1
         for channel in record.compared:
-            count = int((record.train & record.good[channel]).sum())
-            off = SETTINGS.accuracy * float(np.ptp(record.signals[channel])) / scale[channel]
-            parts.append(np.full(count, off))
+            counts = record.train & record.good[channel]
+            off = SETTINGS.accuracy * float(np.ptp(record.signals[channel]))
+            parts.append(off / scale[channel][counts])
+            bins.append(bin_of[counts])
         if expected_taut(record, model) is not None:
             parts.append(np.zeros(1))
-    return np.concatenate(parts)
+            bins.append(bin_of[:1])
+    worst = np.abs(inverse) * np.concatenate(parts)
+    of_bins = np.concatenate(bins)
+    of_law = len(dataset.base.shared)
+    return np.array(
+        [
+            float(np.linalg.norm(np.bincount(of_bins, row), 1 if i < of_law else 2))
+            for i, row in enumerate(worst)
+        ]
+    )
 
 
 def _reach(

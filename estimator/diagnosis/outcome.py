@@ -24,6 +24,7 @@ class Number(NamedTuple):
     low: float
     high: float
     unit: str
+    at_bound: bool = False  # the value is as far as the parameter may go: it may be further
 
 
 class Fitness(NamedTuple):

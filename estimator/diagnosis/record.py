@@ -1,21 +1,29 @@
 """A record of measured data, made ready to be compared with a simulation.
 
 The simulation is driven by the motor's travel where there is one, else by the tension at the
-housing. What drives a hysteresis must not jitter, or the jitter is remembered: between its turning
-points the driving signal is made monotone, which keeps its peaks (docs/theory.md, section 9). All
-other channels are compared as they are, without filters.
+housing, without its noise (`estimator.diagnosis.drive`). All other channels are compared as they
+are, without filters.
 """
 
-import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.diagnosis.drive import (
+    Drive,
+    encoder_noise,
+    rate,
+    tension_drive,
+    travel_drive,
+    turning_points,
+    turns_between_samples,
+)
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     CHANNELS,
@@ -27,8 +35,8 @@ from estimator.signals import noise_sigma
 
 Mask = NDArray[np.bool_]
 
-SPEED_OVER = 0.02  # [s] over which speed is taken
-ORDERS = (2, 3, 4, 5, 6)  # of the differences that an encoder's noise is taken from
+DRAWS = 8  # of the driver's noise
+NEARBY = 5  # samples over which the variance that it makes is averaged
 
 
 class Simulation(Protocol):
@@ -69,7 +77,10 @@ class Record:
     speed
         Its rate, shape (n,).
     noise
-        Standard deviation of what a simulation cannot know, by channel.
+        Standard deviation of the white noise of each channel, the driver's too.
+    sigma
+        Standard deviation of what a simulation cannot know, by channel, shape (n,) each: the
+        channel's own noise, and what the driver's noise makes of it; see `with_driver_noise`.
     good
         Which samples count, by channel, shape (n,) each.
     measured
@@ -90,6 +101,7 @@ class Record:
     drive: Array
     speed: Array
     noise: dict[str, float]
+    sigma: dict[str, Array]
     good: dict[str, Mask]
     measured: Mask
     train: Mask
@@ -109,7 +121,13 @@ class Record:
         return bool(np.median(T[:5]) <= 5.0 * self.noise[PROXIMAL_TENSION])
 
 
-def prepare(time: Array, signals: Signals, *, most: int = SETTINGS.samples_max) -> Record:
+def prepare(
+    time: Array,
+    signals: Signals,
+    *,
+    most: int = SETTINGS.samples_max,
+    noise: Mapping[str, float] = MappingProxyType({}),
+) -> Record:
     """Return a record made ready.
 
     Parameters
@@ -121,6 +139,9 @@ def prepare(time: Array, signals: Signals, *, most: int = SETTINGS.samples_max) 
         [m], shape (n,).
     most : int
         Samples that are kept of a longer record.
+    noise : mapping
+        Standard deviation of the white noise of channels [N] and [m], where it is known better than
+        the data tell it.
 
     Raises
     ------
@@ -135,18 +156,14 @@ def prepare(time: Array, signals: Signals, *, most: int = SETTINGS.samples_max) 
         troubles += spikes
     time, signals, good, thinned = _thinned(time, signals, good, most)
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
-    noise = {
-        name: max(noise_sigma(signal[good[name]]), SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
-        for name, signal in signals.items()
+    sigma = _noise_of(driver, signals, good) | {
+        name: value / math.sqrt(thinned) for name, value in noise.items()
     }
     whole = np.interp(time, time[good[driver]], signals[driver][good[driver]])
     measured = np.ones(len(time), dtype=np.bool_)
-    if driver == PROXIMAL_TENSION:
-        drive = np.maximum(monotone(whole, SETTINGS.jitter * noise_sigma(whole)), 0.0)
-    else:
-        jitter = SETTINGS.jitter * _encoder_noise(whole)
-        drive = monotone(whole, jitter)
-        turns = _between_samples(time, drive, jitter)
+    drive, jitter = _drive(driver, whole, sigma[driver])
+    if driver != PROXIMAL_TENSION:
+        turns = turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
         good = {name: np.insert(mask, turns.rows, False) for name, mask in good.items()}
         measured = np.insert(measured, turns.rows, False)
@@ -161,7 +178,8 @@ def prepare(time: Array, signals: Signals, *, most: int = SETTINGS.samples_max) 
         driver=driver,
         drive=drive,
         speed=rate(time, drive),
-        noise=noise,
+        noise=sigma,
+        sigma={name: np.full(len(time), sigma[name]) for name in signals if name != driver},
         good=good,
         measured=measured,
         train=block % 2 == 0,
@@ -169,6 +187,18 @@ def prepare(time: Array, signals: Signals, *, most: int = SETTINGS.samples_max) 
         troubles=tuple(troubles),
         thinned=thinned,
     )
+
+
+def _noise_of(driver: str, signals: Signals, good: dict[str, Mask]) -> dict[str, float]:
+    """Return the standard deviation of each channel's white noise, as the data tell it."""
+    sigma = {}
+    for name, signal in signals.items():
+        known = signal[good[name]]
+        if name == driver:
+            sigma[name] = (noise_sigma if driver == PROXIMAL_TENSION else encoder_noise)(known)
+        else:  # nothing is simulated more precisely
+            sigma[name] = max(noise_sigma(known), SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
+    return sigma
 
 
 def _check(time: Array, signals: Signals) -> None:
@@ -210,142 +240,64 @@ def _blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
     return np.asarray((time - time[0]) / length, dtype=np.int64)
 
 
-def felt(record: Record, again: Callable[[Record], Simulation]) -> Record:
-    """Return a record whose noise has in it what the driver's own noise does to a simulation.
+def with_driver_noise(record: Record, simulate: Callable[[Record], Simulation]) -> Record:
+    """Return a record whose `sigma` has in it what the driver's noise does to a simulation.
 
-    `again` simulates a record; here with the driver's noise put on a second time. An encoder has
-    none that would show.
+    Friction remembers where the driver turned, so an error of the driver shows most just behind a
+    turn, where the tension changes with the root of the travel. `simulate` takes the record with
+    noise put on its drive once more (parametric bootstrap); the variance that this makes of each
+    channel is taken sample by sample.
     """
-    if record.driver != PROXIMAL_TENSION:
+    sigma = record.noise[record.driver]
+    if not sigma > 0.0:
         return record
-    sigma = noise_sigma(record.signals[record.driver])
-    jitter = sigma * np.random.default_rng(0).standard_normal(len(record.time))
-    drive = np.maximum(monotone(record.drive + jitter, SETTINGS.jitter * sigma), 0.0)
-    other, same = again(replace(record, drive=drive)), again(record)
-    noise = dict(record.noise)
-    for channel in record.compared:
-        off = other.signals[channel] - same.signals[channel]
-        noise[channel] = math.hypot(noise[channel], float(np.sqrt(np.mean(off**2))))
-    return replace(record, noise=noise)
+    rng = np.random.default_rng(0)
+    same = simulate(record).signals
+    variance = {channel: np.zeros_like(record.time) for channel in record.compared}
+    for _ in range(DRAWS):
+        noisy = record.drive + sigma * rng.standard_normal(len(record.time))
+        drive = _drive(record.driver, noisy, sigma).signal
+        other = simulate(replace(record, drive=drive)).signals
+        for channel in variance:
+            variance[channel] += (other[channel] - same[channel]) ** 2 / DRAWS
+    nearby = np.full(NEARBY, 1.0 / NEARBY)
+    return replace(
+        record,
+        sigma={
+            channel: np.sqrt(record.noise[channel] ** 2 + np.convolve(total, nearby, mode="same"))
+            for channel, total in variance.items()
+        },
+    )
 
 
-def thin(record: Record, most: int) -> Record:
-    """Return a record of about `most` samples, for a first look; the driver's turns all stay."""
+def _drive(driver: str, measured: Array, sigma: float) -> Drive:
+    made = tension_drive if driver == PROXIMAL_TENSION else travel_drive
+    return made(measured, sigma)
+
+
+def first_look(record: Record, most: int) -> Mask:
+    """Return which samples of a record stay for a first look: about `most`, and all turns."""
     n = len(record.time)
-    if n <= most:
-        return record
     kept = np.zeros(n, dtype=np.bool_)
     kept[:: math.ceil(n / most)] = True
-    kept[_turning_points(record.drive, SETTINGS.reversal * float(np.ptp(record.drive)))] = True
+    kept[turning_points(record.drive, SETTINGS.reversal * float(np.ptp(record.drive)))] = True
+    return kept
+
+
+def at_rows(record: Record, kept: Mask) -> Record:
+    """Return a record of some of its samples."""
     return replace(
         record,
         time=record.time[kept],
         signals={name: signal[kept] for name, signal in record.signals.items()},
         drive=record.drive[kept],
         speed=record.speed[kept],
+        sigma={name: sigma[kept] for name, sigma in record.sigma.items()},
         good={name: good[kept] for name, good in record.good.items()},
         measured=record.measured[kept],
         train=record.train[kept],
         block=record.block[kept],
     )
-
-
-def monotone(signal: Array, band: float) -> Array:
-    """Return a signal made monotone between turning points that are more than `band` apart."""
-    from scipy.optimize import isotonic_regression  # here: the control processes import this module
-
-    if band <= 0.0:
-        return signal
-    turns = _turning_points(signal, band)
-    if len(turns) <= 2 and float(np.ptp(signal)) <= band:
-        return np.full_like(signal, float(signal.mean()))
-    out = signal.copy()
-    for begin, end in itertools.pairwise(turns):
-        piece = slice(begin, end + 1)
-        rises = bool(signal[end] >= signal[begin])
-        out[piece] = isotonic_regression(signal[piece], increasing=rises).x
-    # of noise the highest sample is the turn: no further out than its neighbours are, then
-    for turn in turns[1:-1]:
-        beside = out[[turn - 1, turn + 1]]
-        if abs(signal[turn] - beside.mean()) < band:
-            out[turn] = np.clip(signal[turn], beside.min(), beside.max())
-    return out
-
-
-def rate(time: Array, signal: Array) -> Array:
-    """Return the slope of a signal over a few samples [1/s], shape (n,)."""
-    reach = max(1, round(0.5 * SPEED_OVER / float(np.median(np.diff(time)))))
-    ahead = np.minimum(np.arange(len(time)) + reach, len(time) - 1)
-    behind = np.maximum(np.arange(len(time)) - reach, 0)
-    return np.asarray((signal[ahead] - signal[behind]) / (time[ahead] - time[behind]))
-
-
-def _turning_points(signal: Array, band: float) -> list[int]:
-    turns = [0]
-    extreme, rising = 0, None
-    values = signal.tolist()
-    for i, x in enumerate(values):
-        if rising is None:
-            if abs(x - values[0]) > band:
-                rising, extreme = x > values[0], i
-        elif (x >= values[extreme]) == rising:
-            extreme = i
-        elif abs(x - values[extreme]) > band:
-            turns.append(extreme)
-            rising, extreme = not rising, i
-    if turns[-1] != len(values) - 1:
-        turns.append(len(values) - 1)
-    return turns
-
-
-def _encoder_noise(travel: Array) -> float:
-    """Return the standard deviation of an encoder's noise [m].
-
-    White noise is in differences of every order alike, motion is less in each further one: what few
-    samples have of a hand's fast motion is no noise, or its turns would be lost.
-    """
-    return min(
-        float(np.median(np.abs(np.diff(travel, m)))) * 1.4826 / math.sqrt(math.comb(2 * m, m))
-        for m in ORDERS
-    )
-
-
-class _Turns(NamedTuple):
-    """Turns of the motor between two samples."""
-
-    rows: list[int]  # before which they belong
-    time: list[float]  # [s]
-    drive: list[float]  # [m]
-
-    def insert(self, time: Array, signal: Array) -> Array:
-        """Return a signal with rows at the turns, interpolated."""
-        return np.insert(signal, self.rows, np.interp(self.time, time, signal))
-
-
-def _between_samples(time: Array, drive: Array, least: float) -> _Turns:
-    """Return where the motor turned between two samples, further than those by `least` [m].
-
-    Friction remembers how far it went. A parabola through three samples tells, where the motion is
-    round there.
-    """
-    bend = np.diff(np.diff(drive) / np.diff(time)) / (time[2:] - time[:-2])
-    turns = _Turns([], [], [])
-    for i in _turning_points(drive, SETTINGS.reversal * float(np.ptp(drive)))[1:-1]:
-        about = bend[max(i - 2, 0) : i + 1]
-        if len(about) < 3 or np.ptp(np.sign(about)):
-            continue
-        if not np.abs(about).min() > SETTINGS.corner * float(np.abs(about).max()):
-            continue
-        before, here = float(time[i - 1]), float(time[i])
-        slope = float(drive[i] - drive[i - 1]) / (here - before)
-        at = 0.5 * (before + here) - 0.5 * slope / float(about[1])
-        height = float(drive[i - 1]) + (at - before) * (slope + float(about[1]) * (at - here))
-        earliest = max([before, *turns.time[-1:]])
-        if abs(height - float(drive[i])) > least and earliest < at < float(time[i + 1]):
-            turns.rows.append(i if at < here else i + 1)
-            turns.time.append(at)
-            turns.drive.append(height)
-    return turns
 
 
 def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Trouble]]:
@@ -354,7 +306,7 @@ def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Tr
     There friction turns round within less than an encoder resolves, or between two samples: how far
     it has come at that sample, nobody can tell.
     """
-    turns = np.array(_turning_points(drive, SETTINGS.reversal * float(np.ptp(drive))))[1:-1]
+    turns = np.array(turning_points(drive, SETTINGS.reversal * float(np.ptp(drive))))[1:-1]
     beside = np.zeros_like(good)
     for off in (-1, 0, 1):
         beside[turns + off] = True

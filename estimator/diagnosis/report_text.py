@@ -214,7 +214,7 @@ def remains(found: Diagnosis) -> list[str]:
             for s in found.structure
             if s.channel == channel
         ]
-        if one.rmse < SETTINGS.noise_ratio * floor[channel]:
+        if one.rmse < SETTINGS.noise_ratio * floor[channel] * noise:
             what = "no more than noise and the simulation's own error"
         elif along:
             what = f"the residual depends on {', '.join(along)}"
@@ -264,7 +264,7 @@ def quantity(value: float | None, unit: str, digits: int = 4) -> str:
 def interval(number: Number) -> str:
     """Return from where to where a value may be."""
     ends = (quantity(end, number.unit, digits(number)) for end in (number.low, number.high))
-    return " to ".join(ends)
+    return " to ".join(ends) + (", at its bound" if number.at_bound else "")
 
 
 def digits(number: Number) -> int:

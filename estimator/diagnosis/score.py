@@ -17,8 +17,14 @@ class Errors(NamedTuple):
     """Squared errors of one channel on held-out samples."""
 
     squares: Array  # sums over bins, (bins,), in squares of the noise
+    power: float  # their sum in squares of the channel's unit
     counts: Array  # samples of each bin
     independent: float  # share of the samples that tell something of their own
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square, in the channel's unit."""
+        return math.sqrt(self.power / max(float(self.counts.sum()), 1.0))
 
     @property
     def mean(self) -> float:
@@ -34,11 +40,13 @@ def errors(dataset: Dataset, fit: Fit, *, held_out: bool = True) -> dict[str, Er
         bins = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + record.block
         for channel in record.compared:
             rows = record.good[channel] & (record.train != held_out)
-            off = (record.signals[channel] - one.signals[channel])[rows] / record.noise[channel]
+            error = (record.signals[channel] - one.signals[channel])[rows]
+            off = error / record.sigma[channel][rows]
             squares = np.bincount(bins[rows], off**2, bins[-1] + 1).astype(np.float64)
             counts = np.bincount(bins[rows], minlength=bins[-1] + 1).astype(np.float64)
             kept = counts > 0
-            found = Errors(squares[kept], counts[kept], _independent(off))
+            power = float(error @ error)
+            found = Errors(squares[kept], power, counts[kept], _independent(off))
             parts.setdefault(channel, []).append(found)
     return {channel: _together(found) for channel, found in parts.items()}
 
@@ -51,6 +59,7 @@ def joined(found: Sequence[dict[str, Errors]]) -> dict[str, Errors]:
 def _together(found: Sequence[Errors]) -> Errors:
     return Errors(
         np.concatenate([part.squares for part in found]),
+        sum(part.power for part in found),
         np.concatenate([part.counts for part in found]),
         min(part.independent for part in found),
     )

@@ -22,10 +22,10 @@ from estimator.diagnosis.dataset import (
     rescaled,
     residual,
     simulated,
+    thin,
 )
 from estimator.diagnosis.fit import improved, moved, slopes_of
 from estimator.diagnosis.layout import Layout
-from estimator.diagnosis.record import thin
 from estimator.diagnosis.score import Errors, errors
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
@@ -85,7 +85,7 @@ def candidates(
     """
     dataset = rescaled(dataset, fit)
     about = contexts(dataset, fit)
-    thin_bench = dataset._replace(records=tuple(thin(record, THIN) for record in dataset.records))
+    thin_bench = thin(dataset, THIN)
     there = simulated(thin_bench, contexts_without(thin_bench, fit), fit.model)
     around = contexts(thin_bench, there)
     sudden = [effect for effect in effects if any(p.jumps for p in effect.parameters)]

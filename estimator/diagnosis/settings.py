@@ -22,6 +22,9 @@ class Settings:
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
     reversal: float = 1e-3  # of the drive's range that the motor goes back by, at least
     jitter: float = 4.0  # standard deviations of the drive's noise: less is no reversal
+    jitter_quantile: float = 0.9  # of the noise that smoothing leaves on its samples
+    reversal_noise: float = 3.0  # standard deviations of a travel's noise that a reversal has
+    equal_error: float = 6.0  # noise variances by which two places of a reversal fit alike
     corner: float = 0.4  # least over largest curvature about a reversal; below it is a corner
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 

@@ -12,6 +12,7 @@ from estimator.diagnosis.dataset import (
     dataset_of,
     rescaled,
     simulated,
+    thin,
 )
 from estimator.diagnosis.engine import diagnose, quiet
 from estimator.diagnosis.outcome import Verdict
@@ -96,7 +97,7 @@ def test_a_second_cause_is_looked_for_by_no_slope_in_the_time_of_a_sudden_one():
     bench = dataset_of([prepare(made.time, dict(made.channels))])
     fit = baseline(bench, (begun,))
     bench = rescaled(bench, fit)
-    bench = bench._replace(records=(record.thin(bench.records[0], THIN),))
+    bench = thin(bench, THIN)
     fit = simulated(bench, contexts_without(bench, fit), fit.model)
     led = promised(bench, fit, contexts(bench, fit), [drag], quiet, 1).led[0][0]
     assert led.cost < 0.1 * cost(bench, fit)
@@ -223,7 +224,7 @@ def test_a_long_record_is_thinned_and_its_turns_stay():
     ready = prepare(time, {"proximal_tension": T, "proximal_displacement": q})
     assert ready.thinned == 3
     assert len(ready.time) <= SETTINGS.samples_max
-    few = record.thin(ready, 500)
+    few = record.at_rows(ready, record.first_look(ready, 500))
     assert few.drive.max() == ready.drive.max()
     assert few.drive.min() == ready.drive.min()
 
