@@ -36,11 +36,11 @@ from pathlib import Path
 import numpy as np
 from estimator.diagnosis.dataset import Model
 from teleop.data import model_file
-from teleop.tools.diagnose.effect_choice import chosen
+from teleop.tools.diagnose.effect_choice import parse_effects
 
-(effect,) = chosen("%s")
+(effect,) = parse_effects("%s")
 path = Path("model.yaml")
-base = model_file.Saved(Model((0.8,), (), ((effect, (0.01,)),)), 10.0, (), False)
+base = model_file.SavedModel(Model((0.8,), (), ((effect, (0.01,)),)), 10.0, (), False)
 model_file.save(path, base, "of a test")
 ((again, values),) = model_file.load(path).model.effects
 assert again.name == effect.name, (again.name, effect.name)

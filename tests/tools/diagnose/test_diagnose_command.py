@@ -170,7 +170,7 @@ def test_all_variants_of_a_name_are_meant():
 
 
 def test_data_that_cannot_be_diagnosed_are_refused_in_one_line(csv, data, tmp_path, capsys):
-    assert "no such file" in refusal(capsys, tmp_path / "none.csv")
+    assert "file not found" in refusal(capsys, tmp_path / "none.csv")
     alone = tmp_path / "alone.csv"
     tension = {"time_s": data.time, "proximal_tension_N": data.channels["proximal_tension"]}
     write_table(alone, tension)
