@@ -8,13 +8,14 @@ natural alignment. So the bytes on the network go into a recording unchanged.
 
 Every message begins with the same five fields, which the link fills in and checks:
 
-========== ==== ========================================================================== checksum
-u32  CRC-32 of the message's name and of everything after it: damaged messages and those of another
-kind are dropped and counted layout     u32  CRC-32 of the declarations: a peer with another layout
-is refused sender     u64  a nonce drawn when the process started: a restarted peer is a new sender
-sequence u64 incremented with each message of a topic, to detect loss and reordering stamp_ns
-i64  when it was sent, on the sender's clock (`teleop.clock`) ========== ====
-==========================================================================
+========== ==== ==========================================================================
+checksum   u32  CRC-32 of the message's name and of everything after it: damaged messages and
+                those of another kind are dropped and counted
+layout     u32  CRC-32 of the declarations: a peer with another layout is refused
+sender     u64  a nonce drawn when the process started: a restarted peer is a new sender
+sequence   u64  incremented with each message of a topic: shows loss and reordering
+stamp_ns   i64  when it was sent, on the sender's clock (`teleop.clock`)
+========== ==== ==========================================================================
 """
 
 import struct

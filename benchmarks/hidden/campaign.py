@@ -37,6 +37,7 @@ class Case(NamedTuple):
     bench: str
     duration: float
     rate: float
+    travel_noise: float = 0.0  # [m]
 
 
 class Result(NamedTuple):
@@ -90,6 +91,7 @@ def judge(case, among=CATALOGUE, oracle=True):
         bench=case.bench,
         duration=case.duration,
         rate=case.rate,
+        travel_noise=case.travel_noise,
     )
     record = prepare(made.time, dict(made.channels))
     began = time.perf_counter()
@@ -122,26 +124,26 @@ def _over_oracle(record, found, effects):
     )
 
 
-def cases(seeds, clean, outside, pairs, duration, rate, only=()):
-    """Return the whole campaign."""
+def cases(seeds, clean, outside, pairs, how, only=()):
+    """Return the whole campaign; `how` is duration [s], rate [Hz] and travel noise [m]."""
     asked = [name for name in hidden.EFFECTS if not only or name in only]
     made = [
-        Case(seed, (name,), size, bench, duration, rate)
+        Case(seed, (name,), size, bench, *how)
         for seed in seeds
         for name in asked
         for size in SIZES
         for bench in hidden.VISIBLE[name]
     ]
-    made += [Case(1000 + k, (), 1.0, BENCHES[k % 2], duration, rate) for k in range(clean)]
+    made += [Case(1000 + k, (), 1.0, BENCHES[k % 2], *how) for k in range(clean)]
     made += [
-        Case(2000 + k, (name,), 1.0, BENCHES[k % 2], duration, rate)
+        Case(2000 + k, (name,), 1.0, BENCHES[k % 2], *how)
         for k, name in itertools.product(range(outside), hidden.OUTSIDE)
     ]
     rng = np.random.default_rng(0)
     for k in range(pairs):
         names = [name for name in hidden.EFFECTS if "spring" in hidden.VISIBLE[name]]
         two = tuple(rng.choice(names, 2, replace=False).tolist())
-        made.append(Case(3000 + k, two, 1.0, "spring", duration, rate))
+        made.append(Case(3000 + k, two, 1.0, "spring", *how))
     return made
 
 
@@ -155,6 +157,7 @@ def main():
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=100.0)
+    parser.add_argument("--travel-noise", type=float, default=0.0, help="on both travels [m]")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", nargs="*", default=())
     args = parser.parse_args()
@@ -163,8 +166,7 @@ def main():
         args.clean,
         args.outside,
         args.pairs,
-        args.duration,
-        args.rate,
+        (args.duration, args.rate, args.travel_noise),
         args.only,
     )
     with get_context("spawn").Pool(args.jobs) as pool:

@@ -1,6 +1,7 @@
 """A diagnosis of measured data, in one call."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 from estimator.array_types import Array
 from estimator.diagnosis import engine
@@ -18,6 +19,7 @@ def diagnose(
     effects: Iterable[str | Effect] = CATALOGUE,
     *,
     validate: Sequence[MeasuredData | Record] = (),
+    noise: Mapping[str, float] = MappingProxyType({}),
     progress: Callable[[str, float], None] = quiet,
     workers: int = 1,
 ) -> Diagnosis:
@@ -34,6 +36,9 @@ def diagnose(
         Candidate causes, by name or from `CATALOGUE`.
     validate : sequence of MeasuredData or Record
         Further data of the bench, to be predicted and not fitted.
+    noise : mapping
+        Standard deviation of the noise of channels [N] and [m], where it is known better than
+        `MeasuredData` tell it.
     progress : callable
         Called with what is being done and which share of it (0 to 1) is.
     workers : int
@@ -54,18 +59,18 @@ def diagnose(
     one = isinstance(data, Record) or hasattr(data, "proximal_tension")
     several = [data] if one else data
     return engine.diagnose(
-        [_record(item) for item in several],  # type: ignore[union-attr, arg-type]
+        [_record(item, noise) for item in several],  # type: ignore[union-attr, arg-type]
         tuple(map(_effect, effects)) if effects is not CATALOGUE else CATALOGUE,
-        validate=[_record(item) for item in validate],
+        validate=[_record(item, noise) for item in validate],
         report=progress,
         workers=workers,
     )
 
 
-def _record(data: MeasuredData | Record) -> Record:
+def _record(data: MeasuredData | Record, noise: Mapping[str, float]) -> Record:
     if isinstance(data, Record):
         return data
-    return prepare(data.time, signals_of(data))
+    return prepare(data.time, signals_of(data), noise=noise)
 
 
 def signals_of(data: MeasuredData) -> dict[str, Array]:

@@ -24,7 +24,7 @@ class Settings:
     jitter: float = 4.0  # standard deviations of the drive's noise: less is no reversal
     jitter_quantile: float = 0.9  # of the noise that smoothing leaves on its samples
     reversal_noise: float = 3.0  # standard deviations of a travel's noise that a reversal has
-    equal_error: float = 6.0  # noise variances by which two places of a reversal fit alike
+    equal_error: float = 12.0  # noise variances by which two places of a reversal fit alike
     corner: float = 0.4  # least over largest curvature about a reversal; below it is a corner
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 

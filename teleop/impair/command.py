@@ -1,15 +1,15 @@
-"""Impair the network between master and slave: delay, loss, corruption and cuts, seeded.
+"""Emulate an impaired network between master and slave: delay, loss, corruption, cuts; seeded.
 
-  teleop impair --delay 0.1 --jitter 0.05 --loss 0.1     both directions; master and slave connect
-  through it teleop impair --config experiment.yaml                 with its `impair` section teleop
-  run --config demo.yaml --set impair.to_slave.delay=0.1      as part of a session teleop impair
-  cut; teleop impair mend                  control a running proxy: stop and resume transmission
-  teleop impair set to_slave.loss=0.3                    change a setting teleop impair
-  status print the message counts
+  teleop impair --delay 0.1 --jitter 0.05 --loss 0.1     in both directions
+  teleop impair --config experiment.yaml                 with its `impair` section
+  teleop run --config demo.yaml --set impair.to_slave.delay=0.1      in a session
+  teleop impair cut; teleop impair mend                  block all messages of one that runs, or not
+  teleop impair set to_slave.loss=0.3                    change a setting of one that runs
+  teleop impair status                                   counts of delayed and lost messages
 
-`teleop run` sets the proxy's endpoint at the master. A separate master is started with `teleop
-master --set link.slave=tcp/127.0.0.1:7449`. Recorder and viewer are connected to both sides
-directly: a recording has all sent messages.
+`teleop run` gives the master the proxy's endpoint; start a separate master with
+`teleop master --set link.slave=tcp/127.0.0.1:7449`. Recorder and viewer receive from both sides
+directly: a recording has the messages as sent.
 """
 
 import argparse

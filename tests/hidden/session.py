@@ -100,11 +100,12 @@ def make(
     rate=100.0,
     noise=0.02,
     resolution=1.2e-7,
+    travel_noise=0.0,
 ):
     """Return the record of a seed.
 
     `effects` are names of EFFECTS and OUTSIDE, or one of them; `noise` [N] is white, on the load
-    cells; `resolution` [m] is that of the encoders.
+    cells; `resolution` [m] is that of the encoders, `travel_noise` [m] white noise on them.
     """
     effects = (effects,) if isinstance(effects, str) else tuple(effects)
     there, clean, true, heat = draw_bench(seed, bench, duration, rate)
@@ -125,7 +126,11 @@ def make(
     rng = np.random.default_rng([seed, zlib.crc32(repr(effects).encode())])
     seen = {}
     for channel in CHANNELS:
-        kind = {"noise": noise} if channel.endswith("tension") else {"resolution": resolution}
+        kind = (
+            {"noise": noise}
+            if channel.endswith("tension")
+            else {"noise": travel_noise, "resolution": resolution}
+        )
         ceiling = plant.ceilings.get(channel, np.inf)
         y = measured(rng, readings[channel], ceiling=ceiling, **kind)
         if channel in channels:

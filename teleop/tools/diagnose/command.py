@@ -1,9 +1,10 @@
 """Diagnose model errors in measured data: causes, their size, and the gain of correcting them.
 
-  teleop diagnose bench.csv                                print causes and remedies teleop diagnose
-  monday.csv tuesday.csv --out diagnosis   ... several files of one bench, with a report teleop
-  diagnose monday.csv --validate tuesday.csv        ... and validate on other data teleop
-  diagnose bench.csv --effects creep,slack          ... consider only these causes
+  teleop diagnose bench.csv                                print causes and remedies
+  teleop diagnose monday.csv tuesday.csv --out diagnosis   ... several files of one bench, a report
+  teleop diagnose monday.csv --validate tuesday.csv        ... and validate on other data
+  teleop diagnose bench.csv --effects creep,slack          ... consider only these causes
+  teleop diagnose bench.csv --noise proximal_displacement=1e-6    noise that is known, in m or N
 
 The data: tables with time_s and proximal_tension_N, and a travel or the tension at the tip beside
 them, or recordings (docs/data-format.md). Several files must be of one bench and are fitted
@@ -13,8 +14,9 @@ together. With --out a folder gets report.html, report.json, model.yaml and resi
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from estimator.diagnosis import report_text
@@ -30,6 +32,7 @@ from teleop.process import make_folder, write_summary, write_whole
 from teleop.tools import estimate
 from teleop.tools.diagnose import acceptance, effect_choice, report_json
 from teleop.tools.diagnose.acceptance import ComparedParameter
+from teleop.tools.diagnose.noise_option import parse_noise
 from teleop.tools.report.progress import Progress
 
 
@@ -63,6 +66,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--calibration", "to be compared with what the data say")
     add_options(parser, "--column", "--drop-nonfinite", "--validate", "--out", "--json")
     parser.add_argument(
+        "--noise",
+        action="append",
+        default=[],
+        metavar="NAME=SIGMA",
+        help="standard deviation of a channel's noise [N] or [m], e.g. --noise "
+        "proximal_displacement=1e-6 (default: estimated from the data)",
+    )
+    parser.add_argument(
         "--tendon", metavar="N", help="which one, 1, 2, ..., of data that have several (default 1)"
     )
 
@@ -75,7 +86,8 @@ def main(args: argparse.Namespace) -> int:
     tendon = estimate.select_tendon(args.tendon, (), 1)
     sheath = None if args.calibration is None else acceptance.load(args.calibration, tendon)
     columns = estimate.column_names(args.column, tendon)
-    data = read(args.data, args.validate, columns, args.drop_nonfinite)
+    noise = parse_noise(args.noise)
+    data = read(args.data, args.validate, columns, args.drop_nonfinite, noise)
     progress, begun = Progress(), time.monotonic()
     try:
         found = diagnose(
@@ -101,7 +113,11 @@ def main(args: argparse.Namespace) -> int:
 
 
 def read(
-    paths: Sequence[Path], validate: Sequence[Path], columns: Columns, drop_nonfinite: bool
+    paths: Sequence[Path],
+    validate: Sequence[Path],
+    columns: Columns,
+    drop_nonfinite: bool,
+    noise: Mapping[str, float] = MappingProxyType({}),
 ) -> Data:
     """Return the records of some files, all with the same channels.
 
@@ -121,13 +137,13 @@ def read(
                 f"{', '.join(signals_of(first))}; data that are diagnosed together need the same "
                 "channels"
             )
-    records = [_record(table) for table in tables]
+    records = [_record(table, noise) for table in tables]
     return Data(tuple(map(str, paths)), tuple(records[: len(paths)]), tuple(records[len(paths) :]))
 
 
-def _record(table: MeasuredTable) -> Record:
+def _record(table: MeasuredTable, noise: Mapping[str, float]) -> Record:
     try:
-        return prepare(table.time, signals_of(table))
+        return prepare(table.time, signals_of(table), noise=noise)
     except RecordError as error:
         raise UsageError(f"{table.path}: {error}") from error
 

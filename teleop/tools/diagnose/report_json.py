@@ -48,6 +48,10 @@ def tree(
         "extended": _fitnesses(found.after),
         "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
         "noise": dict(found.noise),
+        "driver": {
+            "channel": found.dataset.records[0].driver,
+            "noise": [record.noise[record.driver] for record in found.dataset.records],
+        },
         "left": found.left,
         "wanders": found.wanders,
         "structure": [one._asdict() for one in found.structure],

@@ -24,6 +24,7 @@ KEYS = {
     "extended": dict,
     "gain": dict,
     "noise": dict,
+    "driver": dict,
     "seconds": float,
     "version": str,
 }
@@ -115,6 +116,18 @@ def test_gain_is_the_share_by_which_the_held_out_error_fell(report):
 
 def test_the_noise_is_that_of_the_sensors(report):
     assert report["noise"]["distal_tension"] == pytest.approx(0.02, rel=0.3)
+
+
+def test_noise_that_is_known_is_taken(csv, folder):
+    words = ["diagnose", csv, "--effects", "creep", "--noise", "distal_tension=0.3"]
+    assert cli.main([*map(str, words), "--json", str(folder / "noise.json")]) == 0
+    found = json.loads((folder / "noise.json").read_text())
+    assert found["noise"]["distal_tension"] == pytest.approx(0.3, rel=0.05)
+
+
+@pytest.mark.parametrize("word", ["distal_tension", "tip=1", "distal_tension=-1", "time=nan"])
+def test_noise_that_is_none_is_refused(capsys, csv, word):
+    assert refusal(capsys, csv, "--noise", word).startswith(f"teleop: --noise {word}: expected")
 
 
 def test_all_files_are_fitted(report, csv):

@@ -1,0 +1,24 @@
+"""`--noise NAME=SIGMA`: noise of a channel that is known better than the data tell it."""
+
+import math
+from collections.abc import Sequence
+
+from estimator.effects import CHANNELS
+from teleop.errors import UsageError
+
+
+def parse_noise(words: Sequence[str]) -> dict[str, float]:
+    """Return standard deviations [N] or [m] by channel; `UsageError` if a word is none."""
+    noise = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        try:
+            sigma = float(text)
+        except ValueError:
+            sigma = math.nan
+        if name not in CHANNELS or not 0.0 <= sigma < math.inf:
+            raise UsageError(
+                f"--noise {word}: expected NAME=SIGMA in N or m, NAME one of {', '.join(CHANNELS)}"
+            )
+        noise[name] = sigma
+    return noise
