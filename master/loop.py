@@ -22,7 +22,7 @@ from master.hand_input import Axes, HandInput, all_finite
 from master.local import WorkspaceLimits
 from master.operator import OperatorMemory
 from master.presence import Presence
-from master.settings import MasterSettings
+from master.settings_record import MasterSettings
 from teleop import coupling, session
 from teleop.coupling import Side
 from teleop.messages import MAX_JOINTS, Command, Hand, SlaveState

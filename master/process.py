@@ -18,12 +18,12 @@ from functools import partial
 import numpy as np
 
 from estimator.records import Records, as_bytes, one
-from master import hand_input, live, loop
+from master import hand_input, live_settings, loop
 from master.config import MasterConfig
 from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
-from master.settings import SettingsRecord
+from master.settings_record import SettingsRecord
 from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.compile_cache import announced
 from teleop.coupling import Bilateral
@@ -76,7 +76,7 @@ class Master(LoopProcess):
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
         self._write_hand = partial(hand_input.fill, self._ticks["hand"])
-        self._live, self._device = live.start(config), device
+        self._live, self._device = live_settings.start(config), device
         self._settings = SettingsRecord(config, bilateral)
         self._command, self._hand = Packet(Command), Packet(Hand)
         self._force = np.zeros(MAX_JOINTS)  # [N] that the gate let through
@@ -95,7 +95,7 @@ class Master(LoopProcess):
         fault, hand, away = self._read((tick.stamp_ns - self._start_ns) * 1e-9)
         self._link.latest(STATE)
         requests = self._listen(tick.stamp_ns)
-        self._live, changed = live.follow(self._live, hand, tick.dt)
+        self._live, changed = live_settings.follow(self._live, hand, tick.dt)
         settings = self._settings.update(self._live.config)
         self._write_hand(hand)
         self._find_command(settings, tick.dt, fault, requests)
@@ -303,7 +303,7 @@ class Master(LoopProcess):
     def _change(self, request: SettingRequest) -> None:
         """Change a setting, or say why not."""
         try:
-            self._live, text = live.change(self._live, request.key, request.value)
+            self._live, text = live_settings.change(self._live, request.key, request.value)
         except UsageError as error:
             text, accepted = str(error), False
         else:

@@ -8,12 +8,12 @@ from estimator.compiled import compiled
 from estimator.online.online import TendonModel
 from estimator.records import Field, Record, Records, one
 from slave.fault_detection.average import update_average
+from slave.fault_detection.broken_tendon import check_slack
 from slave.fault_detection.cell import check_cell, is_suspect
 from slave.fault_detection.compliance import compliance
 from slave.fault_detection.config import FaultDetectionConfig
-from slave.fault_detection.slack import check_slack
-from slave.fault_detection.tendon import CheckedTendon
-from slave.fault_detection.winding import Winding, check_winding
+from slave.fault_detection.tendon_state import CheckedTendon
+from slave.fault_detection.wound_length import Winding, check_winding
 from slave.tendons import EstimatedTendon, JointTendons, RigLayout
 from teleop.messages import MAX_JOINTS, MAX_TENDONS
 from teleop.session import Reason

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from estimator.compiled import compiled
-from teleop.coupling import port as ledger
+from teleop.coupling import ledger
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
-from teleop.coupling.port import Port
+from teleop.coupling.ledger import Port
 
 
 @dataclass(frozen=True, slots=True)

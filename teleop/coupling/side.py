@@ -6,11 +6,10 @@ from typing import Annotated
 from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, U64, Field, Flag, Record
-from teleop.coupling import direct, passivity, wave
-from teleop.coupling import port as ledger
+from teleop.coupling import direct, ledger, passivity, wave
 from teleop.coupling.config import PASSIVITY, WAVE, BilateralSettings
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
-from teleop.coupling.port import Port
+from teleop.coupling.ledger import Port
 from teleop.messages import MAX_JOINTS
 
 

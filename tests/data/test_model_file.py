@@ -64,7 +64,7 @@ def test_numbers_that_cannot_be_right_are_refused(tmp_path, tree):
     del tree["base"]["K"]
     assert refusal(tmp_path, tree) == "base.K: is missing"
     del tree["base"]
-    assert "no model.yaml" in refusal(tmp_path, tree)
+    assert "not a model file" in refusal(tmp_path, tree)
 
 
 def test_unknown_words_are_refused_with_what_may_be_meant(tmp_path, tree):

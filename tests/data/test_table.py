@@ -229,7 +229,7 @@ def test_an_unknown_suffix_is_refused_before_the_file_is_looked_for(tmp_path, na
 
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "mcap"])
 def test_a_file_that_is_not_there_or_is_none_or_is_empty(tmp_path, suffix):
-    assert "no such file" in refusal(tmp_path / f"gone.{suffix}")
+    assert "file not found" in refusal(tmp_path / f"gone.{suffix}")
     folder = tmp_path / f"folder.{suffix}"
     folder.mkdir()
     assert "is not a file" in refusal(folder)

@@ -11,7 +11,7 @@ from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.hand_input import fill
-from master.settings import SettingsRecord
+from master.settings_record import SettingsRecord
 from teleop import session
 from teleop.coupling import Bilateral
 from teleop.messages import MAX_JOINTS, Command, SlaveState, padded

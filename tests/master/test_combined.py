@@ -235,7 +235,7 @@ def two_hids(first, second):
 
 def test_two_of_a_kind_are_told_apart_by_their_paths(hidraw):
     nodes = [hidraw.plug(Arduino(descriptors.arduino())) for _ in range(2)]
-    with pytest.raises(UsageError, match=r"devices\.0: several devices fit; name one in find"):
+    with pytest.raises(UsageError, match=r"devices\.0: several devices fit; set find to"):
         two_hids("", "")
     device = two_hids(*(str(node.path) for node in nodes))
     nodes[0].device.axes, nodes[1].device.axes = [0.5, 0.0], [-1.0, 0.0]
@@ -297,7 +297,7 @@ def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw):
     lost(device)
     for _ in nodes:
         hidraw.plug(Arduino(descriptors.arduino()))
-    assert wait_for(lambda: "of the same identity" in lost(device), 8.0)
+    assert wait_for(lambda: "identity" in lost(device), 8.0)
     device.close()
 
 
@@ -308,7 +308,7 @@ def test_one_that_came_back_alone_is_not_taken_for_both(hidraw):
         hidraw.unplug(node)
     lost(device)
     hidraw.plug(Arduino(descriptors.arduino()))
-    assert wait_for(lambda: "of the same identity" in lost(device), 8.0)
+    assert wait_for(lambda: "identity" in lost(device), 8.0)
     device.close()
 
 

@@ -14,7 +14,7 @@ from master.devices.virtual import VirtualConfig, move
 from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.operator import OperatorConfig
-from master.settings import SettingsRecord
+from master.settings_record import SettingsRecord
 from teleop import coupling
 from teleop.coupling import (
     Bilateral,

@@ -14,7 +14,7 @@ from master.config import MasterConfig
 from master.device import HandState
 from master.feedback import FeedbackConfig
 from master.operator import OperatorConfig
-from master.settings import master_settings
+from master.settings_record import master_settings
 from slave import loop as slave_loop
 from slave.config import SlaveConfig
 from slave.gate import GateConfig

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.records import one
-from teleop.coupling import port as ledger
-from teleop.coupling.port import Port
+from teleop.coupling import ledger
+from teleop.coupling.ledger import Port
 
 ENERGY = st.floats(0.0, 10.0)
 

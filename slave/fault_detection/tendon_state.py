@@ -2,9 +2,9 @@
 
 from estimator.records import F64, Record
 from slave.fault_detection.average import AveragedTendon
+from slave.fault_detection.broken_tendon import Slack
 from slave.fault_detection.cell import LoadCell
 from slave.fault_detection.compliance import Compliance
-from slave.fault_detection.slack import Slack
 
 
 class CheckedTendon(Record):

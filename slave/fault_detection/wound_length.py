@@ -16,10 +16,10 @@ from math import inf
 
 from estimator.compiled import compiled
 from estimator.records import F64, Record
+from slave.fault_detection.broken_tendon import is_slack_longer
 from slave.fault_detection.compliance import largest_elongation, least_elongation
 from slave.fault_detection.config import FaultDetectionConfig
-from slave.fault_detection.slack import is_slack_longer
-from slave.fault_detection.tendon import CheckedTendon
+from slave.fault_detection.tendon_state import CheckedTendon
 from teleop.session import Reason
 
 SURE_TIME = 0.010  # [s] least duration of a misfit

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from estimator.law.sheath import Sheath
 from estimator.records import as_record
 from slave.fault_detection import FaultDetectionConfig
+from slave.fault_detection.broken_tendon import Slack, check_slack
 from slave.fault_detection.compliance import compliance, largest_elongation, least_elongation
-from slave.fault_detection.slack import Slack, check_slack
-from slave.fault_detection.tendon import CheckedTendon
-from slave.fault_detection.winding import Winding, check_winding
+from slave.fault_detection.tendon_state import CheckedTendon
+from slave.fault_detection.wound_length import Winding, check_winding
 from teleop.session import Reason
 from tests.slave.control_bench import DT
 
