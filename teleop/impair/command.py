@@ -1,6 +1,6 @@
 """Emulate an impaired network between master and slave: delay, loss, corruption, cuts; seeded.
 
-  teleop impair --delay 0.1 --loss 0.1       in both directions
+  teleop impair --delay 0.1 --jitter 0.05 --loss 0.1   in both directions
   teleop impair --config experiment.yaml     with its `impair` section
   teleop run --config demo.yaml --set impair.to_slave.delay=0.1   in a session
   teleop impair cut; teleop impair mend      block or unblock all messages of a running proxy
