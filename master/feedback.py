@@ -4,13 +4,14 @@
     reflect      F_hand = -scale * F_tip
     (coupling: `master.coupling_adapter`)
     limit_slew   grows no faster than `slew`
-    clamp        no larger than `limit`
+    clamp        no larger than `limit` (`master.force.limit`)
 
 The estimate counts a force against pulling as positive, and a hand moving along its positive axis
 pulls, so the hand is pushed the other way.
 
 A joint whose sample the estimator rejected is not rendered: its estimate is outdated.
-A value that is not finite goes through as it is, for the gate to refuse.
+A value that is not finite goes through as it is, for the gate to refuse. The gate has limits of its
+own above `limit`, on each axis and in total (`master.gate.axis_max`, `total_max`; `master.gate`).
 """
 
 import math
@@ -88,5 +89,8 @@ def limit_slew(most: float, last: float, force: float, dt: float) -> float:
 
 @compiled
 def clamp(limit: float, force: float) -> float:
-    """Return `force` [N] saturated at `limit` [N]; non-finite values are kept."""
+    """Return `force` [N] saturated at `limit` [N]; non-finite values are kept.
+
+    The device's limits, `axis_max` and `total_max` of `master.gate`, come last.
+    """
     return min(max(force, -limit), limit) if math.isfinite(force) else force

@@ -6,6 +6,9 @@ session is not engaged. A decreasing force is never slowed down. Two exceptions 
 caller. If messages of the peer stop, the force `fades`: each axis goes to zero at `axis_max` per
 `FADE_S`, so it is zero `FADE_S` after the timeout. And `rest`, a small force that carries the
 device's weight, replaces zero.
+
+The limits are `master.gate.axis_max` and `total_max`. Rendering saturates earlier, at
+`master.force.limit` (`master.feedback.clamp`): the gate is the last resort, not the usual limit.
 """
 
 import math
@@ -25,7 +28,7 @@ _DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
 @dataclass(frozen=True, slots=True)
 class GateConfig:
-    """Force limits of device and hand."""
+    """Force limits of device and hand; `FeedbackConfig.limit`, for rendering, lies below them."""
 
     axis_max: float = 3.0  # [N] on one axis; desktop haptic devices reach about 3 N
     total_max: float = 4.0  # [N] length of the force vector

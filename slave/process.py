@@ -1,13 +1,13 @@
-"""Run the tendon side: the rig, the estimator of each tendon, and the last gate before the motors.
+"""Run the robot's side: the rig, the estimator of each tendon, and the last gate before the motors.
 
   teleop slave --config configs/demo.yaml
   teleop slave --config configs/demo.yaml --duration 30 --json slave.json
   teleop slave --config rig.yaml --model diagnosis/model.yaml     with what a diagnosis found
 
-Without a master the motors hold, but for one thing: with `slave.initialise.at_start` the rig is
-calibrated first, and every motor moves, whoever is there. When commands stop coming for longer than
-`slave.command_timeout`, or anything else goes wrong, the motors hold too, until the operator lets
-go and engages again; after an emergency stop (`teleop stop`) that has to be reset first.
+Without a master the motors hold. Exception: with `slave.initialise.at_start` the rig calibrates
+itself first and every motor moves, even without a master. When no command arrives for
+`slave.command_timeout`, or after any other fault, the motors hold too, until the operator lets go
+and engages again; an emergency stop (`teleop stop`) must be reset first.
 """
 
 import argparse

@@ -20,7 +20,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--config": {
         "type": Path,
         "metavar": "FILE",
-        "help": "config file (YAML); defaults without one",
+        "help": "config file (YAML; default built-in values)",
     },
     "--drop-nonfinite": {
         "action": "store_true",
@@ -30,15 +30,15 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--jobs": {
         "type": int,
         "metavar": "N",
-        "help": "processes that work in parallel (default: one for each processor)",
+        "help": "processes that work in parallel (default one for each processor)",
     },
     "--json": {"type": destination, "metavar": "FILE", "help": "write the results to FILE as JSON"},
     "--model": {
         "action": "append",
         "default": [],
         "metavar": "[1a=]FILE",
-        "help": "model.yaml of `teleop diagnose --out`, in place of what is known of the sheaths; "
-        "1a=FILE for one tendon of several",
+        "help": "model.yaml of `teleop diagnose --out`; replaces friction and stiffness from "
+        "config or calibration; 1a=FILE for one tendon of several",
     },
     "--out": {"type": Path, "metavar": "DIR", "help": "folder for the report"},
     "--quick": {"action": "store_true", "help": "less accurate, in less time"},
@@ -60,7 +60,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--view": {
         "choices": get_args(ViewMode),
         "help": "a window, a page for a browser on this machine, a Rerun file, or nothing at all "
-        "(default: native with a screen, web without)",
+        "(default native with a screen, web without)",
     },
 }
 

@@ -1,4 +1,4 @@
-"""A session to do harm to: recorder, proxy, slave and master, each a process with its strings."""
+"""Session to inject faults into: remote-controlled recorder, proxy, slave and master processes."""
 
 import os
 import signal

@@ -27,7 +27,7 @@ YIELDING = ("CLUTCHED", "HOLDING")  # states in which motors may give way to a t
 
 
 class Ticks(NamedTuple):
-    """One side, tick by tick, in the order in which it lived them; times by our clock."""
+    """The ticks of one side, in tick order; times by our clock."""
 
     sender: np.ndarray
     sequence: np.ndarray

@@ -1,4 +1,4 @@
-"""A process of ours with strings: it does to itself, on a word, what a test cannot do to it.
+"""A remote-controlled process of ours: on command it injects faults that a test cannot inject.
 
     python -m benchmarks.faults.puppet COMMAND ARGUMENTS ...      as `teleop COMMAND ARGUMENTS ...`
 
@@ -12,7 +12,7 @@ import time
 
 
 class Strings:
-    """What is pulled at."""
+    """The faults that are injected."""
 
     def __init__(self):
         self.away = False

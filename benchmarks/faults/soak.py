@@ -1,4 +1,4 @@
-"""A long session on a bad network, a fault every few seconds: does it leak, does it count right?
+"""A long session on a bad network, a fault every few seconds: leaks, are the counters correct?
 
     python -m benchmarks.faults.soak --seconds 600
 

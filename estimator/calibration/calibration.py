@@ -150,7 +150,7 @@ def calibrate(
     Raises
     ------
     CalibrationError
-        If the data cannot carry it.
+        If the data are insufficient for a calibration.
     """
     if (axial_stiffness is None) != (length is None):
         raise CalibrationError(

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 
 class CalibrationError(ValueError):
-    """Data that cannot carry a calibration; the message says what is missing and what to do."""
+    """Data insufficient for a calibration; the message says what is missing and what to do."""
 
 
 class Measured(NamedTuple):

@@ -18,7 +18,7 @@ _LEAST_WEIGHT = 1e-300
 
 
 class Rival(NamedTuple):
-    """A pattern, and -2 ln of how probable the loop and its own make make it."""
+    """A pattern, and -2 ln of its posterior probability."""
 
     pattern: Pattern
     score: float

@@ -108,7 +108,7 @@ class Pattern:
 
 
 class Shape(NamedTuple):
-    """What of a pattern is searched, and what of it there is."""
+    """Which pattern parameters exist, and which are searched."""
 
     ends: Array  # s, rising, shape (n,)
     straight: NDArray[np.bool_]  # at s = 0 and at each end, shape (n + 1,)

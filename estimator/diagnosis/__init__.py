@@ -1,1 +1,1 @@
-"""What a model of a dataset gets wrong, why, and what mending it is worth: `engine.diagnose`."""
+"""What a model of a dataset gets wrong, why, and the gain of correcting it: `engine.diagnose`."""

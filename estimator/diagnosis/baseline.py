@@ -1,4 +1,4 @@
-"""The fit of the plain law, from so many sides that it is not trapped."""
+"""The fit of the plain law: multi-start, to avoid local minima."""
 
 import math
 
@@ -35,7 +35,7 @@ def baseline(dataset: Dataset, effects: tuple[tuple[Effect, Values], ...] = ()) 
 
 
 def by_most(dataset: Dataset, fit: Fit) -> Fit:
-    """Return a fit that goes by most of the records, begun at one that goes by all.
+    """Return the robust fit, started from the ordinary fit `fit`.
 
     Where something happened at one time, what came before it and what came after it are each fitted
     badly by one model; this one fits the longer part.

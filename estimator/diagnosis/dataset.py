@@ -1,4 +1,4 @@
-"""What a model is held against: the records of a dataset, and what a model makes of them."""
+"""Records and their simulation by a model."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ class Dataset(NamedTuple):
 
     records: tuple[Record, ...]
     base: Base
-    scale: tuple[dict[str, Array], ...]  # what residuals count in, by record and channel
+    scale: tuple[dict[str, Array], ...]  # of the residuals, by record and channel
 
 
 class Model(NamedTuple):
@@ -49,7 +49,7 @@ class Expected(NamedTuple):
 
 
 def dataset_of(records: Sequence[Record]) -> Dataset:
-    """Return a dataset whose residuals count in the noise, or in a small share of the range.
+    """Return a dataset whose residuals are scaled by the noise, or a small share of the range.
 
     What is not fitted yet is wrong in all channels; one that is measured very finely must not
     decide alone then.
@@ -82,7 +82,7 @@ def thin(dataset: Dataset, most: int) -> Dataset:
 
 
 def mean_noise(dataset: Dataset) -> dict[str, float]:
-    """Return the rms of what a simulation cannot know in each channel, in its unit."""
+    """Return the expected rms error of each channel by noise, in its unit."""
     return {
         channel: math.sqrt(float(np.mean(variance)))
         for channel, variance in _variances(dataset).items()
@@ -90,7 +90,7 @@ def mean_noise(dataset: Dataset) -> dict[str, float]:
 
 
 def tolerance(dataset: Dataset) -> dict[str, float]:
-    """Return the rms error of each channel, over `Record.sigma`, that is nothing wrong.
+    """Return the tolerated rms error of each channel, relative to `Record.sigma`.
 
     By noise, and by the `Settings.accuracy` of a simulation.
     """
@@ -112,7 +112,7 @@ def _variances(dataset: Dataset) -> dict[str, Array]:
 
 
 def rescaled(dataset: Dataset, fit: Fit) -> Dataset:
-    """Return a dataset whose residuals count in the noise and in a share of what a model leaves."""
+    """Return a dataset whose residuals are scaled by noise and a share of the fit's residual."""
     scale = []
     for record, one in zip(dataset.records, fit.simulated, strict=True):
         each = {}

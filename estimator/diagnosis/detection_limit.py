@@ -1,4 +1,4 @@
-"""How small an effect could have been and still been seen, on a dataset that has none."""
+"""Smallest detectable effect size on a clean dataset."""
 
 import math
 from collections.abc import Sequence

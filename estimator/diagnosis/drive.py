@@ -59,7 +59,7 @@ def monotone(signal: Array, turns: list[int], band: float) -> Array:
         piece = slice(begin, end + 1)
         rises = bool(signal[end] >= signal[begin])
         out[piece] = isotonic_regression(signal[piece], increasing=rises).x
-    # of noise the highest sample is the turn: no further out than its neighbours are, then
+    # with noise the extreme sample overshoots: clip it to its neighbours
     for turn in turns[1:-1]:
         beside = out[[turn - 1, turn + 1]]
         if abs(signal[turn] - beside.mean()) < band:
@@ -128,8 +128,8 @@ def turning_points(signal: Array, band: float) -> list[int]:
 def encoder_noise(travel: Array) -> float:
     """Return the standard deviation of an encoder's noise [m].
 
-    White noise is in differences of every order alike, motion is less in each further one: what few
-    samples have of a hand's fast motion is no noise, or its turns would be lost.
+    White noise contributes equally to (normalised) differences of every order, motion less to
+    higher ones. The least of them is taken, so that fast motion does not count as noise.
     """
     return min(
         float(np.median(np.abs(np.diff(travel, m)))) * 1.4826 / math.sqrt(math.comb(2 * m, m))

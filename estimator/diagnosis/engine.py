@@ -1,4 +1,4 @@
-"""The diagnosis: from records to a verdict, with what it was worth."""
+"""The diagnosis: from records to a verdict, with its gain."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -136,7 +136,7 @@ def _by_two(
     report: Report,
     workers: int,
 ) -> list[Step]:
-    """Return two causes, none of which is worth it alone, if together they leave but noise.
+    """Return two causes, none of which is worth it alone, if together they leave only noise.
 
     One of two can make a quiet channel worse while it takes most away from a loud one. It must fit
     far better than any other, since nothing else speaks for it yet.
@@ -234,7 +234,7 @@ def _brief(dataset: Dataset, plain: Fit) -> bool:
 
 
 def _is_all(dataset: Dataset, fit: Fit, plain: Fit) -> bool:
-    """Return whether too little is left for another cause to be told from what a model is not."""
+    """Return whether too little is left for another cause to be told from model error."""
     found = errors(dataset, fit)
     if left_of(found, errors(dataset, plain)) < SETTINGS.left_min:
         return True
@@ -290,7 +290,7 @@ def _simplest(
 ) -> Candidate:
     """Return of the best causes, which are as good as each other, that of the fewest parameters.
 
-    One with more can be bent into another: an antagonist of hardly any friction is joint friction.
+    One with more can imitate another: an antagonist of hardly any friction is joint friction.
     """
     best, at_first = order[0], errors(dataset, plain)
     most = left_of(best.held_out, at_first) + SETTINGS.alike_left

@@ -49,9 +49,10 @@ def improved(
 ) -> Fit:
     """Return the model of least squares that is found from `start`.
 
-    What jumps, as the time at which something begins, is searched in ever smaller steps. When it
-    was and how long it took is then fitted to all samples: those that count may have none of that
-    time. A `robust` fit goes by most of a record, however far it is off the rest.
+    Parameters without a gradient, such as the time at which something begins, are searched in ever
+    smaller steps. When it was and how long it took is then fitted to all samples: those that count
+    may have none of that time. A `robust` fit goes by most of a record, however far it is off the
+    rest.
     """
     layout = Layout(dataset, start)
     fit = _descended(dataset, about, layout, start, rounds, layout.smooth, robust=robust)

@@ -1,4 +1,4 @@
-"""Friction that may take any course over time: what a cause in time has to be as good as.
+"""Piecewise-linear friction over time, the reference for causes in time.
 
 A step or a drift is the nearest of the catalogue to friction that wanders, and takes most of it up.
 It is not the cause if a course that is free to be anything does far better.

@@ -32,7 +32,7 @@ class Named(NamedTuple):
     value: float
     low: float
     high: float
-    sampling: float  # half the interval that the scatter of the residuals alone makes
+    sampling: float  # half width of the interval from residual scatter only
 
     @property
     def excludes_neutral(self) -> bool:
@@ -49,7 +49,7 @@ class Named(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        """Whether the scatter of the residuals alone leaves out the neutral value."""
+        """Whether the interval from residual scatter only excludes the neutral value."""
         neutral = self.parameter.neutral
         return neutral is None or abs(self.value - neutral) > self.sampling
 
@@ -65,8 +65,8 @@ def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tu
     """Return all numbers of a model but those of single records, with their intervals.
 
     From the scatter of the residuals and their correlation from one sample to the next, and from
-    what a simulation that is off by `Settings.accuracy` could make of a number at worst; of a time
-    that no slope leads to, by how far it can be moved until the residuals are as much larger.
+    the worst case of a simulation error of `Settings.accuracy`; for a time, a parameter without a
+    gradient, from how far it can be moved until the residuals are as much larger.
     """
     layout = Layout(dataset, fit.model)
     J, r = slopes_of(dataset, about, fit), residual(dataset, fit)

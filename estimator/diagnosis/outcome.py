@@ -88,7 +88,7 @@ class DetectionLimit(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """What is wrong with the model of a dataset, why, and what mending it is worth."""
+    """What is wrong with the model of a dataset, why, and the gain of correcting it."""
 
     verdict: Verdict
     steps: tuple[Step, ...]
@@ -101,7 +101,7 @@ class Diagnosis(NamedTuple):
     after: Fitnesses
     gain: dict[str, Gain]
     noise: dict[str, float]
-    left: float  # share of what noise does not explain that the extended model leaves
+    left: float  # unexplained share: of the error beyond noise, what the extended model leaves
     wanders: bool  # friction changes with time, and not as the causes say
     structure: tuple[Structure, ...]  # of what the extended model leaves
     detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset

@@ -303,8 +303,8 @@ def at_rows(record: Record, kept: Mask) -> Record:
 def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Trouble]]:
     """Return which samples of the tension are not at a turn of the motor, and what is said of them.
 
-    There friction turns round within less than an encoder resolves, or between two samples: how far
-    it has come at that sample, nobody can tell.
+    There friction reverses within less than an encoder resolves, or between two samples: the state
+    of the reversal is unknown.
     """
     turns = np.array(turning_points(drive, SETTINGS.reversal * float(np.ptp(drive))))[1:-1]
     beside = np.zeros_like(good)

@@ -50,8 +50,8 @@ def sentence(found: Diagnosis) -> str:
             )
         if names := _unsure(found):
             return (
-                f"The model is wrong, and these data do not tell why: {' or '.join(names)} would "
-                f"explain it, none of them surely; {_structure(found)}."
+                f"The model is wrong, and these data do not determine the cause: "
+                f"{' or '.join(names)} would explain it, none of them surely; {_structure(found)}."
             )
         labels = " and ".join(step.effect.label for step in found.steps)
         share = f"{found.left:.0%} of what noise does not explain"

@@ -137,7 +137,7 @@ def promised(
     """
     r = residual(dataset, fit)
     J = slopes_of(dataset, about, fit)
-    J[:, ~Layout(dataset, fit.model).smooth] = 0.0  # no slope leads to when something happened
+    J[:, ~Layout(dataset, fit.model).smooth] = 0.0  # times have no gradient
     solve = np.linalg.pinv(J)
     without = cost(dataset, fit)
     begin = [(effect, values) for effect in effects for values in effect.starts(about[0])]
@@ -209,7 +209,7 @@ def _with(model: Model, effect: Effect, values: Values) -> Model:
 
 
 def _off_bounds(model: Model, context: EffectContext) -> Model | None:
-    """Return a model whose last effect has its usual shape again where a bound has stopped it.
+    """Return a model with its last effect reset to its default shape parameters where at a bound.
 
     A thin record does not have what is short, such as a memory: there it may end at a bound that
     whole records would not have led it to, and would not lead it away from. None if there is none.

@@ -21,16 +21,16 @@ class Settings:
     spike: float = 8.0  # times the local scatter by which a sample is off both its neighbours
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
     reversal: float = 1e-3  # of the drive's range that the motor goes back by, at least
-    jitter: float = 4.0  # standard deviations of the drive's noise: less is no reversal
+    jitter: float = 4.0  # minimum reversal size, in sigma of the drive's noise
     jitter_quantile: float = 0.9  # of the noise that smoothing leaves on its samples
-    reversal_noise: float = 3.0  # standard deviations of a travel's noise that a reversal has
+    reversal_noise: float = 3.0  # minimum reversal size, in sigma of a travel's noise
     equal_error: float = 12.0  # noise variances by which two places of a reversal fit alike
     corner: float = 0.4  # least over largest curvature about a reversal; below it is a corner
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 
     # when a record starts slack, and where it is taut then (model.py, dataset.py)
     assumed_compliance: float = 1e-4  # [m/N] L/EA without a travel: tensions do not tell it
-    slack_noise: float = 3.0  # standard deviations of a tension at the start that is none
+    slack_noise: float = 3.0  # in sigma: tension below which the start is slack
     taut_sigma: float = 2.0  # standard deviations of the tension: how surely the start tells it
     taut_sigma_min: float = 1e-6  # [m]
 

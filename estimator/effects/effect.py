@@ -42,7 +42,7 @@ class Parameter(NamedTuple):
     neutral: float | None = 0.0
     """Its value without the effect; None where it only shapes the effect."""
     jumps: bool = False
-    """Whether it must be searched step by step, since no slope leads to it."""
+    """Whether it must be searched step by step, since it has no gradient."""
 
 
 class EffectContext(NamedTuple):

@@ -91,7 +91,7 @@ GRADUAL = Effect(
     advice=_CURVATURE_ADVICE,
     starts=lambda _: [(0.6,)],
     physics=_gradual,
-    where="by and by",
+    where="gradually along the sheath",
     needs=TRAVEL,
 )
 
@@ -142,7 +142,7 @@ SHEATH_COMPRESSION = Effect(
 
 SLACK = Effect(
     name="slack",
-    cause="there is more tendon than way, and it is taken up before anything pulls",
+    cause="the tendon is longer than its path, and its slack is taken up before anything pulls",
     equation="the motor travels length at no tension",
     parameters=(Parameter("length", "m", 0.0, 0.1, 1e-5),),
     source="range assumed: 0.1 to 5 mm",

@@ -29,7 +29,7 @@ PRETENSION = Effect(
     equation="T(s) = tension before the first sample",
     parameters=(Parameter("tension", "N", 0.0, 60.0, 0.5),),
     source="docs/theory.md (T15)",
-    advice="Begin each record with a full pull and release; that wipes the start out.",
+    advice="Begin each record with a full pull and release; that erases the initial state.",
     starts=lambda context: [(float(context.measured[PROXIMAL_TENSION][0]),), (2.0,), (6.0,)],
     physics=lambda physics, values, _: physics._replace(start=values[0]),
     where="the same all along",

@@ -1,4 +1,4 @@
-"""The tension profile along the sheath: the whole memory of the transmission, and how it moves.
+"""The tension profile along the sheath, a play operator: the transmission's memory and its update.
 
 With y(s) = ln(T + tau) over the friction coordinate s, sliding towards the motor gives dy/ds = -1,
 sliding towards the tip dy/ds = +rho, and what sticks keeps what it had. Driven from the housing to

@@ -65,7 +65,7 @@ def tighten(
     `T` [N] and `q` [m] are averages, `sigma_mean` [N] the noise of `T`.
 
     Over a window in which T_in went one way, dq_p >= G(a) dT_in says that at some time the front
-    was at a or deeper. What of dT_in the noise hides counts against it.
+    was at a or deeper. Noise in dT_in widens the bound.
     """
     table = prepared.tables[:]
     state.window_age += dt
@@ -95,9 +95,9 @@ def tighten(
         rest = table[_K] - depth + slack_K
         low = tension_of(table, log_tension(table, least) + side * depth - rest)
         high = tension_of(table, log_tension(table, most) + side * depth + table[_ASYMMETRY] * rest)
-        unheard = prepared.tip_tension_rate * state.window_age if state.window_age > 0.0 else 0.0
-        state.proved_low = max(state.proved_low, low - unheard)
-        state.proved_high = min(state.proved_high, high + unheard)
+        tip_change = prepared.tip_tension_rate * state.window_age if state.window_age > 0.0 else 0.0
+        state.proved_low = max(state.proved_low, low - tip_change)
+        state.proved_high = min(state.proved_high, high + tip_change)
         profile = state.profile[:]
         T_out = read_out(table, profile)[1]
         if full and not low <= T_out <= high:

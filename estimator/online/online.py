@@ -75,7 +75,7 @@ NEGATIVE = 0.05
 """Zero offset [N] that is not a broken load cell."""
 
 LARGEST = 1e6
-"""Tension [N] that is no tendon's."""
+"""Largest plausible tension [N]."""
 
 _BLANK = TendonEstimate.new()
 _K, _ASYMMETRY, _DRAG = _tables.K, _tables.ASYMMETRY, _tables.DRAG
@@ -230,13 +230,13 @@ def _advance_law(
 ) -> None:
     """Take one corrected sample by the closed law alone."""
     table = prepared.tables[:]
-    unheard = prepared.tip_tension_rate * dt if dt > 0.0 else 0.0
-    state.proved_low -= unheard
-    state.proved_high += unheard
+    tip_change = prepared.tip_tension_rate * dt if dt > 0.0 else 0.0
+    state.proved_low -= tip_change
+    state.proved_high += tip_change
     if not _is_valid(prepared, T, q, dt):
         status = INVALID_INPUT | (0 if _erased(table, state) else UNINITIALISED)
         state.has_displacement = False
-        low, high = max(state.low - unheard, 0.0), state.high + unheard
+        low, high = max(state.low - tip_change, 0.0), state.high + tip_change
         _report(table, state, low, high, math.nan, status, estimate)
         return
     if not state.started:

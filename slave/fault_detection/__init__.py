@@ -1,6 +1,7 @@
-"""Fault detection: broken and jammed tendons, stuck and saturated load cells, motors gone astray.
+"""Fault detection of tendons, load cells and motors.
 
-`step` checks every sample, whether engaged or not, `check_motors` every tick. docs/control.md has
+Broken and jammed tendons, stuck and saturated load cells, motors off their set position: `step`
+checks every sample, whether engaged or not, `check_motors` every tick. docs/control.md has
 thresholds and detection times.
 """
 

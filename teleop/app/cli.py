@@ -18,8 +18,8 @@ COMMANDS = {
         "teleop.app.launch.command",
         "start and supervise a whole session: slave, master, recorder, viewer",
     ),
-    "master": ("master.process", "run the operator's side alone"),
-    "slave": ("slave.process", "run the tendon side alone"),
+    "master": ("master.process", "run the operator's side (master) alone"),
+    "slave": ("slave.process", "run the robot's side (slave) alone"),
     "stop": ("teleop.remote.stop", "emergency stop of a session; --reset takes it back"),
     "set": ("teleop.remote.set", "change a setting of a running session"),
     "record": ("teleop.recording.command", "record a session to a file"),
@@ -29,7 +29,10 @@ COMMANDS = {
         "put delay, loss, corruption or a cut between master and slave",
     ),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
-    "devices": ("master.devices.hid.command", "see, check and calibrate haptic devices"),
+    "devices": (
+        "master.devices.hid.command",
+        "list, probe and test haptic devices; print udev rules",
+    ),
     "calibrate": ("slave.calibration.command", "measure a rig's sheaths: friction and stiffness"),
     "estimate": ("teleop.tools.estimate", "estimate the distal tension in measured data"),
     "diagnose": (

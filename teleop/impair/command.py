@@ -1,11 +1,11 @@
 """Emulate an impaired network between master and slave: delay, loss, corruption, cuts; seeded.
 
-  teleop impair --delay 0.1 --jitter 0.05 --loss 0.1     in both directions
-  teleop impair --config experiment.yaml                 with its `impair` section
-  teleop run --config demo.yaml --set impair.to_slave.delay=0.1      in a session
-  teleop impair cut; teleop impair mend                  block all messages of one that runs, or not
-  teleop impair set to_slave.loss=0.3                    change a setting of one that runs
-  teleop impair status                                   counts of delayed and lost messages
+  teleop impair --delay 0.1 --jitter 0.05 --loss 0.1   in both directions
+  teleop impair --config experiment.yaml     with its `impair` section
+  teleop run --config demo.yaml --set impair.to_slave.delay=0.1   in a session
+  teleop impair cut; teleop impair mend      block or unblock all messages of a running proxy
+  teleop impair set to_slave.loss=0.3        change a setting of a running proxy
+  teleop impair status                       counts of delayed and lost messages
 
 `teleop run` gives the master the proxy's endpoint; start a separate master with
 `teleop master --set link.slave=tcp/127.0.0.1:7449`. Recorder and viewer receive from both sides
@@ -38,6 +38,23 @@ DIRECTIONS = ("to_slave", "to_master")
 ACTIONS = ("cut", "mend", "set", "status")
 _SWITCH_S = 0.0005  # switch interval of our threads; Python's default is 5 ms
 _NUMBERS = tuple(name for name, hint in get_type_hints(DirectionConfig).items() if hint is float)
+_HELP = {  # metavar and help of each number
+    "delay": ("S", "mean delay of a message [s]"),
+    "jitter": ("S", "the delay varies from delay - jitter to delay + jitter [s]"),
+    "jitter_time": (
+        "S",
+        "time between random delays, linear in between [s]; 0 = a new one for each message",
+    ),
+    "loss": ("SHARE", "share of messages lost independently, 0 to 1"),
+    "burst_loss": ("SHARE", "share of messages lost in bursts, 0 to 1"),
+    "burst_length": ("N", "mean length of a burst [messages]"),
+    "burst_depth": ("SHARE", "share of messages lost during a burst, above 0 to 1"),
+    "reorder": ("SHARE", "share of messages held back so that others overtake them, 0 to 1"),
+    "reorder_by": ("S", "additional delay of those messages [s]"),
+    "duplicate": ("SHARE", "share of messages duplicated, 0 to 1"),
+    "corrupt": ("SHARE", "share of messages with one byte changed, 0 to 1"),
+    "cut_period": ("S", "period after which the config's `cuts` repeat [s]"),
+}
 
 
 class Proxy:
@@ -136,17 +153,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         metavar="ACTION",
         help=(
-            "control the running proxy: cut, mend (to_slave or to_master, else both), set "
-            "KEY=VALUE ..., status"
+            "control the running proxy: cut | mend [to_slave|to_master] (both without one), "
+            "set KEY=VALUE ..., status"
         ),
     )
     both = parser.add_argument_group(
-        "both ways", "initial values of `impair.to_slave` and `impair.to_master`"
+        "both ways",
+        "initial values of `impair.to_slave` and `impair.to_master`, in place of the config's",
     )
     for item in dataclasses.fields(DirectionConfig):
         if item.name in _NUMBERS:
             option = f"--{item.name.replace('_', '-')}"
-            both.add_argument(option, dest=item.name, type=float, metavar="X")
+            metavar, text = _HELP[item.name]
+            both.add_argument(option, dest=item.name, type=float, metavar=metavar, help=text)
     parser.add_argument("--seed", type=int, metavar="N", help="seed of the random numbers")
 
 

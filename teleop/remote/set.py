@@ -14,7 +14,7 @@ from teleop.config import load
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages import TEXT_BYTES, Answer, Setting, text_bytes, text_of
-from teleop.options import add_options
+from teleop.options import add_option, add_options
 from teleop.run_config import RunConfig
 from teleop.topics import ANSWER, SETTING, Role
 
@@ -25,7 +25,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop set`."""
     parser.add_argument("key", metavar="KEY", help="e.g. force.scale")
     parser.add_argument("value", metavar="VALUE", help="as in a config file")
-    add_options(parser, "--config", "--set")
+    add_options(parser, "--config")
+    add_option(
+        parser,
+        "--set",
+        help="override a value of the config that selects the session (not the setting to change), "
+        "e.g. --set session=bench",
+    )
 
 
 def main(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@
   teleop stop --reset              reset the stop; the operator must release and engage again
 
 Exit code 0 when every connected side reports that it has stopped. With --watch, Enter stops at
-once, and `q` and Enter ends the watch without a stop.
+once; `q`, then Enter, ends the watch without a stop.
 """
 
 import argparse
@@ -118,7 +118,7 @@ def watch(link: Link, stop: Stop, words: str) -> int:
             f"session {link.session!r}: no master and no slave connected, nothing to watch"
         )
     names = " and ".join(side.name.lower() for side in sides)
-    print(f"watching {names}; Enter stops, q and Enter ends the watch", flush=True)
+    print(f"watching {names}; Enter stops; q, then Enter, ends the watch", flush=True)
     listening = True
     while not stop():
         call_stop(link, Role.WATCH, words, WATCH)

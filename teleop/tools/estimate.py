@@ -71,15 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=1.0,
         metavar="M",
         help=(
-            "[m] of the sheath (default 1), also with --model; data determine only EA/L, so EA "
-            "scales with it"
+            "length of the sheath [m], also with --model; data determine only EA/L, so EA scales "
+            "with it (default 1)"
         ),
     )
     add_options(parser, "--set", "--column", "--drop-nonfinite", "--json")
     parser.add_argument(
         "--tendon",
-        metavar="1a",
-        help="which one, by joint and side or by number, of data or a model that have several "
+        metavar="TENDON",
+        help="tendon to estimate, if data or model have several: joint and side (1a) or number "
         "(default the first)",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")

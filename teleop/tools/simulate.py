@@ -46,26 +46,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     scale = Scale()
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="config file (YAML)")
-    parser.add_argument("--out", type=Path, required=True, help=".csv, .csv.gz or .parquet")
-    parser.add_argument("--duration", type=float, default=30.0, help="[s] (default 30)")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help=".csv, .csv.gz or .parquet"
+    )
+    parser.add_argument(
+        "--duration", type=float, default=30.0, metavar="S", help="duration [s] (default 30)"
+    )
     parser.add_argument(
         "--profile",
         choices=MOTIONS,
         default="pull-release-pull",
-        help="pull-release-pull as in the paper's experiment (default), loop as for a calibration, "
-        "nested reversals, or a sine",
+        help="pull-release-pull as in the paper's experiment, loop as for a calibration, "
+        "nested reversals, or a sine (default pull-release-pull)",
     )
-    parser.add_argument("--rate", type=float, default=1000.0, help="[Hz] of samples (default 1000)")
-    parser.add_argument("--seed", type=int, help="of the noise, in place of the config's")
-    for name, default, text in (
-        ("peak", scale.peak, "[N] housing tension to turn at"),
-        ("speed", scale.speed, "[m/s] of the motor between turns"),
-        ("stroke", scale.stroke, "[m] of the sine"),
-        ("period", scale.period, "[s] of the sine"),
-        ("keep", KEEP, "[N] housing tension of the other tendon of a pair"),
+    parser.add_argument(
+        "--rate", type=float, default=1000.0, metavar="HZ", help="sample rate [Hz] (default 1000)"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of the sensor noise (default the config's)"
+    )
+    for name, default, metavar, text in (
+        ("peak", scale.peak, "N", "housing tension at which the motor turns [N]"),
+        ("speed", scale.speed, "M/S", "speed of the motor between turns [m/s]"),
+        ("stroke", scale.stroke, "M", "stroke of the sine [m]"),
+        ("period", scale.period, "S", "period of the sine [s]"),
+        ("keep", KEEP, "N", "housing tension of the other tendon of a pair [N]"),
     ):
         parser.add_argument(
-            f"--{name}", type=float, default=default, help=f"{text} (default {default:g})"
+            f"--{name}",
+            type=float,
+            default=default,
+            metavar=metavar,
+            help=f"{text} (default {default:g})",
         )
     parser.add_argument(
         "--side",

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout",
         choices=LAYOUTS,
-        help="surgeon, experiment or presentation layout (default: view.layout of the config)",
+        help="surgeon, experiment or presentation layout (default view.layout of the config)",
     )
     parser.add_argument(
         "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"

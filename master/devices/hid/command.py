@@ -1,4 +1,4 @@
-"""List, test and calibrate haptic devices.
+"""List, probe and test haptic devices; print the udev rules that open them.
 
   teleop devices list                 list attached devices, drivers and permissions
   teleop devices probe 1209:ffb0      print its report descriptor and report rate
@@ -32,6 +32,7 @@ from teleop.errors import UsageError
 from teleop.process import seconds
 from teleop.status_line import StatusLine
 
+PROBE_S, TEST_S = 2.0, 10.0  # [s] default durations
 _LOOK_S = 0.005  # [s] between two looks at a device
 _ANSWERS = {"l": 1, "s": -1, "n": 0}
 
@@ -50,14 +51,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     probe = actions.add_parser("probe", help="print the report descriptor and the report rate")
     test = actions.add_parser("test", help="test axes and buttons, find the sign of the force")
     actions.add_parser("rules", help="print udev rules that let you open haptic devices (Linux)")
-    for action, purpose in ((probe, "count reports"), (test, "watch the inputs")):
-        action.add_argument("find", nargs="?", default="", help="which device")
+    for action, purpose, duration in (
+        (probe, "count reports", PROBE_S),
+        (test, "watch the inputs", TEST_S),
+    ):
         action.add_argument(
-            "--seconds", type=seconds, metavar="S", default=None, help=f"duration: {purpose}"
+            "find",
+            nargs="?",
+            default="",
+            metavar="DEVICE",
+            help="vendor:product, serial number or path (default the only one that fits)",
         )
-    test.add_argument("--driver", choices=("auto", *DRIVERS), default="auto", help="driver to use")
+        action.add_argument(
+            "--seconds",
+            type=seconds,
+            metavar="S",
+            default=None,
+            help=f"seconds to {purpose} (default {duration:g})",
+        )
     test.add_argument(
-        "--signs", type=Path, metavar="FILE", help=f"file of force signs ({signs.default_path()})"
+        "--driver", choices=("auto", *DRIVERS), default="auto", help="driver to use (default auto)"
+    )
+    test.add_argument(
+        "--signs",
+        type=Path,
+        metavar="FILE",
+        help="file of force signs (default ~/.config/tendon-teleop/force-signs.yaml; "
+        "XDG_CONFIG_HOME replaces ~/.config)",
     )
 
 
@@ -69,9 +89,9 @@ def main(args: argparse.Namespace) -> int:
         elif args.action == "rules":
             print(rules.rules(fitting(search.attached())), end="")
         elif args.action == "probe":
-            print("\n".join(probe_device(select_device(args.find), args.seconds or 2.0)))
+            print("\n".join(probe_device(select_device(args.find), args.seconds or PROBE_S)))
         else:
-            test(args.find, args.driver, args.signs, args.seconds or 10.0, Person())
+            test(args.find, args.driver, args.signs, args.seconds or TEST_S, Person())
     except DeviceFault as fault:
         raise UsageError(str(fault)) from fault
     return 0

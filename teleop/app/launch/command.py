@@ -6,7 +6,8 @@
   teleop run --config rig.yaml --model diagnosis/model.yaml   with the model of a diagnosis
   teleop run --set impair.to_slave.delay=0.02           with a network impairment: `teleop impair`
 
-Each of the four can also run alone, on its own machine: see `teleop slave --help` etc.
+Slave, master, recorder (`teleop record`) and viewer (`teleop view`) can also run alone, each on its
+own machine: see `teleop slave --help` etc.
 """
 
 import argparse

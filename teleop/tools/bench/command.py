@@ -45,8 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "\n".join(
         ["experiments:", *(f"  {name:12} {summary}" for name, (_, summary) in BENCHES.items())]
     )
-    parser.add_argument("experiment", choices=BENCHES, metavar="NAME", help="see below")
-    parser.add_argument("words", nargs=argparse.REMAINDER, metavar="...", help="its own options")
+    parser.add_argument(
+        "experiment", choices=BENCHES, metavar="NAME", help="experiment, one of those listed below"
+    )
+    parser.add_argument(
+        "words", nargs=argparse.REMAINDER, metavar="...", help="options of the experiment"
+    )
 
 
 def main(args: argparse.Namespace) -> int:

@@ -25,20 +25,25 @@ WARM_S = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the common options."""
-    parser.add_argument("--runs", type=int, metavar="N", help=f"how many (default {RUNS})")
+    parser.add_argument("--runs", type=int, metavar="N", help=f"number of runs (default {RUNS})")
     parser.add_argument(
-        "--seconds", type=seconds, metavar="S", help=f"of each run (default {SECONDS:g})"
+        "--seconds",
+        type=seconds,
+        metavar="S",
+        help=f"duration of each run [s] (default {SECONDS:g})",
     )
     add_option(parser, "--quick", f"{QUICK_RUNS} runs of {QUICK_SECONDS:g} s")
     add_option(parser, "--json")
-    parser.add_argument("--compare", type=Path, metavar="OLD", help="a result of --json, before")
+    parser.add_argument(
+        "--compare", type=Path, metavar="OLD", help="earlier --json file to compare with"
+    )
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:
     """Declare what chooses the session."""
     add_option(parser, "--config", help="config file (YAML) of a session on a simulated rig")
     parser.add_argument(
-        "--joints", type=int, default=1, metavar="N", help="of the session otherwise (default 1)"
+        "--joints", type=int, default=1, metavar="N", help="joints, without --config (default 1)"
     )
 
 

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=list(JOINTS),
         metavar="N",
-        help=f"how many, each 1 to 8 (default {' '.join(map(str, JOINTS))})",
+        help=f"numbers of joints to compare, each 1 to 8 (default {' '.join(map(str, JOINTS))})",
     )
     runs.add_arguments(parser)
 

@@ -6,8 +6,8 @@
   teleop diagnose bench.csv --effects creep,slack          ... consider only these causes
   teleop diagnose bench.csv --noise proximal_displacement=1e-6    noise that is known, in m or N
 
-The data: tables with time_s and proximal_tension_N, and a travel or the tension at the tip beside
-them, or recordings (docs/data-format.md). Several files must be of one bench and are fitted
+The data: tables with time_s and proximal_tension_N, and also the motor travel or the tip tension,
+or recordings (docs/data-format.md). Several files must be of one bench and are fitted
 together. With --out a folder gets report.html, report.json, model.yaml and residuals.rrd
 (docs/diagnosis.md). The exit code is 0 for any diagnosis.
 """
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME,NAME",
         help="causes to consider (default all; names in docs/diagnosis.md)",
     )
-    add_option(parser, "--calibration", "to be compared with what the data say")
+    add_option(parser, "--calibration", "compared with the result")
     add_options(parser, "--column", "--drop-nonfinite", "--validate", "--out", "--json")
     parser.add_argument(
         "--noise",
@@ -71,10 +71,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=SIGMA",
         help="standard deviation of a channel's noise [N] or [m], e.g. --noise "
-        "proximal_displacement=1e-6 (default: estimated from the data)",
+        "proximal_displacement=1e-6 (default estimated from the data)",
     )
     parser.add_argument(
-        "--tendon", metavar="N", help="which one, 1, 2, ..., of data that have several (default 1)"
+        "--tendon", metavar="N", help="tendon to diagnose, if the data have several (default 1)"
     )
 
 

@@ -38,16 +38,18 @@ Done = TypeVar("Done")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument(
-        "--sheaths", type=int, default=40, metavar="N", help="random sheaths (default 40)"
+        "--sheaths", type=int, default=40, metavar="N", help="number of random sheaths (default 40)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="of sheaths and noise (default 1)")
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="seed of sheaths and noise (default 1)"
+    )
     add_options(parser, "--out", "--json")
     add_option(parser, "--jobs", default=processors())
     parser.add_argument(
         "--figures",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="draw figures into --out (default: yes)",
+        help="draw figures into --out (default yes)",
     )
 
 

@@ -37,20 +37,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=COUPLINGS,
         default=list(COUPLINGS),
         metavar="NAME",
-        help=f"which (default: {' '.join(COUPLINGS)})",
+        help=f"couplings to measure (default {' '.join(COUPLINGS)})",
     )
     parser.add_argument(
         "--round-trips",
         nargs="+",
         type=float,
         metavar="MS",
-        help="delays of both ways together [ms] (default: 0 20 100 200 300; --quick: 0 200)",
+        help="round-trip delays [ms] (default 0 20 100 200 300; with --quick 0 200)",
     )
     parser.add_argument(
-        "--jitter", type=float, default=0.0, metavar="MS", help="+- [ms] of the round trip"
+        "--jitter",
+        type=float,
+        default=0.0,
+        metavar="MS",
+        help="the round trip varies by +- MS [ms] (default 0)",
     )
     parser.add_argument(
-        "--loss", type=float, default=0.0, metavar="SHARE", help="of the messages, each way"
+        "--loss",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="share of messages lost each way, 0 to 1 (default 0)",
     )
     for name, value, text in (
         ("force", default.force_scale, "force on the hand per force at the tip"),
@@ -61,7 +69,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f"{text} (default {value:g})",
         )  # fmt: skip
     add_option(parser, "--quick", "two round trips, in a minute")
-    add_option(parser, "--out", "default transparency", default=Path("transparency"))
+    add_option(
+        parser,
+        "--out",
+        default=Path("transparency"),
+        help="folder for the report (default transparency)",
+    )
     add_option(parser, "--jobs", default=processors())
 
 

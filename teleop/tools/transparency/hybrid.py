@@ -54,7 +54,7 @@ class Excitation(NamedTuple):
 
 
 class Hybrid(NamedTuple):
-    """What the experiments told."""
+    """Results of the experiments."""
 
     frequency: Array  # [Hz]
     h11: Response  # [N s/m]

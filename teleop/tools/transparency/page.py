@@ -65,7 +65,7 @@ def _add_stiffness(
         f"A hand that goes its way presses a spring in {stiffness.STEPS} steps, up to "
         f"{stiffness.FORCE:g} N at the tip, and rests after each. The slope of force over "
         "motion, at rest, is what is felt. A ripple of the force above "
-        f"{report.RIPPLE:g} N is told."
+        f"{report.RIPPLE:g} N is reported."
     )
     figure("stiffness.png")
     page.table(report.stiffnesses(study, cases), mark="")
@@ -113,7 +113,7 @@ def _add_stability(page: Page, figure: Callable[[str], None], *, drawn: bool) ->
     if drawn:
         page.text(
             "η = (2 Re h11 Re h22 − Re(h12 h21)) / |h12 h21| (Llewellyn 1952; Adams & "
-            "Hannaford 1999). It is told where the coupling's law is linear and the network "
+            "Hannaford 1999). It is reported where the coupling's law is linear and the network "
             "constant; elsewhere it does not apply."
         )
         figure("llewellyn.png")

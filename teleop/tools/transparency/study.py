@@ -48,7 +48,7 @@ class Study:
     lowest: float = 100.0  # [N/m] of the walls
     cap: float = 10000.0  # [N/m]
     factor: float = 10.0  # by which their stiffness rises at first
-    within: float = 1.2  # ratio to which the Z-width is told
+    within: float = 1.2  # ratio to which the Z-width is reported
     excitation: Excitation = EXCITATION
 
     def network(self, round_trip: float) -> Network:

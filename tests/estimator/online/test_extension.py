@@ -225,7 +225,7 @@ def test_the_shape_of_the_sheath_is_in_its_sections():
     assert whole == pytest.approx((0.9, 1.5, 9e3))
     first, *_, last = found.sheath.sections
     assert last.radius / first.radius == pytest.approx(math.e)
-    smooth = effect("nonuniform_curvature", "by and by")
+    smooth = effect("nonuniform_curvature", "gradually")
     gradual = extended((0.9, 1.5 / 9e3, 0.0), [(smooth, (1.0,))], 60.0, 1.5).sheath
     assert 3 < len(gradual.sections) <= 16
 

@@ -3,6 +3,9 @@
 An effect is a frozen dataclass whose `type` names it in a config file. It changes the knobs of a
 tendon (`TendonEffect`), the constants of a joint (`JointEffect`) or of sensors (`SensorEffect`), or
 drops or repeats samples (`SampleEffect`); `schedule` applies it in time.
+
+To add one, define it in the module of its family, add it to `EffectConfig` below, and describe it
+in docs/rigs.md.
 """
 
 from slave.rigs.simulated.plant.effects.along import BrokenTendon, JammedTendon, NonuniformCurvature
