@@ -52,7 +52,9 @@ def assert_same(offline, recording):
         np.testing.assert_array_equal(live[field][:, 0], offline.extra[column][rows], err_msg=field)
 
 
-@pytest.mark.parametrize("rate", ["82", "1000", "2500"])
+@pytest.mark.parametrize(
+    "rate", ["82", *(pytest.param(rate, marks=pytest.mark.slow) for rate in ("1000", "2500"))]
+)
 def test_live_equals_offline_whatever_the_rate_of_the_data(rate, demo_config, tmp_path):
     data = tmp_path / "bench.csv"
     words = ["simulate", str(demo_config), "--out", str(data), "--profile", "nested"]

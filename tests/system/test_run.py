@@ -224,7 +224,7 @@ def test_a_slave_that_is_never_usable_is_told_why_and_exit_code_1(demo_config, t
         str(calibration),
     )
     assert code == 1
-    why = "c.yaml does not fit: it is of the rig 'another', this one is 'demo'"
+    why = "c.yaml does not fit: it is for the rig 'another', this one is 'demo'"
     assert out.count(why) == 1
     (line,) = err.splitlines()
     assert why in line
