@@ -49,6 +49,7 @@ from estimator.diagnosis.score import (
 )
 from estimator.diagnosis.search import Candidate, Report, candidates
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.simple_models import simple_models
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect
 
@@ -368,6 +369,7 @@ def _outcome(
         noise=mean_noise(dataset),
         left=left,
         wanders=astray,
+        simple_models=simple_models(dataset),
         structure=structure(dataset, fit),
         detection_limits=detection_limits(dataset, plain, usable)
         if verdict is Verdict.CLEAN

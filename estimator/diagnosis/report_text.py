@@ -86,12 +86,14 @@ def summary(
         tables.append(compared)
     if found.steps:
         tables.append(gains(found))
+    tables.append(models(found))
     if found.after.validation:
         tables.append(validated(found))
     if found.detection_limits:
         tables.append(detection_limits(found))
     parts = [sentence(found), *(table.markdown() for table in tables)]
-    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in remains(found)))
+    residuals = [*remains(found), *better_models(found)]
+    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in residuals))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in next_steps(found)))
     if said := remarks(found, named):
         parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in said))
@@ -135,6 +137,38 @@ def gains(found: Diagnosis) -> Table:
         for channel, gain in found.gain.items()
     ]
     return Table(("channel", "held-out RMSE falls by", "95 % interval"), tuple(rows))
+
+
+def models(found: Diagnosis) -> Table:
+    """Return the held-out errors of the law and of models that know no sheath."""
+    errors = {"the plain law": {c: one.rmse for c, one in found.before.held_out.items()}}
+    if found.steps:
+        errors["the extended law"] = {c: one.rmse for c, one in found.after.held_out.items()}
+    errors |= {one.name: one.rmse for one in found.simple_models}
+    channels = list(found.before.held_out)
+    rows = [
+        (name, *(quantity(rmse[channel], unit_of(channel), 3) for channel in channels))
+        for name, rmse in errors.items()
+    ]
+    return Table(("held-out RMSE of", *(CHANNEL_WORDS[c] for c in channels)), tuple(rows))
+
+
+def better_models(found: Diagnosis) -> list[str]:
+    """Return in which channels a model that knows no sheath is better than the law."""
+    said = []
+    for channel, one in found.after.held_out.items():
+        best = min(found.simple_models, key=lambda model: model.rmse[channel])
+        if (
+            found.noise[channel] < one.rmse
+            and best.rmse[channel] < SETTINGS.simple_ratio * one.rmse
+        ):
+            unit = unit_of(channel)
+            said.append(
+                f"{CHANNEL_WORDS[channel]}: {best.name} fits better than the law, "
+                f"{quantity(best.rmse[channel], unit, 3)} against {quantity(one.rmse, unit, 3)} "
+                "RMSE held out."
+            )
+    return said
 
 
 def validated(found: Diagnosis) -> Table:

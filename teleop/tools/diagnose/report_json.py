@@ -46,6 +46,7 @@ def tree(
         "parameters": {name: number._asdict() for name, number in found.parameters.items()},
         "baseline": _fitnesses(found.before),
         "extended": _fitnesses(found.after),
+        "simple_models": {one.name: one.rmse for one in found.simple_models},
         "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
         "noise": dict(found.noise),
         "driver": {

@@ -24,6 +24,7 @@ KEYS = {
     "extended": dict,
     "gain": dict,
     "noise": dict,
+    "simple_models": dict,
     "driver": dict,
     "seconds": float,
     "version": str,

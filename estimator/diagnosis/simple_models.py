@@ -1,0 +1,168 @@
+"""Models of hysteresis without a sheath in them: what the law has to be better than.
+
+Each gives a channel from the drive alone, by a least-squares fit of a few weights:
+
+* one play operator with a gain, and a Prandtl-Ishlinskii model of five (Kuhnen, Eur. J. Control 9,
+  2003): y = c + sum_j w_j p_j, where p_j is the drive after a play of half-width r_j, w_j >= 0; for
+  a tension also with a half-width in proportion to it, from T e^-K to T e^K;
+* LuGre (Canudas de Wit et al., IEEE Trans. Autom. Control 40, 1995): y = c + a u - s z - d v, with
+  dz/dt = v - |v| z / (r g(v)), g(v) = 1 + b exp(-(v/w)^2).
+"""
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.diagnosis.dataset import Dataset
+from estimator.diagnosis.record import Record
+from estimator.effects.effect import PROXIMAL_TENSION
+from estimator.signals import play
+
+PLAYS = 5
+_HALF_WIDTHS = np.geomspace(1e-3, 0.45, 24)  # of the drive's range, that one play is tried with
+_FRICTIONS = np.linspace(0.05, 2.5, 50)  # K of plays in proportion to a tension
+_REACHES = np.geomspace(1e-3, 0.3, 10)  # of it, of LuGre's bristles
+_STRIBECK = ((0.0, 1.0), (0.5, 0.1), (0.5, 0.4), (1.0, 0.1), (1.0, 0.4))  # b, and w over rms speed
+
+
+class SimpleFit(NamedTuple):
+    """A model and how far it is off in each channel."""
+
+    name: str
+    rmse: dict[str, float]  # [N] or [m] of held-out samples, both halves
+
+
+def simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
+    """Return the held-out errors of one play operator, of five, and of LuGre."""
+    channels = dataset.records[0].compared
+    return tuple(
+        SimpleFit(name, {channel: _held_out(dataset, channel, name) for channel in channels})
+        for name in _MODELS
+    )
+
+
+def _held_out(dataset: Dataset, channel: str, name: str) -> float:
+    """Return the rms error of both halves, each fitted to the other."""
+    squares, count = 0.0, 0
+    candidates = list(_MODELS[name](dataset))
+    for fitted_half in (True, False):
+        best, off = np.inf, np.zeros(0)
+        for features in candidates:
+            error, other = _fit(dataset, channel, features, fitted_half, name != "LuGre")
+            if error < best:
+                best, off = error, other
+        squares += float(off @ off)
+        count += len(off)
+    return float(np.sqrt(squares / max(count, 1)))
+
+
+def _fit(
+    dataset: Dataset, channel: str, features: list[Array], fitted_half: bool, positive: bool
+) -> tuple[float, Array]:
+    """Return the squared error of the fitted half, and the errors of the other."""
+    rows, values, fitted = [], [], []
+    offsets = np.eye(len(dataset.records))
+    for k, (record, columns) in enumerate(zip(dataset.records, features, strict=True)):
+        good = record.good[channel]
+        own = np.repeat(offsets[k][None], int(good.sum()), axis=0)  # each record its own zero
+        rows.append(np.column_stack([columns[good], own]))
+        values.append(record.signals[channel][good])
+        fitted.append(record.train[good] == fitted_half)
+    A, y, mask = np.concatenate(rows), np.concatenate(values), np.concatenate(fitted)
+    weights = _weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
+    off = y - A @ weights
+    return float(off[mask] @ off[mask]), off[~mask]
+
+
+def _weights(A: Array, y: Array, positive: int) -> Array:
+    """Return the weights of least squares, the first `positive` of them not below zero."""
+    from scipy.optimize import nnls
+
+    size = np.maximum(np.abs(A).max(axis=0), 1e-30)
+    Q, R = np.linalg.qr(A / size)
+    free = R[:, positive:]
+    found, _ = nnls(np.column_stack([R, -free]), Q.T @ y)
+    found[positive : R.shape[1]] -= found[R.shape[1] :]
+    return np.asarray(found[: R.shape[1]] / size)
+
+
+def _one_play(dataset: Dataset) -> Iterator[list[Array]]:
+    for share in _HALF_WIDTHS:
+        yield [played(record.drive, share * span)[:, None] for record, span in _spans(dataset)]
+    if dataset.records[0].driver == PROXIMAL_TENSION:
+        for K in _FRICTIONS:
+            yield [in_proportion(record.drive, K)[:, None] for record in dataset.records]
+
+
+def _several_plays(dataset: Dataset) -> Iterator[list[Array]]:
+    shares = np.concatenate([[0.0], 0.45 * (np.arange(1, PLAYS) / (PLAYS - 1)) ** 2])
+    yield [
+        np.column_stack([played(record.drive, share * span) for share in shares])
+        for record, span in _spans(dataset)
+    ]
+    if dataset.records[0].driver == PROXIMAL_TENSION:
+        for most in _FRICTIONS:
+            frictions = most * np.arange(1, PLAYS + 1) / PLAYS
+            yield [
+                np.column_stack([in_proportion(record.drive, K) for K in frictions])
+                for record in dataset.records
+            ]
+
+
+def _lugre(dataset: Dataset) -> Iterator[list[Array]]:
+    for reach, (excess, speed) in itertools.product(_REACHES, _STRIBECK):
+        columns = []
+        for record, span in _spans(dataset):
+            scale = speed * max(float(np.sqrt(np.mean(record.speed**2))), 1e-12)
+            g = 1.0 + excess * np.exp(-((record.speed / scale) ** 2))
+            z = bristle(record.drive, reach * span * g)
+            columns.append(np.column_stack([record.drive, z / (reach * span), record.speed]))
+        yield columns
+
+
+def _spans(dataset: Dataset) -> list[tuple[Record, float]]:
+    """Return each record with the range of the drive over all of them."""
+    span = max(float(np.ptp(record.drive)) for record in dataset.records)
+    return [(record, span) for record in dataset.records]
+
+
+_MODELS = {
+    "play operator with gain": _one_play,
+    f"Prandtl-Ishlinskii, {PLAYS} plays": _several_plays,
+    "LuGre": _lugre,
+}
+
+
+@compiled
+def played(drive: Array, half_width: float) -> Array:
+    """Return a drive after a play operator, shape (n,)."""
+    out = drive.copy()
+    for i in range(1, len(drive)):
+        out[i] = play(out[i - 1], drive[i], half_width)
+    return out
+
+
+@compiled
+def in_proportion(tension: Array, K: float) -> Array:
+    """Return a tension after a play operator from T e^-K to T e^K, shape (n,)."""
+    out = tension.copy()
+    for i in range(1, len(tension)):
+        low, high = tension[i] * math.exp(-K), tension[i] * math.exp(K)
+        out[i] = min(max(out[i - 1], low), high)
+    return out
+
+
+@compiled
+def bristle(drive: Array, reach: Array) -> Array:
+    """Return LuGre's bristle deflection z over a drive, shape (n,); exact for steps of `drive`."""
+    z = np.zeros_like(drive)
+    for i in range(1, len(drive)):
+        step = drive[i] - drive[i - 1]
+        end = reach[i] if step > 0.0 else -reach[i]
+        z[i] = end + (z[i - 1] - end) * np.exp(-abs(step) / reach[i])
+    return z

@@ -1,0 +1,100 @@
+"""Models without a sheath: found where they are true, and worse than the law where that is."""
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis import report_text
+from estimator.diagnosis.dataset import dataset_of
+from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.record import prepare
+from estimator.diagnosis.simple_models import simple_models
+from tests import hidden
+
+NOISE = 0.01  # [N]
+
+
+def walk(seed, n=4000):
+    """Return a tension [N] that turns at random depths."""
+    turns = np.random.default_rng(seed).uniform(1.0, 15.0, 24)
+    return np.interp(np.arange(n), np.linspace(0, n - 1, 24), turns)
+
+
+def after_a_play(values, half_width):
+    out = [float(values[0])]
+    for value in values[1:]:
+        if value - half_width > out[-1]:
+            out.append(float(value - half_width))
+        elif value + half_width < out[-1]:
+            out.append(float(value + half_width))
+        else:
+            out.append(out[-1])
+    return np.array(out)
+
+
+def dahl(values, reach, steps=50):
+    """Return Dahl's friction by small steps: dz/dx = (1 - sgn(dx) z) / reach."""
+    z, out = 0.0, [0.0]
+    for step in np.diff(values):
+        for _ in range(steps):
+            z += (1.0 - np.sign(step) * z) * step / steps / reach
+        out.append(z)
+    return np.array(out)
+
+
+def errors_of(T_out, seed=0):
+    rng = np.random.default_rng(seed)
+    T_in = walk(1)
+    time = np.arange(len(T_in)) * 0.01
+    signals = {
+        "proximal_tension": T_in + 1e-4 * rng.standard_normal(len(T_in)),
+        "distal_tension": T_out(T_in) + NOISE * rng.standard_normal(len(T_in)),
+    }
+    fits = simple_models(dataset_of([prepare(time, signals)]))
+    return {one.name.split()[0].rstrip(","): one.rmse["distal_tension"] for one in fits}
+
+
+def test_one_play_with_a_gain_is_found():
+    found = errors_of(lambda T: 0.7 * after_a_play(T, 1.9) + 0.4)
+    assert found["play"] < 0.15
+
+
+def test_a_play_in_proportion_to_the_tension_is_found():
+    def law(T):
+        out = [T[0]]
+        for value in T[1:]:
+            out.append(min(max(out[-1], value * np.exp(-0.6)), value * np.exp(0.6)))
+        return 0.84 * np.array(out)
+
+    assert errors_of(law)["play"] < 0.05
+
+
+def test_several_plays_are_found_where_one_is_not_enough():
+    found = errors_of(lambda T: 0.5 * T + 0.3 * after_a_play(T, 1.0) + 0.2 * after_a_play(T, 4.0))
+    assert found["Prandtl-Ishlinskii"] < 0.1
+    assert found["play"] > 2.0 * found["Prandtl-Ishlinskii"]
+
+
+def test_lugre_is_found():
+    found = errors_of(lambda T: 0.8 * T - 1.2 * dahl(T, 0.8))
+    assert found["LuGre"] < 0.1
+    assert found["LuGre"] < found["play"]
+
+
+@pytest.mark.parametrize("bench", ["blocked", "spring"])
+def test_on_a_clean_bench_the_law_is_better_than_any(bench):
+    made = hidden.make(71, (), bench=bench, duration=40.0, rate=50.0)
+    found = diagnose([prepare(made.time, dict(made.channels))], ())
+    assert report_text.better_models(found) == []
+    for one in found.simple_models:
+        for channel in ("proximal_tension", "distal_tension"):
+            assert one.rmse[channel] > 5.0 * found.before.held_out[channel].rmse
+
+
+def test_a_model_that_beats_the_law_is_named():
+    T_in = walk(2)
+    signals = {"proximal_tension": T_in, "distal_tension": 0.7 * after_a_play(T_in, 1.9)}
+    found = diagnose([prepare(np.arange(len(T_in)) * 0.01, signals)], ())
+    (said,) = report_text.better_models(found)
+    assert said.startswith("tension at the tip: ")
+    assert "fits better than the law" in said
+    assert "the plain law" in report_text.summary(found)
