@@ -13,7 +13,7 @@ from contextlib import ExitStack
 import numpy as np
 
 from teleop.link import Link, LinkConfig
-from teleop.link.bridge import ask
+from teleop.link.bridge import send_request
 from teleop.messages import Command
 from teleop.process import SUPERVISED
 from teleop.topics import COMMAND, Role
@@ -37,7 +37,7 @@ def latencies(config: LinkConfig, shared: LinkConfig, delay: float, proxied: boo
         listener = slave.listen((COMMAND,))
         if proxied:
             both = "to_slave", "to_master"
-            ask(
+            send_request(
                 config,
                 SESSION,
                 config.slave,

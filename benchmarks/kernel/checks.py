@@ -23,7 +23,7 @@ from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.device import HidDevice
 from master.devices.hid.driver import Controls
 from master.devices.hid.drivers import DRIVERS
-from master.devices.hid.line import Line
+from master.devices.hid.line import DeviceConnection
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.search import FoundDevice
@@ -82,7 +82,7 @@ def signs(case: Case, rig: Plugged) -> Figures:
     """A small force on each axis pushes that axis and no other; which way, is written down."""
     known = Signs()
     seen = []
-    line = Line(_search(case), PidConfig())
+    line = DeviceConnection(_search(case), PidConfig())
     try:
         for axis, name in enumerate(case.forces):
             force = [0.0] * len(case.forces)
@@ -112,7 +112,7 @@ def loop(case: Case, rig: Plugged) -> Figures:
         driver.begin(node)
         places = [driver.axes.index(name) for name in case.inputs]
         controls = Controls((0.0,) * len(driver.axes), 0, 0)
-        written = writer.Memory()
+        written = writer.WriterState()
         work: list[float] = []
         before = len(rig.pushes())
         grid = Grid(RATE_HZ, stop=lambda: len(decoded) >= REPORTS <= len(sent))
@@ -275,7 +275,7 @@ def _newtons(case: Case, force: Shares) -> Shares:
     return tuple(FULL_N * known.get(name, 0.0) for name in case.inputs)
 
 
-def _hold(line: Line, force: Shares) -> None:
+def _hold(line: DeviceConnection, force: Shares) -> None:
     end = time.monotonic() + _SETTLE_S
     while time.monotonic() < end:
         line.post(force)
