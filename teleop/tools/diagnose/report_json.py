@@ -1,6 +1,5 @@
 """report.json: a diagnosis for programs, in SI units."""
 
-import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from estimator.diagnosis import report_text
 from estimator.diagnosis.outcome import Diagnosis, Fitness, Fitnesses, Ranked
 from teleop.tools.diagnose.acceptance import ComparedParameter
+from teleop.tools.report.json_values import json_values
 
 
 def tree(
@@ -71,7 +71,7 @@ def tree(
         "seconds": seconds,
         "version": version("tendon-teleop"),
     }
-    plain: dict[str, Any] = _plain(report)
+    plain: dict[str, Any] = json_values(report)
     return plain
 
 
@@ -103,15 +103,3 @@ def _fitness(one: Fitness) -> dict[str, float]:
         "max_percent": 100.0 * one.largest,
         "mean_percent": 100.0 * one.mean,
     }
-
-
-def _plain(value: Any) -> Any:
-    """Return a value for JSON: numpy numbers become Python's, NaN and inf None."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, str | bool | int) or value is None:
-        return value
-    number = float(value)
-    return number if math.isfinite(number) else None

@@ -8,6 +8,7 @@ from teleop.tools.paper.methods import METHODS, OURS, PAPER
 from teleop.tools.paper.outcome import PUBLISHED, TARGETS, Outcome, Spread, spread, values
 from teleop.tools.paper.scoring import PHASES, WHOLE, Errors, Score
 from teleop.tools.paper.study import MOTIONS, PROFILE
+from teleop.tools.report.json_values import json_values
 
 SIGNALS = ("force", "elongation")
 ITEMS = ("largest", "average")
@@ -111,7 +112,7 @@ def tree(shown: Outcome, outcomes: list[Outcome], seed: int) -> dict[str, Any]:
         "spread": {
             motion: {
                 method: {
-                    f"{item} {signal}": _finite(
+                    f"{item} {signal}": json_values(
                         _spread(outcomes, method, motion, signal, item)._asdict()
                     )
                     for signal in SIGNALS
@@ -154,11 +155,7 @@ def _outcome_tree(outcome: Outcome) -> dict[str, Any]:
 
 
 def _score_tree(score: Score) -> dict[str, Any]:
-    return {signal: _finite(getattr(score, signal)._asdict()) for signal in SIGNALS}
-
-
-def _finite(tree: dict[str, float]) -> dict[str, float | None]:
-    return {key: value if math.isfinite(value) else None for key, value in tree.items()}
+    return {signal: json_values(getattr(score, signal)._asdict()) for signal in SIGNALS}
 
 
 def _spread(outcomes: list[Outcome], method: str, motion: str, signal: str, item: str) -> Spread:

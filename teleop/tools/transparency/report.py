@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from estimator.text_table import Table
+from teleop.tools.report.json_values import json_values
 from teleop.tools.transparency import llewellyn, stiffness, zwidth
 from teleop.tools.transparency.multisine import Response
 from teleop.tools.transparency.study import (
@@ -163,8 +164,8 @@ def _case_tree(study: Study, case: Case) -> dict[str, Any]:
                 "hand": hand,
                 "damping": damping,
                 "stable": walls.width.stable,
-                "unstable": _finite(walls.width.unstable),
-                "buzz": _finite(walls.buzz),
+                "unstable": json_values(walls.width.unstable),
+                "buzz": json_values(walls.buzz),
             }
             for (hand, damping), walls in case.walls.items()
         ],
@@ -219,7 +220,3 @@ def _round(value: float) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "–"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
