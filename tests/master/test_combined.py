@@ -297,7 +297,7 @@ def test_two_alike_that_were_lost_together_are_not_mixed_up(hidraw):
     lost(device)
     for _ in nodes:
         hidraw.plug(Arduino(descriptors.arduino()))
-    assert wait_for(lambda: "identity" in lost(device), 8.0)
+    assert wait_for(lambda: "identity" in lost(device), 30.0)
     device.close()
 
 
@@ -308,7 +308,7 @@ def test_one_that_came_back_alone_is_not_taken_for_both(hidraw):
         hidraw.unplug(node)
     lost(device)
     hidraw.plug(Arduino(descriptors.arduino()))
-    assert wait_for(lambda: "identity" in lost(device), 8.0)
+    assert wait_for(lambda: "identity" in lost(device), 30.0)
     device.close()
 
 
