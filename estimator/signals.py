@@ -84,6 +84,15 @@ def play(previous: float, value: float, half_width: float) -> float:
 
 
 @compiled
+def played(signal: Array, half_width: float) -> Array:
+    """Return a signal after a play operator that begins in its middle, shape (n,)."""
+    out = signal.copy()
+    for i in range(1, len(signal)):
+        out[i] = play(out[i - 1], signal[i], half_width)
+    return out
+
+
+@compiled
 def treat(
     tension: Array, time: Array, sigma: float, time_constant: float, dead_band: float
 ) -> Array:

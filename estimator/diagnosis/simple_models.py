@@ -21,7 +21,7 @@ from estimator.compiled import compiled
 from estimator.diagnosis.dataset import Dataset
 from estimator.diagnosis.record import Record
 from estimator.effects.effect import PROXIMAL_TENSION
-from estimator.signals import play
+from estimator.signals import played
 
 PLAYS = 5
 _HALF_WIDTHS = np.geomspace(1e-3, 0.45, 24)  # of the drive's range, that one play is tried with
@@ -136,15 +136,6 @@ _MODELS = {
     f"Prandtl-Ishlinskii, {PLAYS} plays": _several_plays,
     "LuGre": _lugre,
 }
-
-
-@compiled
-def played(drive: Array, half_width: float) -> Array:
-    """Return a drive after a play operator, shape (n,)."""
-    out = drive.copy()
-    for i in range(1, len(drive)):
-        out[i] = play(out[i - 1], drive[i], half_width)
-    return out
 
 
 @compiled

@@ -17,6 +17,7 @@ from estimator.effects.effect import (
     since,
 )
 from estimator.lumped.lumped_model import Physics
+from estimator.signals import played
 
 TRAVEL = frozenset({PROXIMAL_DISPLACEMENT})
 BOTH_TRAVELS = frozenset({PROXIMAL_DISPLACEMENT, DISTAL_DISPLACEMENT})
@@ -60,12 +61,7 @@ PRETENSION_RELEASED = _left_by("release", "in", lambda share, span: [span, -shar
 
 def play(travel: Array, width: float) -> Array:
     """Return what a link follows of a travel through a play of `width` [m], from its middle."""
-    half, follower = 0.5 * width, float(travel[0])
-    followed = np.empty_like(travel)
-    for i, x in enumerate(travel.tolist()):
-        follower = min(max(follower, x - half), x + half)
-        followed[i] = follower
-    return followed
+    return played(travel, 0.5 * width)
 
 
 JOINT_BACKLASH = Effect(
