@@ -312,6 +312,31 @@ def test_one_that_came_back_alone_is_not_taken_for_both(hidraw):
     device.close()
 
 
+def test_a_loss_that_was_not_noticed_yet_is_a_loss(hidraw):
+    """The one that is missing may have come back in the place of the other."""
+    nodes = [hidraw.plug(Arduino(descriptors.arduino())) for _ in range(2)]
+    first, second = (HidDevice(hid(str(node.path)), lambda _line: None) for node in nodes)
+    for node in nodes:
+        hidraw.unplug(node)
+    lost(first)  # nobody reads the second
+    hidraw.plug(Arduino(descriptors.arduino()))
+    assert wait_for(lambda: "identity" in lost(first), 30.0)
+    first.close()
+    second.close()
+
+
+def test_one_that_was_lost_alone_returns_though_permissions_of_its_twin_changed(hidraw):
+    nodes = [hidraw.plug(Arduino(descriptors.arduino())) for _ in range(2)]
+    first, second = (HidDevice(hid(str(node.path)), lambda _line: None) for node in nodes)
+    hidraw.unplug(nodes[0])
+    nodes[1].path.chmod(0o600)  # as udev does, at any time
+    lost(first)
+    hidraw.plug(Arduino(descriptors.arduino()))
+    assert back(first)
+    first.close()
+    second.close()
+
+
 def test_search_does_not_find_what_is_in_use(hidraw):
     node = hidraw.plug(Arduino(descriptors.arduino()))
     found = search.choose("", "auto")
