@@ -108,7 +108,7 @@ def loop(case: Case, rig: Plugged) -> Figures:
     decoded: list[Shares] = []
     sent: list[Sent] = []
     with _node(case) as node:
-        driver = DRIVERS[case.driver].make(_search(case).item, node.descriptor(), PidConfig())
+        driver = DRIVERS[case.driver].make(_search(case).item, node.descriptor(), PidConfig(), None)
         driver.begin(node)
         places = [driver.axes.index(name) for name in case.inputs]
         controls = Controls((0.0,) * len(driver.axes), 0, 0)

@@ -14,7 +14,8 @@ import itertools
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,6 +28,7 @@ from master.devices.hid.line import DeviceConnection
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.report_text import describe
+from master.devices.hid.search import FoundDevice
 from master.devices.hid.signs import ForceSign
 from teleop.errors import UsageError
 from teleop.process import seconds
@@ -180,27 +182,35 @@ def test(find: str, driver: str, file: Path | None, watched_s: float, person: Pe
     """Guide a person through a test of all inputs and forces; save the signs found."""
     found = search.choose(find, driver)
     known = signs.load(file) if file is None or file.exists() else signs.Signs()
-    line = DeviceConnection(found, PidConfig())
-    try:
+    forces = DRIVERS[found.kind].make(found.item, found.descriptor, PidConfig(), None).forces
+    with _opened(found, ()) as line:
         person.write(f"{found.item}, driver {found.kind}")
         person.write(f"Move every axis to both ends and press every button ({watched_s:g} s).")
         for line_text in show_inputs(line, watched_s):
             person.write(line_text)
-        if not line.driver.forces:
-            person.write("It has no force output.")
-        for axis in line.driver.forces:
+    if not forces:
+        person.write("It has no force output.")
+    for axis in forces:
+        with _opened(found, (axis,)) as line:  # one by one, for a device with one effect
             sign = asked_sign(line, axis, person)
-            if not sign:
-                person.write(f"{axis}: sign not found; it will render no force")
-                continue
-            known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
-            signs.save(file, known)
-            person.write(f"{axis}: sign {sign:+d}, saved in {file or signs.default_path()}")
-            if not found.item.serial:
-                person.write(
-                    "It has no serial number: another device of this model, wired the other way, "
-                    "would get the same sign. Test again after replacing it."
-                )
+        if not sign:
+            person.write(f"{axis}: sign not found; it will render no force")
+            continue
+        known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
+        signs.save(file, known)
+        person.write(f"{axis}: sign {sign:+d}, saved in {file or signs.default_path()}")
+        if not found.item.serial:
+            person.write(
+                "It has no serial number: another device of this model, wired the other way, "
+                "would get the same sign. Test again after replacing it."
+            )
+
+
+@contextmanager
+def _opened(found: FoundDevice, pushed: tuple[str, ...]) -> Iterator[DeviceConnection]:
+    line = DeviceConnection(found, PidConfig(), pushed)
+    try:
+        yield line
     finally:
         line.end(1.0)
 

@@ -23,11 +23,12 @@ class OpenedDevice:
     def __init__(self, config: HidConfig, known: Signs, found: tuple[FoundDevice, ...]) -> None:
         self.lines: list[DeviceConnection] = []
         pid = config.pid if trusted(found[0], known) else PidConfig()
+        pushed = tuple(axis.name for axis in config.axes if axis.force > 0.0)
         CLAIMS.claim(found[0].item)
         self._claimed: AttachedNode | None = found[0].item
         try:
             for one in found:
-                self.lines.append(DeviceConnection(one, pid))
+                self.lines.append(DeviceConnection(one, pid, pushed))
             self.device, self.switches = self.lines[0], self.lines[-1]
             buttons = self.switches.driver.buttons
             found_signs = known.of(found[0].pusher)
@@ -76,8 +77,8 @@ class HidDevice:
     def read(self, time_s: float) -> HandState:
         """Return the newest hand state.
 
-        `DeviceLost` while the device is unplugged, and once after lost reports, which may have
-        contained a button change.
+        `DeviceLost` while the device is unplugged or reports that it cannot render a force, and
+        once after lost reports, which may have contained a button change.
         """
         dt, self._time_s = time_s - self._time_s, time_s
         opened = self._opened or self._returned()
@@ -94,6 +95,8 @@ class HidDevice:
         )
         if knew and not self._memory.knows:
             raise DeviceLost("reports were lost: they were not read in time")
+        if controls.actuators is not None and (faults := controls.actuators.faults):
+            raise DeviceLost(f"{opened.device.found.item}: {'; '.join(faults)}")
         return hand
 
     def write(self, force: Axes) -> None:

@@ -55,7 +55,9 @@ class Kind(NamedTuple):
     misfit: Callable[
         [AttachedNode, bytes], str
     ]  # (device, its descriptor) -> why not; empty = fits
-    make: Callable[[AttachedNode, bytes, PidConfig], Driver]  # raises DriverError, DescriptorError
+    # of the device, its descriptor, effects of its own, and the axes to be pushed (None = all);
+    # raises DriverError, DescriptorError
+    make: Callable[[AttachedNode, bytes, PidConfig, tuple[str, ...] | None], Driver]
     forgets: bool = True  # whether a force ends by itself without writes of the host
     heartbeat: float = math.inf  # [s] largest interval between its reports
 
@@ -112,7 +114,7 @@ INPUTS_ONLY = "joystick"  # fallback for devices without a driver of their own
 
 # in order of preference
 DRIVERS: dict[str, Kind] = {
-    PID: Kind(_not_pid, lambda _, data, config: PidDriver(data, config)),
+    PID: Kind(_not_pid, lambda _, data, config, pushed: PidDriver(data, config, pushed)),
     "ffbeast": Kind(_not_ffbeast, lambda *_: FFBeastDriver(), forgets=False),
     "dualsense": Kind(
         _not_dualsense,
@@ -122,7 +124,7 @@ DRIVERS: dict[str, Kind] = {
     ),
     "spacemouse": Kind(_not_spacemouse, lambda *_: SpaceMouseDriver()),
     "logitech": Kind(
-        _not_logitech, lambda _item, data, _config: LogitechDriver(parse(data)), forgets=False
+        _not_logitech, lambda _item, data, *_: LogitechDriver(parse(data)), forgets=False
     ),
-    INPUTS_ONLY: Kind(_not_joystick, lambda _item, data, _config: JoystickDriver(data)),
+    INPUTS_ONLY: Kind(_not_joystick, lambda _item, data, *_: JoystickDriver(data)),
 }

@@ -128,6 +128,13 @@ def test_a_trial_finds_the_sign_of_each_motor_and_keeps_it(hidraw, tmp_path):
     assert any(line.startswith("x: sign") for line in someone.said)
 
 
+def test_a_device_with_one_effect_can_be_tried(hidraw, tmp_path):
+    hidraw.plug(Free()).device.slots = 1
+    file = tmp_path / "signs.yaml"
+    command.test("", "auto", file, 0.1, Someone("", "").person)
+    assert set(found_in(file)) == {"x", "y"}
+
+
 def test_the_sign_that_is_kept_makes_a_force_push_that_way(hidraw, tmp_path):
     """A positive force then moves the axis to larger values, however it is wired."""
     for wired in ((1.0, 1.0), (-1.0, 1.0), (1.0, -1.0)):

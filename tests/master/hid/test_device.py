@@ -302,6 +302,17 @@ def test_a_write_that_hangs_is_a_fault_and_stops_neither_the_loop_nor_the_end(hi
     assert wait_for(lambda: not node.handles, 5.0)
 
 
+def test_a_config_of_one_axis_needs_one_effect(hidraw, open_):
+    node = hidraw.plug(board())
+    node.device.slots = 1
+    know_signs(x=1, y=1)
+    with pytest.raises(DeviceFault, match="its memory for effects is full"):
+        HidDevice(CONFIG, lambda _: None)
+    loop = open_(replace(CONFIG, axes=CONFIG.axes[1:]))
+    loop.force = (2.0,)
+    loop.until(lambda: node.force() == pytest.approx((0.0, 0.5), abs=1e-3))
+
+
 def test_closing_takes_the_force_away_and_frees_the_effects(hidraw):
     node = hidraw.plug(board())
     know_signs(x=1)
