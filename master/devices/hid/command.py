@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid import rules, search, signs, trial
+from master.devices.hid import console_mode, rules, search, signs, trial
 from master.devices.hid.descriptor import DescriptorError, parse
 from master.devices.hid.driver import Controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
@@ -180,6 +180,8 @@ def rate(item: AttachedNode, watched_s: float) -> str:
 
 def test(find: str, driver: str, file: Path | None, watched_s: float, person: Person) -> None:
     """Guide a person through a test of all inputs and forces; save the signs found."""
+    if switched := console_mode.leave(find, driver):
+        person.write(switched)
     found = search.choose(find, driver)
     known = signs.load(file) if file is None or file.exists() else signs.Signs()
     forces = DRIVERS[found.kind].make(found.item, found.descriptor, PidConfig(), None).forces

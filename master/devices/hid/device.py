@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
-from master.devices.hid import mapping, search, signs
+from master.devices.hid import console_mode, mapping, search, signs
 from master.devices.hid.claims import CLAIMS
 from master.devices.hid.config import HidConfig
 from master.devices.hid.drivers import INPUTS_ONLY, PID, AttachedNode
@@ -60,6 +60,8 @@ class HidDevice:
 
     def __init__(self, config: HidConfig, say: Callable[[str], None] = print) -> None:
         self._config = config
+        if switched := console_mode.leave(config.find, config.driver):
+            say(switched)
         self._found: tuple[FoundDevice, ...] = (search.choose(config.find, config.driver),)
         if config.buttons.find:
             self._found += (search.choose(config.buttons.find, INPUTS_ONLY),)
@@ -124,7 +126,7 @@ class HidDevice:
 
     def _open_again(self, before: frozenset[str]) -> OpenedDevice:
         device, *switches = self._found
-        back = [search.again(device, before, CLAIMS.paths())]
+        back = [console_mode.again(device, before, CLAIMS.paths())]
         if CLAIMS.is_ambiguous(device.item):
             raise DeviceFault(
                 f"{device.item}: was unplugged together with a device of the same identity, which "

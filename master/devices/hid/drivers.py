@@ -29,11 +29,20 @@ class AttachedNode(NamedTuple):
     interface: int = -1  # of a USB device with several
     bluetooth: bool = False
     usages: tuple[tuple[int, int], ...] = ()  # page and usage of its outermost collections
+    release: int = 0  # of the device, a number in BCD
 
     @property
     def model(self) -> str:
         """Its vendor:product."""
         return f"{self.vendor:04x}:{self.product:04x}"
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Its vendor:product in each of its modes."""
+        g923 = (logitech.G923, logitech.G923_CONSOLE)
+        if self.vendor != logitech.VENDOR or self.product not in g923:
+            return (self.model,)
+        return tuple(f"{self.vendor:04x}:{product:04x}" for product in g923)
 
     @property
     def identity(self) -> str:
@@ -95,8 +104,11 @@ def _not_spacemouse(item: AttachedNode, _descriptor: bytes) -> str:
 
 
 def _not_logitech(item: AttachedNode, _descriptor: bytes) -> str:
-    fits = item.vendor == logitech.VENDOR and item.product in logitech.PRODUCTS
-    return "" if fits else "not a classic Logitech wheel"
+    if (item.vendor, item.product) == (logitech.VENDOR, logitech.G923_CONSOLE):
+        return "a G923 in console mode"
+    if item.vendor != logitech.VENDOR or item.product not in logitech.PRODUCTS:
+        return "not a classic Logitech wheel"
+    return "another interface of a Logitech wheel" if item.interface > 0 else ""
 
 
 def _not_joystick(item: AttachedNode, descriptor: bytes) -> str:
@@ -124,7 +136,9 @@ DRIVERS: dict[str, Kind] = {
     ),
     "spacemouse": Kind(_not_spacemouse, lambda *_: SpaceMouseDriver()),
     "logitech": Kind(
-        _not_logitech, lambda _item, data, *_: LogitechDriver(parse(data)), forgets=False
+        _not_logitech,
+        lambda item, data, *_: LogitechDriver(parse(data), item.product, item.release),
+        forgets=False,
     ),
     INPUTS_ONLY: Kind(_not_joystick, lambda _item, data, *_: JoystickDriver(data)),
 }

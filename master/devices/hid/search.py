@@ -70,6 +70,7 @@ def attached() -> tuple[AttachedNode, ...]:
             entry.get("interface_number", -1),
             entry.get("bus_type") == _BLUETOOTH,
             (usage,) if any(usage) else (),
+            entry.get("release_number", 0),
         )
     return tuple(nodes[path] for path in sorted(nodes))
 
@@ -107,10 +108,11 @@ def examine(item: AttachedNode) -> ExaminedNode:
         why = str(fault).removeprefix(f"{item}: ")
         return ExaminedNode(item, b"", dict.fromkeys(DRIVERS, why), why)
     misfits = {name: kind.misfit(item, data) for name, kind in DRIVERS.items()}
-    return ExaminedNode(item, data, misfits, _barred(item))
+    return ExaminedNode(item, data, misfits, not_ready_reason(item))
 
 
-def _barred(item: AttachedNode) -> str:
+def not_ready_reason(item: AttachedNode) -> str:
+    """Return why this user cannot open a device, with the remedy; empty if it can."""
     path = Path(item.path)
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):
         return f"no permission to open {item.path}; {REMEDY}"
@@ -147,7 +149,7 @@ def choose(find: str, driver: str) -> FoundDevice:
     if len(fitting) > 1:
         names = _listed(found.item for found in fitting)
         raise DeviceFault(f"several devices fit; set find to a serial number or path: {names}")
-    why = _barred(fitting[0].item)
+    why = not_ready_reason(fitting[0].item)
     if why:
         raise DeviceFault(f"{fitting[0].item}: {why}")
     return fitting[0]
@@ -182,7 +184,7 @@ def again(
         raise DeviceFault(
             f"{known}: several devices of this identity are attached: {_listed(same)}"
         )
-    why = _barred(same[0])
+    why = not_ready_reason(same[0])
     if why:
         raise DeviceFault(f"{same[0]}: {why}")
     return found._replace(item=same[0])
@@ -192,7 +194,7 @@ def matches(item: AttachedNode, find: str) -> bool:
     """Return whether `find` matches this device."""
     if not find:
         return True
-    return find.lower() in (item.model, item.serial.lower(), item.path.lower())
+    return find.lower() in (*item.models, item.serial.lower(), item.path.lower())
 
 
 def _one_of_each(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
