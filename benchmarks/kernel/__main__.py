@@ -24,7 +24,8 @@ from benchmarks.kernel.kernel import MissingError, emulator, kernel
 from benchmarks.kernel.machine import Machine
 
 _LATE = ("hidraw", "multiprocessing.popen_fork", "encodings.utf_8_sig")  # imported while it runs
-SILENCE_MAX_S = 180.0  # without a line from a machine; its longest check takes 10 s when idle
+SILENCE_MAX_S = 120.0  # of the processor's time that a machine works without a result
+HANGING_S = 900.0  # of the wall without a result, if it does not even work
 _MACHINES_MAX = 2
 
 
@@ -67,6 +68,10 @@ class Guest(Protocol):
     def runs(self) -> bool:
         """Whether it has not ended yet."""
 
+    @property
+    def worked_s(self) -> float:
+        """Processor time that it has used [s]."""
+
     def news(self) -> list[dict[str, Any]]:
         """Return the results that have come since the last call."""
 
@@ -78,23 +83,26 @@ def follow(
 ) -> Iterator[dict[str, Any]]:
     """Yield each result as it comes, and one for each machine that did not come to its end.
 
-    A machine that runs is given up after `SILENCE_MAX_S` without a result, however long all takes.
+    A machine is given up that has worked for `SILENCE_MAX_S` without a result, however long a busy
+    host took over that.
     """
-    heard = [clock()] * len(machines)
-    last = ["boot"] * len(machines)
+    heard = [(clock(), machine.worked_s) for machine in machines]
+    last = ["the start"] * len(machines)
     left = set(range(len(machines)))
     while left:
         for k in sorted(left):
             runs = machines[k].runs  # before its news: what it said at its end is not missed
             for line in machines[k].news():
-                heard[k], last[k] = clock(), f"{line.get('device', '')} {line['check']}".strip()
+                heard[k] = clock(), machines[k].worked_s
+                last[k] = f"{line.get('device', '')} {line['check']}".strip()
                 yield line
-            silent_s = clock() - heard[k]
-            if runs and silent_s < SILENCE_MAX_S:
+            silent_s, worked_s = clock() - heard[k][0], machines[k].worked_s - heard[k][1]
+            if runs and worked_s < SILENCE_MAX_S and silent_s < HANGING_S:
                 continue
             left.remove(k)
             if last[k] != "end":
-                why = f"no result for {silent_s:.0f} s" if runs else "it ended too early"
+                why = f"no result for {silent_s:.0f} s, {worked_s:.0f} s of work"
+                why = why if runs else "it ended too early"
                 trouble = f"machine {k + 1} did not come to its end: {why}, after {last[k]}"
                 yield {"check": "end", "trouble": trouble}
         sleep(0.1)

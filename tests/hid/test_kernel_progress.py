@@ -1,13 +1,16 @@
 """The kernel run waits for a machine as long as results come, and no longer."""
 
-from benchmarks.kernel.__main__ import SILENCE_MAX_S, follow
+from benchmarks.kernel.__main__ import HANGING_S, SILENCE_MAX_S, follow
 
 
 class World:
-    """Machines that say what they are told to at their times, and a clock."""
+    """Machines that say what they are told to at their times, and a clock.
 
-    def __init__(self, *scripts):
-        self.now = 0.0
+    They get a share of a processor.
+    """
+
+    def __init__(self, *scripts, share=1.0):
+        self.now, self.share = 0.0, share
         self.machines = [Script(self, *script) for script in scripts]
 
     def sleep(self, seconds):
@@ -22,6 +25,10 @@ class Script:
 
     def __init__(self, world, times, ends):
         self.world, self.times, self.ends = world, list(times), ends
+
+    @property
+    def worked_s(self):
+        return self.world.now * self.world.share
 
     @property
     def runs(self):
@@ -41,9 +48,9 @@ def troubles(results):
 
 
 def test_a_slow_machine_is_waited_for_as_long_as_it_comes_on():
-    step = 0.9 * SILENCE_MAX_S
+    step = 0.9 * SILENCE_MAX_S / 0.2
     times = [step * k for k in range(1, 21)]
-    world = World((times, times[-1] + 1.0), ([5.0], 6.0))
+    world = World((times, times[-1] + 1.0), ([5.0], 6.0), share=0.2)
     results = world.results()
     assert len(results) == 21
     assert troubles(results) == []
@@ -51,7 +58,7 @@ def test_a_slow_machine_is_waited_for_as_long_as_it_comes_on():
 
 
 def test_a_machine_that_says_nothing_more_is_given_up_and_named():
-    world = World(([10.0, 20.0], None), ([5.0, 150.0, 300.0], 301.0))
+    world = World(([10.0, 20.0], None), ([5.0, 100.0, 200.0, 300.0], 301.0))
     (trouble,) = troubles(world.results())
     assert "machine 1" in trouble
     assert "after loop" in trouble
@@ -61,8 +68,15 @@ def test_a_machine_that_says_nothing_more_is_given_up_and_named():
 def test_one_that_never_boots_is_given_up():
     world = World(([], None))
     (trouble,) = troubles(world.results())
-    assert f"no result for {SILENCE_MAX_S:.0f} s, after boot" in trouble
+    assert f"no result for {SILENCE_MAX_S:.0f} s" in trouble
+    assert "after the start" in trouble
     assert SILENCE_MAX_S <= world.now < SILENCE_MAX_S + 1.0
+
+
+def test_one_that_does_not_even_work_is_given_up():
+    world = World(([], None), share=0.0)
+    assert len(troubles(world.results())) == 1
+    assert HANGING_S <= world.now < HANGING_S + 1.0
 
 
 def test_one_that_ends_without_saying_so_is_no_success():

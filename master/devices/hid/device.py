@@ -66,6 +66,9 @@ class HidDevice:
         if config.buttons.find:
             self._found += (search.choose(config.buttons.find, INPUTS_ONLY),)
         self._signs = signs.load(config.signs)
+        advice = search.examine(self._found[0].item).advice
+        if advice and any(axis.force > 0.0 for axis in config.axes):
+            raise DeviceFault(f"{self._found[0].item}: {advice}")
         opened = OpenedDevice(config, self._signs, self._found)
         self.axes = opened.plan.joints
         self._opened: OpenedDevice | None = opened
@@ -75,6 +78,8 @@ class HidDevice:
         self._time_s = 0.0
         for line in describe_device(config, self._found, self._signs):
             say(line)
+        if advice:
+            say(f"WARNING: {advice}")
 
     def read(self, time_s: float) -> HandState:
         """Return the newest hand state.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
+from master.devices.hid import missing_driver
 from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, AttachedNode
 from master.devices.hid.node import REMEDY, Node, backend
 from master.devices.hid.signs import Pusher
@@ -40,6 +41,11 @@ class ExaminedNode(NamedTuple):
     descriptor: bytes
     misfits: dict[str, str]  # by driver, the reason why it does not fit; empty if it fits
     not_ready_reason: str  # why this user cannot open it, with the remedy; empty if it can
+
+    @property
+    def advice(self) -> str:
+        """What to do about force feedback that no driver can use; empty if there is none."""
+        return missing_driver.advise(self.item, self.descriptor, self.misfits)
 
     @property
     def fits(self) -> list[str]:
@@ -235,6 +241,8 @@ def _missing(
             del reasons[1:]  # only the first reason, to keep the line short
         whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(one.item)
     listed = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
+    advice = [f"; {one.item}: {one.advice}" for one in meant if one.advice]
+    listed += "".join(advice[:1])
     wanted = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
     return f"{wanted}: {listed}" if find else f"{wanted} any attached device: {listed}"
 
