@@ -25,7 +25,7 @@ from benchmarks.kernel.machine import Machine
 
 _LATE = ("hidraw", "multiprocessing.popen_fork", "encodings.utf_8_sig")  # imported while it runs
 SILENCE_MAX_S = 120.0  # of the processor's time that a machine works without a result
-HANGING_S = 900.0  # of the wall without a result, if it does not even work
+HANGING_S = 120.0  # of the wall in which it gets no work done at all
 _MACHINES_MAX = 2
 
 
@@ -87,6 +87,7 @@ def follow(
     host took over that.
     """
     heard = [(clock(), machine.worked_s) for machine in machines]
+    worked = list(heard)
     last = ["the start"] * len(machines)
     left = set(range(len(machines)))
     while left:
@@ -96,8 +97,11 @@ def follow(
                 heard[k] = clock(), machines[k].worked_s
                 last[k] = f"{line.get('device', '')} {line['check']}".strip()
                 yield line
-            silent_s, worked_s = clock() - heard[k][0], machines[k].worked_s - heard[k][1]
-            if runs and worked_s < SILENCE_MAX_S and silent_s < HANGING_S:
+            now_s, work_s = clock(), machines[k].worked_s
+            if work_s > worked[k][1]:
+                worked[k] = now_s, work_s
+            silent_s, worked_s = now_s - heard[k][0], work_s - heard[k][1]
+            if runs and worked_s < SILENCE_MAX_S and now_s - worked[k][0] < HANGING_S:
                 continue
             left.remove(k)
             if last[k] != "end":
