@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis import experiments
-from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis.baseline import again, baseline
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -23,6 +23,7 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.fit import improved, own_only, refitted
 from estimator.diagnosis.free_friction import wanders
+from estimator.diagnosis.hidden_motion import with_hidden_motion
 from estimator.diagnosis.intervals import Named, parameters
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
@@ -96,10 +97,16 @@ def diagnose(
     noisy = [with_driver_noise(record, _again(record, dataset, plain)) for record in records]
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
         dataset = dataset_of(noisy)
-        plain = baseline(dataset)
+        plain = again(dataset, plain)
+        moved = [
+            with_hidden_motion(record, plain.model.shared, own)
+            for record, own in zip(noisy, plain.model.own, strict=True)
+        ]
+        dataset = dataset_of(moved)
+        plain = again(dataset, plain)
     if _brief(dataset, plain):
         dataset = dataset_of([in_short_blocks(record) for record in dataset.records])
-        plain = baseline(dataset)
+        plain = again(dataset, plain)
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
@@ -211,10 +218,10 @@ def _again(record: Record, dataset: Dataset, fit: Fit) -> Callable[[Record], Sim
     k = next(i for i, other in enumerate(dataset.records) if other is record)
     about = contexts_without(dataset, fit)[k]
 
-    def again(other: Record) -> Simulated:
+    def simulated_again(other: Record) -> Simulated:
         return simulate(other, about, fit.model.shared, fit.model.own[k], ())
 
-    return again
+    return simulated_again
 
 
 def _brief(dataset: Dataset, plain: Fit) -> bool:
