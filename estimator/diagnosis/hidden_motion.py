@@ -102,10 +102,12 @@ def _next(
         end = first + int(again[0]) if len(again) else len(drive)
         begin = max(first - BEFORE, position, 1)
         tension = tension_drive(measured[begin:end], record.noise[PROXIMAL_TENSION]).signal
-        travel = tendon.by_tension(drive, begin, tension)
+        travel, compliance = tendon.by_tension(drive, begin, tension)
         off = record.signals[PROXIMAL_DISPLACEMENT][begin:end] - taut - travel
         if _is_within(off, sigma, SETTINGS.accuracy * float(np.ptp(drive))):
-            return _Stretch(begin, end, travel)
+            noise_of_tension = compliance * record.noise[PROXIMAL_TENSION]
+            share = sigma**2 / (sigma**2 + noise_of_tension**2)
+            return _Stretch(begin, end, drive[begin:end] + share * (travel - drive[begin:end]))
         position = end
     return None
 

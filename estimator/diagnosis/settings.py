@@ -61,7 +61,6 @@ class Settings:
     margin: float = 15.0  # log-likelihood ratio less the BIC penalty (Schwarz 1978)
     gain_min: float = 0.04  # by which it lowers the error
     confidence: float = 0.98  # share of bootstrap resamples in which it is better
-    causes_max: int = 3  # one on top of the other
     explained: float = 0.25  # of the error beyond noise that may be left by named effects
     free_friction: float = 0.3  # of what a step or drift leaves, left by friction free over time:
     # less, and the friction wanders

@@ -206,14 +206,15 @@ class Drivable:
         memory = self._reached(travel, begin).copy()
         return self._advanced(memory, travel[begin:], begin, forced=False)[:, 0]
 
-    def by_tension(self, travel: Array, begin: int, tension: Array) -> Array:
-        """Return q_p [m] under a tension [N] from `begin` on, shape of `tension`.
+    def by_tension(self, travel: Array, begin: int, tension: Array) -> tuple[Array, Array]:
+        """Return q_p [m] and dq_p/dT_in [m/N] under a tension [N] from `begin` on, shape of it.
 
         Before, it is driven by `travel` [m].
         """
         memory = self._reached(travel, begin).copy()
         memory[_DRIVEN] = np.nan
-        return self._advanced(memory, tension, begin, forced=True)[:, 2]
+        motion = self._advanced(memory, tension, begin, forced=True)
+        return motion[:, 2], motion[:, 4]
 
     def _reached(self, travel: Array, begin: int) -> Array:
         """Return the state after the samples before `begin`, driven by `travel`."""

@@ -14,8 +14,9 @@ from estimator.diagnosis.dataset import (
     simulated,
     thin,
 )
-from estimator.diagnosis.engine import diagnose, quiet
+from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.progress import quiet
 from estimator.diagnosis.record import RecordError, prepare
 from estimator.diagnosis.search import THIN, promised
 from estimator.diagnosis.settings import SETTINGS
