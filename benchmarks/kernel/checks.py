@@ -104,7 +104,8 @@ def actuators(case: Case, rig: Plugged) -> Figures:
         rig.power(on=False)
         _until(hid, fails=True, saying="no power")
         rig.power(on=True)
-        back = _until(hid, fails=False)
+        on = time.monotonic()
+        back = _until(hid, fails=False) - on
         time.sleep(_SETTLE_S + ABANDONED_S)
         if any(rig.pushes()[-1].force):
             raise WrongError("it pushed by itself when its power was back")
@@ -112,7 +113,7 @@ def actuators(case: Case, rig: Plugged) -> Figures:
     finally:
         hid.close()
     _silent(rig)
-    return {"fault": "no power", "back at": f"{back:.1f} s"}
+    return {"fault": "no power", "back after": _ms(back)}
 
 
 def signs(case: Case, rig: Plugged) -> Figures:
