@@ -57,8 +57,8 @@ def with_hidden_motion(record: Record, shared: tuple[float, ...], own: tuple[flo
         position, off_by = 0, np.full(len(drive), noise)
         while (found := _next(record, tendon, drive, position, off_by, sigma, own[0])) is not None:
             begin, end, travel = found
+            resumed = _resumed(drive, end, float(travel[-1]))
             drive[begin:end] = travel
-            resumed = _resumed(drive, end, sigma)
             drive[end:resumed] = travel[-1]
             driven[begin:end] = True
             position = resumed
@@ -123,14 +123,12 @@ def _is_within(off: Array, sigma: float, inaccuracy: float) -> bool:
     return bool(bias < most and square < 1.5 + most * np.sqrt(2.0 / n))
 
 
-def _resumed(drive: Array, end: int, sigma: float) -> int:
-    """Return where the motor passes the place at which the tension left it, on its way on."""
-    if end >= len(drive):
-        return end
-    ahead = drive[end:] - drive[end - 1]
-    far = np.flatnonzero(np.abs(ahead) > SETTINGS.reversal_noise * sigma)
-    if not len(far):
+def _resumed(drive: Array, end: int, left_at: float) -> int:
+    """Return where the motor passes the place at which the tension left it, or turns before."""
+    steps = np.diff(drive[end - 1 :])
+    moving = np.flatnonzero(steps)
+    if not len(moving):
         return len(drive)
-    way = np.sign(ahead[far[0]])
-    behind = np.flatnonzero(ahead[: far[0] + 1] * way <= 0.0)
-    return end + (int(behind[-1]) + 1 if len(behind) else 0)
+    way = np.sign(steps[moving[0]])
+    on_its_own = (way * (drive[end:] - left_at) > 0.0) | (way * steps < 0.0)
+    return end + int(np.argmax(on_its_own)) if on_its_own.any() else len(drive)

@@ -44,8 +44,9 @@ PAIRS = [
     _case(43, ("creep", "tension_dependent_friction"), "blocked"),
 ]
 NOISY = [  # white noise on both travels: 0.4 N behind a reversal
-    Case(seed, (), 1.0, bench, 40.0, rate, noise)
+    Case(seed, (), 1.0, bench, 60.0, rate, noise)
     for seed, bench, rate, noise in (
+        (1003, "blocked", 100.0, 5e-6),
         (61, "blocked", 50.0, 1e-6),
         (61, "spring", 100.0, 1e-6),
         (62, "blocked", 500.0, 5e-6),
