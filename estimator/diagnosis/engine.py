@@ -212,7 +212,7 @@ def _again(record: Record, dataset: Dataset, fit: Fit) -> Callable[[Record], Sim
     about = contexts_without(dataset, fit)[k]
 
     def again(other: Record) -> Simulated:
-        return simulate(other, about, fit.model.shared, fit.model.own[k], ())
+        return simulate(other, about, dataset.base, fit.model.shared, fit.model.own[k], ())
 
     return again
 

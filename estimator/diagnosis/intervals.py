@@ -107,7 +107,7 @@ def _off_by_inaccuracy(dataset: Dataset, model: Model, inverse: Array) -> Array:
             off = SETTINGS.accuracy * float(np.ptp(record.signals[channel]))
             parts.append(off / scale[channel][counts])
             bins.append(bin_of[counts])
-        if expected_taut(record, model) is not None:
+        if expected_taut(record, dataset.base, model) is not None:
             parts.append(np.zeros(1))
             bins.append(bin_of[:1])
     worst = np.abs(inverse) * np.concatenate(parts)

@@ -26,6 +26,7 @@ class Settings:
     reversal_noise: float = 3.0  # minimum reversal size, in sigma of a travel's noise
     equal_error: float = 12.0  # noise variances by which two places of a reversal fit alike
     corner: float = 0.4  # least over largest curvature about a reversal; below it is a corner
+    push: float = 0.1  # of the largest effort, of the other sign: a closed loop, no tendon
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 
     # when a record starts slack, and where it is taut then (model.py, dataset.py)
