@@ -44,6 +44,11 @@ class Units(NamedTuple):
         """Return the unit of a channel, such as `proximal_tension`."""
         return self.travel if channel.endswith("displacement") else self.effort
 
+    @staticmethod
+    def base(channel: str) -> str:
+        """Return the unit that the mathematics counts a channel in."""
+        return "m" if channel.endswith("displacement") else "N"
+
     def word(self, channel: str) -> str:
         """Return what a channel is called: "torque at the housing"."""
         end, _, what = channel.partition("_")
@@ -79,11 +84,11 @@ class Units(NamedTuple):
 
     def inward(self, channel: str, signal: Array) -> Array:
         """Return a signal of the record in newtons or metres, (n,)."""
-        return signal / self.size(_base_of(channel))
+        return signal / self.size(self.base(channel))
 
     def outward(self, channel: str, signal: Array) -> Array:
         """Return a signal in newtons or metres in the record's units, (n,)."""
-        return signal * self.size(_base_of(channel))
+        return signal * self.size(self.base(channel))
 
     def scaled_to(self, efforts: Iterable[Array]) -> "Units":
         """Return the units with the reference radius for efforts up to their largest [effort]."""
@@ -110,10 +115,6 @@ _WORDS = {
 }
 _POWERS = {"N": 1, "m": -1, "kg": 2, "m^2": -2, "N^2": 2}
 _ROTARY = {"N": "N m", "m": "rad", "kg": "kg m^2", "N^2": "(N m)^2"}
-
-
-def _base_of(channel: str) -> str:
-    return "m" if channel.endswith("displacement") else "N"
 
 
 def quantity(value: float | None, unit: str, digits: int = 4) -> str:

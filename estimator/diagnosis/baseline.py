@@ -127,9 +127,6 @@ def loop_laws(record: Record, law: Law) -> list[dict[str, float]]:
         for force in (share * most for share in FORCE_SHARES):
             K = min(max(force / pretension, 0.02), 3.0)
             begin = {PRETENSION.name: pretension, FRICTION.name: K, FORCE.name: force}
-            if law is Law.CAPSTAN:
-                starts.append(begin)
-                continue
             if law is Law.BOTH:
                 begin |= {FRICTION.name: 0.5 * K, FORCE.name: 0.5 * force}
             starts += [begin | {WIDTH.name: max(width, 2e-7)} for width in widths]

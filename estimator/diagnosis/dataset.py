@@ -67,6 +67,16 @@ def dataset_of(
     return Dataset(tuple(records), base_of(records[0], law, loads), scale)
 
 
+def with_records(dataset: Dataset, records: Sequence[Record]) -> Dataset:
+    """Return a dataset of other records with the same base law and loads."""
+    return dataset_of(records, dataset.base.law, dataset.base.loads)
+
+
+def with_base(dataset: Dataset, law: Law, loads: Loads = Loads.SHARED) -> Dataset:
+    """Return the same records with another base law or other loads."""
+    return dataset_of(dataset.records, law, loads)
+
+
 def whole(dataset: Dataset) -> Dataset:
     """Return a dataset of which all samples are fitted."""
     return dataset._replace(records=tuple(map(in_full, dataset.records)))

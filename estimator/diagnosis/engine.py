@@ -19,11 +19,13 @@ from estimator.diagnosis.dataset import (
     rescaled,
     tolerance,
     whole,
+    with_records,
 )
 from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.fit import improved, own_only, refitted
 from estimator.diagnosis.free_friction import wanders
 from estimator.diagnosis.intervals import Named, parameters
+from estimator.diagnosis.law_choice import Choice, applicable, choose_law, choose_loads
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
@@ -36,6 +38,7 @@ from estimator.diagnosis.outcome import (
     Verdict,
 )
 from estimator.diagnosis.record import Record, RecordError, in_short_blocks, with_driver_noise
+from estimator.diagnosis.record_units import in_record_units
 from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (
     Errors,
@@ -90,17 +93,24 @@ def diagnose(
     """
     if len({tuple(sorted(record.signals)) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different channels: give those of one dataset")
+    if len({(record.units, record.loop) for record in [*records, *validate]}) > 1:
+        raise RecordError("the records have different units: give those of one dataset")
     dataset = dataset_of(records)
-    report("fitting the plain law", 0.0)
+    report("fitting the base law", 0.0)
     plain = baseline(dataset)
     noisy = [with_driver_noise(record, _again(record, dataset, plain)) for record in records]
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
         dataset = dataset_of(noisy)
         plain = baseline(dataset)
+    law = Choice(dataset, plain, ())
+    if records[0].loop or not _is_noise(dataset, errors(dataset, plain)):
+        law = choose_law(dataset, plain)
+    loads = choose_loads(law.dataset, law.fit)
+    dataset, plain = loads.dataset, loads.fit
     if _brief(dataset, plain):
-        dataset = dataset_of([in_short_blocks(record) for record in dataset.records])
+        dataset = with_records(dataset, [in_short_blocks(one) for one in dataset.records])
         plain = baseline(dataset)
-    usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
+    usable = applicable(effects, records[0], dataset.base)
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
     for _ in range(SETTINGS.causes_max):
@@ -125,7 +135,8 @@ def diagnose(
         fit = step.fit
     steps, fit = _needed(dataset, steps, fit)
     steps, fit = _distinct(dataset, plain, steps, fit)
-    return _outcome(dataset, plain, fit, steps, first, usable, validate)
+    outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
+    return in_record_units(outcome._replace(laws=law, loads=loads))
 
 
 def _by_two(
@@ -306,6 +317,7 @@ def _simplest(
 
 def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
     base, at_first = errors(dataset, fit), errors(dataset, plain)
+    size = dataset.records[0].units.size
     ranked = [
         Ranked(
             one.effect.name,
@@ -314,7 +326,7 @@ def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> 
             {c: e.rmse for c, e in one.held_out.items()},
             left_of(one.held_out, at_first),
             {
-                p.name: value
+                p.name: size(p.unit) * value
                 for p, value in zip(
                     one.effect.parameters, one.fit.model.effects[-1][1], strict=True
                 )
@@ -374,6 +386,8 @@ def _outcome(
         detection_limits=detection_limits(dataset, plain, usable)
         if verdict is Verdict.CLEAN
         else {},
+        laws=Choice(dataset, plain, ()),
+        loads=Choice(dataset, plain, ()),
         experiments=experiments.settling(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
     )
@@ -406,7 +420,7 @@ def _fitnesses(folds: tuple[Fold, ...], which: int, validate: Sequence[Record]) 
     return Fitnesses(
         _fitness(folds, which, fitted=True),
         _fitness(folds, which, fitted=False),
-        _validated(folds[0].fits[which], validate) if validate else {},
+        _validated(folds[0].dataset, folds[0].fits[which], validate) if validate else {},
     )
 
 
@@ -427,8 +441,8 @@ def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fi
     return found
 
 
-def _validated(fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
+def _validated(fitted: Dataset, fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
     """Return how far a model is off in records it was not fitted to, but for where they start."""
-    dataset = whole(dataset_of(validate))
+    dataset = whole(with_records(fitted, validate))
     start = own_only(dataset, fit)
     return _fitness([Fold(dataset, (start, start))], 0, fitted=True)

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Model
-from estimator.diagnosis.model import own_bounds
+from estimator.diagnosis.model import OWN_LOADS, own_bounds
 
 Mask = NDArray[np.bool_]
 
@@ -53,6 +53,13 @@ class Layout:
                     mask[i] = p.neutral is None
             at += len(effect.parameters)
         return mask
+
+    @property
+    def loads(self) -> list[int]:
+        """Places of what the tips of single records pull at."""
+        known = {p.name for p in OWN_LOADS[self.base.loads]}
+        own = [p.name in known for p in self.base.own] * self.records
+        return [self.common + k for k, is_load in enumerate(own) if is_load]
 
     @property
     def own(self) -> Mask:

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.transmission_law import PARAMETERS, Law, with_friction
+from estimator.diagnosis.transmission_law import Law, parameters_of, with_friction
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
@@ -73,7 +73,7 @@ def base_of(record: Record, law: Law = Law.CAPSTAN, loads: Loads = Loads.SHARED)
     """Return the parameters that the channels of a record call for."""
     by_travel = record.driver != PROXIMAL_TENSION
     tip_seen = DISTAL_DISPLACEMENT in record.signals
-    shared = [*PARAMETERS[law], *([COMPLIANCE] if by_travel else [])]
+    shared = [*parameters_of(law, record.loop), *([COMPLIANCE] if by_travel else [])]
     has_load = by_travel or tip_seen
     own = [*([TAUT] if by_travel else []), *([TIP_ZERO] if tip_seen else [])]
     if has_load and loads is Loads.SHARED:

@@ -1,6 +1,7 @@
 """Base laws of a transmission: how friction goes with the load.
 
-* capstan: dT/ds = -/+ T, s from 0 to K; contacts are rigid;
+* capstan: dT/ds = -/+ T, s from 0 to K; contacts of a tendon are rigid, those of a loop's cables
+  have a presliding width;
 * load-independent: dT/ds = -/+ F, s from 0 to 1, F the friction of the whole sheath [N]; contacts
   give elastically before they slide, over the presliding width (Dahl 1968);
 * both: dT/ds = -/+ (T + F/K), with a presliding width.
@@ -29,12 +30,17 @@ class Law(StrEnum):
     BOTH = "capstan and load-independent"
 
 
-PARAMETERS: Mapping[Law, tuple[Parameter, ...]] = {
+_PARAMETERS: Mapping[Law, tuple[Parameter, ...]] = {
     Law.CAPSTAN: (FRICTION,),
     Law.INDEPENDENT: (FORCE, WIDTH),
     Law.BOTH: (FRICTION, FORCE, WIDTH),
 }
-"""Parameters of a law, before those of elasticity and load."""
+
+
+def parameters_of(law: Law, loop: bool) -> tuple[Parameter, ...]:
+    """Return the parameters of a law, before those of elasticity and load."""
+    return (FRICTION, WIDTH) if loop and law is Law.CAPSTAN else _PARAMETERS[law]
+
 
 CONTAINED: Mapping[Law, frozenset[str]] = {
     Law.CAPSTAN: frozenset(),
@@ -45,11 +51,9 @@ CONTAINED: Mapping[Law, frozenset[str]] = {
 
 
 def with_friction(physics: Physics, law: Law, values: Mapping[str, float]) -> Physics:
-    """Return a tendon with the friction of a law; `values` by name of `PARAMETERS`."""
-    ones = np.ones_like(physics.friction)
+    """Return a tendon with the friction of a law; `values` by name of `parameters_of`."""
+    ones, width = np.ones_like(physics.friction), values.get(WIDTH.name, 0.0)
     if law is Law.CAPSTAN:
-        return physics._replace(friction=values[FRICTION.name] * ones)
+        return physics._replace(friction=values[FRICTION.name] * ones, presliding=width)
     K = _ANY_LOAD if law is Law.INDEPENDENT else values[FRICTION.name]
-    return physics._replace(
-        friction=K * ones, drag=values[FORCE.name] / K, presliding=values[WIDTH.name]
-    )
+    return physics._replace(friction=K * ones, drag=values[FORCE.name] / K, presliding=width)

@@ -67,7 +67,8 @@ def balance(
 @compiled
 def friction_of(line: Line, tension: Array, j: int) -> float:
     """Return the limit of a contact [N]."""
-    return line.friction[j] * 0.5 * max(tension[j] + tension[j + 1], 0.0) + line.drag[j]
+    pressed: float = max(tension[j] + tension[j + 1], 0.0)
+    return float(line.friction[j] * 0.5 * pressed + line.drag[j])
 
 
 @compiled
