@@ -6,16 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis.baseline import baseline
-from estimator.diagnosis.dataset import Dataset, Fit, Model, contexts_without, with_base
+from estimator.diagnosis.dataset import Dataset, Fit, Model, contexts_without, cost, with_base
 from estimator.diagnosis.fit import improved, own_start
-from estimator.diagnosis.model import MASS, TIP, Base, Loads
+from estimator.diagnosis.model import MASS, PRETENSION, TIP, Base, Loads
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.score import errors, log_likelihood_ratio
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.transmission_law import CONTAINED, Law
+from estimator.diagnosis.transmission_law import CONTAINED, FORCE, FRICTION, WIDTH, Law
 from estimator.effects.effect import Effect
 
-ROUNDS = 20  # of a fit with a load for each file
+ROUNDS = 15  # of a fit that begins at another choice's
+LITTLE = 0.05  # K, and load-independent friction over the pretension, to begin with
 
 ON_LOOPS = frozenset(
     {
@@ -74,16 +75,17 @@ def choose_law(dataset: Dataset, plain: Fit) -> Choice:
     stays with the capstan law and its effects, unless friction that no load changes is better alone
     and tension adds nothing to it.
     """
-    others = (Law.INDEPENDENT, Law.BOTH)
-    tried = [(dataset, plain)]
-    tried += [(one, baseline(one)) for one in (with_base(dataset, law) for law in others)]
+    alone = with_base(dataset, Law.INDEPENDENT)
+    tried = [(dataset, plain), (alone, baseline(alone))]
+    tried.append(_both(*tried))
     scores = _scored(tried, [one.base.law for one, _ in tried])
-    capstan, alone, both = (one.score for one in scores)
-    best = max(capstan, alone, both)
+    capstan, independent, both = (one.score for one in scores)
+    best = max(capstan, independent, both)
     if dataset.records[0].loop:
         chosen = next(i for i, one in enumerate(scores) if best - one.score < SETTINGS.alike)
     else:
-        chosen = int(alone - capstan > SETTINGS.margin and best - alone < SETTINGS.alike)
+        far = independent - capstan > SETTINGS.margin
+        chosen = int(far and best - independent < SETTINGS.alike)
     return Choice(*tried[chosen], scores)
 
 
@@ -133,6 +135,20 @@ def _scored(tried: Sequence[tuple[Dataset, Fit]], names: Sequence[str]) -> tuple
 
 def _parameters(dataset: Dataset) -> int:
     return len(dataset.base.shared) + len(dataset.base.own) * len(dataset.records)
+
+
+def _both(capstan: tuple[Dataset, Fit], alone: tuple[Dataset, Fit]) -> tuple[Dataset, Fit]:
+    """Return the law of both, fitted from the fits of either with a little of the other."""
+    both = with_base(capstan[0], Law.BOTH)
+    fits = []
+    for dataset, fit in (capstan, alone):
+        model = fit.model
+        values = {FRICTION.name: LITTLE, WIDTH.name: WIDTH.step}
+        values |= dataset.base.values(model.shared, model.own[0])
+        values.setdefault(FORCE.name, LITTLE * max(values.get(PRETENSION.name, 0.0), 1.0))
+        start = model._replace(shared=tuple(values[p.name] for p in both.base.shared))
+        fits.append(improved(both, contexts_without(both, fit), start, ROUNDS))
+    return both, min(fits, key=lambda one: cost(both, one))
 
 
 def _with_loads(dataset: Dataset, model: Model, other: Dataset) -> Model:

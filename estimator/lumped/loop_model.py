@@ -7,8 +7,7 @@ estimator.units). Without friction each carries pretension +- effort/2. Both rub
     |dT/ds| <= T + drag,  s from 0 to K in each,
 
 and a cable goes slack where its tension would fall below zero, which halves the loop's stiffness.
-Contacts are rigid, or bristles that give before they slide (Dahl 1968), with a stiffness that no
-tension changes.
+Contacts are rigid, or follow Dahl (1968) with a stiffness that no tension changes.
 """
 
 import math
@@ -17,7 +16,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.compiled import compiled
-from estimator.lumped.loop_solver import WORK, Line, balance
+from estimator.lumped.loop_solver import WORK, Line, balance, dahl
 from estimator.lumped.lumped_model import Motion, Physics
 from estimator.lumped.nodes import NODES, PLACES
 
@@ -104,7 +103,7 @@ def _advance(scalars: Array, stiffness: Array, samples: Array) -> Array:
     n = _SPRINGS - 1
     out = np.empty((len(samples), 3))
     places, trial = np.zeros(n), np.zeros(n)
-    roots, sliding, kept = np.zeros(n), np.zeros(n), np.zeros(n)
+    force, sliding, kept = np.zeros(n), np.zeros(n), np.zeros(n)
     tension, work = np.full(n + 1, scalars[_PRETENSION]), np.empty((WORK, n))
     friction, drag = np.empty(n), np.empty(n)
     bristle, dashpot = np.empty(n), np.empty(n)
@@ -119,18 +118,18 @@ def _advance(scalars: Array, stiffness: Array, samples: Array) -> Array:
             line = _line(scalars, stiffness, row, dt, q, v, a, friction, drag, bristle, dashpot)
             trial[:] = places
             kept[:] = sliding
-            found = balance(line, goal, places, roots, sliding, trial, tension, work)
+            found = balance(line, goal, places, force, sliding, trial, tension, work)
             if not found:
                 sliding[:] = 0.0
                 trial[:] = places
-                found = balance(line, goal, places, roots, sliding, trial, tension, work)
+                found = balance(line, goal, places, force, sliding, trial, tension, work)
             if not found and share > _SMALLEST:
                 sliding[:] = kept
                 share *= 0.5
                 continue
             done += share
             if not line.rigid:
-                _take_along(tension, places, trial, sliding, line, roots)
+                _hold(line, tension, places, trial, sliding, force)
             places[:] = trial
             drive = goal
             new = places[_TIP]
@@ -147,14 +146,14 @@ def _advance(scalars: Array, stiffness: Array, samples: Array) -> Array:
 
 
 @compiled
-def _take_along(
-    tension: Array, before: Array, places: Array, sliding: Array, line: Line, roots: Array
+def _hold(
+    line: Line, tension: Array, before: Array, places: Array, sliding: Array, force: Array
 ) -> None:
-    """Take along the roots of the bristles that slid, in place."""
-    for j in range(len(roots)):
-        if sliding[j] != 0.0:
-            carried = tension[j] - tension[j + 1] - line.dashpot[j] * (places[j] - before[j])
-            roots[j] = places[j] - carried / line.bristle[j]
+    """Keep what friction has become in each contact, in place."""
+    for j in range(len(force)):
+        if j != line.tip:
+            slid = places[j] - before[j]
+            force[j] = dahl(line, tension, j, slid, sliding[j], force[j])[0]
 
 
 @compiled

@@ -4,12 +4,21 @@ A loop is one line from the drive pulley through the first sheath to the driven 
 through the second sheath: springs in a row, a contact with the sheath between each two, the driven
 pulley in the middle. Both ends of the line go with the drive pulley. Displacements along the line
 are positive towards the end where the first cable begins.
+
+Contacts are rigid until they slide, or follow Dahl (1968): df/dx = stiffness (1 -/+ f/limit), so
+that friction comes near its limit over limit/stiffness.
 """
 
+import math
 from typing import NamedTuple
 
 from estimator.array_types import Array
 from estimator.compiled import compiled
+
+_ENOUGH = 1e-9  # [m] by which an iteration moves contacts in the end
+_PATIENCE = 20  # iterations in full steps
+_ITERATIONS = 60  # of contacts that follow Dahl
+_LEAST = 1e-9  # [N] limit of a contact
 
 LOOSE = 1e-7
 """Stiffness of a slack spring over that of a taut one, for a unique balance."""
@@ -25,7 +34,7 @@ class Line(NamedTuple):
     stiffness: Array  # [N/m] of each spring
     friction: Array  # limit of each contact over the mean tension beside it
     drag: Array  # [N] limit of each contact that no tension changes
-    bristle: Array  # [N/m] of each contact before it slides; not used if `rigid`
+    bristle: Array  # [N/m] of each contact at no friction; not used if `rigid`
     dashpot: Array  # [N/m] of each contact: viscous friction over the time of the step
     rigid: bool  # contacts do not give before they slide
     tip: int  # the contact that is the driven pulley
@@ -40,7 +49,7 @@ def balance(
     line: Line,
     drive: float,
     before: Array,
-    roots: Array,
+    force: Array,
     sliding: Array,
     places: Array,
     tension: Array,
@@ -48,18 +57,23 @@ def balance(
 ) -> bool:
     """Find the balance of a loop whose drive pulley is at `drive` [m].
 
-    Each contact is guessed to stick or to slide one way (`sliding`, kept from the step before), the
-    balance of all is solved, and guesses that Coulomb contradicts are corrected until none is left.
-    `before` and `roots` [m], (n,), are where contacts were, and where their bristles began. Fills
-    `places` [m] and `tension` [N]; returns whether a balance was found.
+    Rigid contacts are guessed to stick or to slide one way (`sliding`, kept from the step before),
+    the balance of all is solved, and guesses that Coulomb contradicts are corrected until none is
+    left. Those that follow Dahl are solved by Newton's method. `before` [m] and `force` [N], (n,),
+    are places and friction of the contacts one step ago. Fills `places` [m] and `tension` [N];
+    returns whether a balance was found.
     """
     n = len(places)
     _stretch(line, drive, places, tension)
-    for _ in range(6 * n):
-        _solve(line, drive, before, roots, sliding, places, tension, work)
+    for i in range(6 * n if line.rigid else _ITERATIONS):
+        share = 1.0 if line.rigid or i < _PATIENCE else 0.5
+        moved = _solve(line, drive, before, force, sliding, places, tension, work, share)
         if _stretch(line, drive, places, tension):
             continue  # springs went slack or taut: their tensions tell nothing of contacts yet
-        if not _corrected(line, before, roots, sliding, places, tension):
+        if not line.rigid:
+            if moved < _ENOUGH:
+                return True
+        elif not _corrected(line, before, sliding, places, tension):
             return True
     return False
 
@@ -69,6 +83,26 @@ def friction_of(line: Line, tension: Array, j: int) -> float:
     """Return the limit of a contact [N]."""
     pressed: float = max(tension[j] + tension[j + 1], 0.0)
     return float(line.friction[j] * 0.5 * pressed + line.drag[j])
+
+
+@compiled
+def dahl(
+    line: Line, tension: Array, j: int, slid: float, way: float, force: float
+) -> tuple[float, float, float]:
+    """Return the friction of a contact that slid [N], its slope [N/m], and that by its limit.
+
+    `way` is where it slides if it has not yet, `force` its friction before.
+    """
+    limit = max(friction_of(line, tension, j), _LEAST)
+    begin = min(max(force, -limit), limit)
+    d = way
+    if slid != 0.0:
+        d = 1.0 if slid > 0.0 else -1.0
+    x = abs(slid) * line.bristle[j] / limit
+    fading = math.exp(-x)
+    rest = (begin - d * limit) * fading
+    slope = line.bristle[j] * (1.0 - d * begin / limit) * fading
+    return d * limit + rest, slope, d * (1.0 - fading) + rest * x / limit
 
 
 @compiled
@@ -89,13 +123,17 @@ def _solve(
     line: Line,
     drive: float,
     before: Array,
-    roots: Array,
+    force: Array,
     sliding: Array,
     places: Array,
     tension: Array,
     work: Array,
-) -> None:
-    """Solve for the places of all contacts as guessed: elimination and substitution."""
+    share: float,
+) -> float:
+    """Take all contacts a share of the way to their balance as guessed, or of a Newton step.
+
+    Elimination and substitution; returns the largest move [m].
+    """
     n = len(places)
     upper, right = work[0], work[1]
     for j in range(n):
@@ -104,26 +142,33 @@ def _solve(
         k_next = line.stiffness[j + 1] * (1.0 if behind else LOOSE)
         T = line.pretension * (1.0 if taut else LOOSE)
         T_next = line.pretension * (1.0 if behind else LOOSE)
-        d, A, B, own, force = sliding[j], 1.0, 1.0, 0.0, 0.0
+        d, A, B, own, known = sliding[j], 1.0, 1.0, 0.0, 0.0
         stays = False
         if j == line.tip:
-            own, force = line.hold, line.known
+            own, known = line.hold, line.known
             stays = line.held
+        elif not line.rigid:
+            slid = places[j] - before[j]
+            rub, slope, by_limit = dahl(line, tension, j, slid, d, force[j])
+            if slid != 0.0:
+                sliding[j] = 1.0 if slid > 0.0 else -1.0
+            A -= 0.5 * by_limit * line.friction[j]
+            B += 0.5 * by_limit * line.friction[j]
+            own = slope + line.dashpot[j]
+            known = (1.0 - A) * tension[j] - (1.0 - B) * tension[j + 1] - rub
+            known += slope * places[j] + line.dashpot[j] * before[j]
         elif d != 0.0:
             A -= 0.5 * d * line.friction[j]
             B += 0.5 * d * line.friction[j]
             own = line.dashpot[j]
-            force = own * before[j] - d * line.drag[j]
-        elif line.rigid:
-            stays = True
+            known = own * before[j] - d * line.drag[j]
         else:
-            own = line.bristle[j] + line.dashpot[j]
-            force = line.bristle[j] * roots[j] + line.dashpot[j] * before[j]
+            stays = True
         if stays:
             upper[j], right[j] = 0.0, line.place if j == line.tip else before[j]
             continue
         lower, diagonal, upper[j] = A * k, -A * k - B * k_next - own, B * k_next
-        right[j] = B * T_next - A * T - force
+        right[j] = B * T_next - A * T - known
         if j == 0:
             right[j] -= lower * drive
         else:
@@ -134,16 +179,16 @@ def _solve(
             upper[j] = 0.0
         upper[j] /= diagonal
         right[j] /= diagonal
-    ahead = 0.0
+    ahead = most = 0.0
     for j in range(n - 1, -1, -1):
         ahead = right[j] - upper[j] * ahead
-        places[j] = ahead
+        most = max(most, abs(ahead - places[j]))
+        places[j] += share * (ahead - places[j])
+    return most
 
 
 @compiled
-def _corrected(
-    line: Line, before: Array, roots: Array, sliding: Array, places: Array, tension: Array
-) -> bool:
+def _corrected(line: Line, before: Array, sliding: Array, places: Array, tension: Array) -> bool:
     """Correct the guesses that Coulomb contradicts; return whether there were any."""
     found = False
     for j in range(len(places)):
@@ -160,10 +205,6 @@ def _corrected(
                 sliding[j], found = 1.0, True
             elif carried < -limit - room:
                 sliding[j], found = -1.0, True
-        else:
-            slid = moved
-            if not line.rigid:
-                slid = places[j] - carried / line.bristle[j] - roots[j]
-            if slid * d < -1e-15:
-                sliding[j], found = 0.0, True
+        elif moved * d < -1e-15:
+            sliding[j], found = 0.0, True
     return found
