@@ -5,8 +5,8 @@ from types import MappingProxyType
 
 from estimator.array_types import Array
 from estimator.diagnosis import engine
-from estimator.diagnosis.engine import quiet
 from estimator.diagnosis.outcome import Diagnosis
+from estimator.diagnosis.progress import quiet
 from estimator.diagnosis.record import Record, RecordError, efforts_of, is_loop, prepare
 from estimator.effects import CATALOGUE, CHANNELS, Effect
 from estimator.measured_data import MeasuredData

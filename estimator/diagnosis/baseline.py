@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from estimator.diagnosis.dataset import Dataset, Fit, Model, residual, simulated, thin
+from estimator.diagnosis.dataset import Dataset, Fit, Model, cost, simulated, thin
 from estimator.diagnosis.fit import improved, own_start
 from estimator.diagnosis.model import COMPLIANCE, PRETENSION, TIP, scene_of
 from estimator.diagnosis.record import Record
@@ -14,9 +14,7 @@ from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
-    Effect,
     EffectContext,
-    Values,
 )
 
 FRICTIONS = (0.2, 0.45, 0.8, 1.2, 1.8)
@@ -28,36 +26,25 @@ PRETENSION_SHARES = (0.3, 0.8, 2.0)
 """Of the largest effort, that the pretension of a loop may be."""
 WIDTH_SHARES = (2e-3, 2e-2)
 """Of the motor's range, that contacts may give before they slide."""
-TRIED = 5  # of the starts, in full
-THIN = 1000  # samples of a record that starts of other laws are first fitted to
+TRIED = 5  # of the starts
+FIRST_LOOK = 1500  # samples of a record
 ROUNDS = 15
 
 
-def baseline(dataset: Dataset, effects: tuple[tuple[Effect, Values], ...] = ()) -> Fit:
-    """Return the best fit of the base law, or of one with effects begun at their values."""
-    about = _about(dataset)
-    starts = [model._replace(effects=effects) for model in _starts(dataset)]
-    tried = TRIED
-    if dataset.records[0].loop or dataset.base.law is not Law.CAPSTAN:
-        starts = _first_fits(dataset, starts)
-        tried = 1
-    costs = [_cost(dataset, about, model) for model in starts]
-    order = np.argsort(costs)[:tried]
-    fits = [improved(dataset, about, starts[k], ROUNDS) for k in order]
-    return min(fits, key=lambda fit: float(np.sum(residual(dataset, fit) ** 2)))
-
-
-def _first_fits(dataset: Dataset, starts: list[Model]) -> list[Model]:
-    """Return the best starts, fitted to thin records: a law of many parameters has many starts."""
-    few = thin(dataset, THIN)
-    about = _about(few)
-    costs = [_cost(few, about, model) for model in starts]
+def baseline(dataset: Dataset) -> Fit:
+    """Return the best fit of the base law: from many starts on few samples, then on all."""
+    few = thin(dataset, FIRST_LOOK)
+    about = _contexts(few)
+    starts = _starts(few)
+    costs = [cost(few, simulated(few, about, model)) for model in starts]
     order = np.argsort(costs)[:TRIED]
-    return [improved(few, about, starts[k], ROUNDS).model for k in order]
+    fits = [improved(few, about, starts[k], ROUNDS) for k in order]
+    return again(dataset, min(fits, key=lambda fit: cost(few, fit)))
 
 
-def _about(dataset: Dataset) -> list[EffectContext]:
-    return [scene_of(record, None, 1e-4) for record in dataset.records]
+def again(dataset: Dataset, fit: Fit) -> Fit:
+    """Return the fit of the base law on from that of the same records, weighed otherwise."""
+    return improved(dataset, _contexts(dataset), fit.model, ROUNDS)
 
 
 def by_most(dataset: Dataset, fit: Fit) -> Fit:
@@ -66,11 +53,11 @@ def by_most(dataset: Dataset, fit: Fit) -> Fit:
     Where something happened at one time, what came before it and what came after it are each fitted
     badly by one model; this one fits the longer part.
     """
-    return improved(dataset, _about(dataset), fit.model, ROUNDS, robust=True)
+    return improved(dataset, _contexts(dataset), fit.model, ROUNDS, robust=True)
 
 
-def _cost(dataset: Dataset, about: list[EffectContext], model: Model) -> float:
-    return float(np.sum(residual(dataset, simulated(dataset, about, model)) ** 2))
+def _contexts(dataset: Dataset) -> list[EffectContext]:
+    return [scene_of(record, None, 1e-4) for record in dataset.records]
 
 
 def _starts(dataset: Dataset) -> list[Model]:

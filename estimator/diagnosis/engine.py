@@ -1,5 +1,6 @@
 """The diagnosis: from records to a verdict, with its gain."""
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -8,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis import experiments
-from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis.baseline import again, baseline
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -24,6 +25,7 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.fit import improved, own_only, refitted
 from estimator.diagnosis.free_friction import wanders
+from estimator.diagnosis.hidden_motion import with_hidden_motion
 from estimator.diagnosis.intervals import Named, parameters
 from estimator.diagnosis.law_choice import Choice, applicable, choose_law, choose_loads
 from estimator.diagnosis.model import Simulated, simulate
@@ -37,6 +39,7 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
+from estimator.diagnosis.progress import Report, part, quiet
 from estimator.diagnosis.record import Record, RecordError, in_short_blocks, with_driver_noise
 from estimator.diagnosis.record_units import in_record_units
 from estimator.diagnosis.residual_dependence import structure
@@ -50,17 +53,14 @@ from estimator.diagnosis.score import (
     log_likelihood_ratio,
     surely_better,
 )
-from estimator.diagnosis.search import Candidate, Report, candidates
+from estimator.diagnosis.search import Candidate, candidates
 from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.simple_models import simple_models
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect
 
 LAST = 12  # rounds of the fit to all samples
-
-
-def quiet(_what: str, _share: float) -> None:
-    """Report nothing."""
+SEARCHES = (0.1, 0.5, 0.75, 0.9)  # shares of the time between which each search for a cause runs
 
 
 def diagnose(
@@ -98,26 +98,34 @@ def diagnose(
     dataset = dataset_of(records)
     report("fitting the base law", 0.0)
     plain = baseline(dataset)
-    noisy = [with_driver_noise(record, _again(record, dataset, plain)) for record in records]
+    noisy = [with_driver_noise(record, simulated_by(plain, dataset, record)) for record in records]
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
         dataset = dataset_of(noisy)
-        plain = baseline(dataset)
+        plain = again(dataset, plain)
+        moved = [
+            with_hidden_motion(record, plain.model.shared, own)
+            for record, own in zip(noisy, plain.model.own, strict=True)
+        ]
+        dataset = dataset_of(moved)
+        plain = again(dataset, plain)
     law = Choice(dataset, plain, ())
     if records[0].loop or not _is_noise(dataset, errors(dataset, plain)):
+        report("choosing the base law", 0.0)
         law = choose_law(dataset, plain)
     loads = choose_loads(law.dataset, law.fit)
     dataset, plain = loads.dataset, loads.fit
     if _brief(dataset, plain):
         dataset = with_records(dataset, [in_short_blocks(one) for one in dataset.records])
-        plain = baseline(dataset)
+        plain = again(dataset, plain)
     usable = applicable(effects, records[0], dataset.base)
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
-    for _ in range(SETTINGS.causes_max):
+    for begin, end in itertools.pairwise(SEARCHES):
         if _is_noise(dataset, errors(dataset, fit)) or (steps and _is_all(dataset, fit, plain)):
             break
         rest = [effect for effect in usable if effect.name not in fit.names]
-        found = candidates(dataset, fit, rest, report, workers)
+        searching = part(report, begin, end)
+        found = candidates(dataset, fit, rest, searching, workers)
         step = _step(dataset, plain, fit, found)
         if step is not None and not steps:
             without = _without(dataset, step.fit, step.effect)
@@ -128,11 +136,14 @@ def diagnose(
                 continue
         first = first or _ranking(dataset, plain, fit, found)
         if step is None:
-            two = _by_two(dataset, plain, fit, found, rest, report, workers)
+            two = _by_two(
+                dataset, plain, fit, found, rest, part(report, end, SEARCHES[-1]), workers
+            )
             steps, fit = [*steps, *two], two[-1].fit if two else fit
             break
         steps.append(step)
         fit = step.fit
+    report("fitting again and testing", SEARCHES[-1])
     steps, fit = _needed(dataset, steps, fit)
     steps, fit = _distinct(dataset, plain, steps, fit)
     outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
@@ -217,15 +228,15 @@ def _bic_penalty(dataset: Dataset, effect: Effect) -> float:
     return 0.5 * len(effect.parameters) * math.log(samples)
 
 
-def _again(record: Record, dataset: Dataset, fit: Fit) -> Callable[[Record], Simulated]:
-    """Return a function that simulates a record again with another drive."""
+def simulated_by(fit: Fit, dataset: Dataset, record: Record) -> Callable[[Record], Simulated]:
+    """Return a function that simulates a record of the dataset again with another drive."""
     k = next(i for i, other in enumerate(dataset.records) if other is record)
     about = contexts_without(dataset, fit)[k]
 
-    def again(other: Record) -> Simulated:
+    def again_by(other: Record) -> Simulated:
         return simulate(other, about, dataset.base, fit.model.shared, fit.model.own[k], ())
 
-    return again
+    return again_by
 
 
 def _brief(dataset: Dataset, plain: Fit) -> bool:

@@ -97,7 +97,7 @@ def choose_loads(dataset: Dataset, fit: Fit) -> Choice:
     tried = [(dataset, fit)]
     for loads in (Loads.SPRINGS, Loads.MASSES):
         other = with_base(dataset, base.law, loads)
-        about = contexts_without(other, tried[-1][1])
+        about = contexts_without(*tried[-1])
         start = _with_loads(tried[-1][0], tried[-1][1].model, other)
         tried.append((other, improved(other, about, start, ROUNDS)))
     scores = _scored(tried, [one.base.loads for one, _ in tried])
@@ -147,7 +147,7 @@ def _both(capstan: tuple[Dataset, Fit], alone: tuple[Dataset, Fit]) -> tuple[Dat
         values |= dataset.base.values(model.shared, model.own[0])
         values.setdefault(FORCE.name, LITTLE * max(values.get(PRETENSION.name, 0.0), 1.0))
         start = model._replace(shared=tuple(values[p.name] for p in both.base.shared))
-        fits.append(improved(both, contexts_without(both, fit), start, ROUNDS))
+        fits.append(improved(both, contexts_without(dataset, fit), start, ROUNDS))
     return both, min(fits, key=lambda one: cost(both, one))
 
 

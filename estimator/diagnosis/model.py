@@ -120,7 +120,7 @@ def simulate(
         On top, in this order.
     """
     values = base.values(shared, own)
-    physics = _physics(record, base, values)
+    physics = plain_physics(record, base, values)
     for effect, numbers in effects:
         physics = effect.physics(physics, numbers, context)
     drive = record.drive
@@ -139,7 +139,7 @@ def simulate(
     return Simulated({name: signals[name] for name in record.compared}, motion)
 
 
-def _physics(record: Record, base: Base, values: Mapping[str, float]) -> Physics:
+def plain_physics(record: Record, base: Base, values: Mapping[str, float]) -> Physics:
     """Return the tendon of a record, or each cable of its loop, without effects."""
     physics = Physics(
         np.ones(len(record.time)),
