@@ -1,6 +1,6 @@
-"""Base law, stiffness and friction of a closed loop of two cables, from torque and angle.
+"""Transmissions besides a tendon whose motor travel is known: loops, torque and angle.
 
-The data are made by masses, springs and bristles in time (`tests.hidden.loop`), which share nothing
+Data of loops are made by masses, springs and bristles in time (`tests.hidden.loop`), which share nothing
 with the estimator.
 """
 
@@ -13,6 +13,7 @@ from estimator.diagnosis.record import RecordError
 from estimator.diagnosis.transmission_law import Law
 from estimator.measured_data import Samples
 from estimator.units import ROTARY
+from tests import hidden
 from tests.hidden.loop import Loop, motion, run
 
 ANGLE_NOISE = 5e-5  # [rad]
@@ -51,6 +52,7 @@ def expected(loop):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("loop", "law"),
     [
@@ -85,3 +87,14 @@ def test_torque_of_one_sign_is_that_of_one_cable():
     found = diagnose(Samples(time, torque, None, 0.5 * torque, None, ROTARY), effects=[])
     assert not found.dataset.records[0].loop
     assert found.noise["distal_tension"] < 1e-3
+
+
+def test_tension_and_the_tips_travel_are_enough():
+    channels = ("proximal_tension", "distal_displacement")
+    made = hidden.make(3, (), bench="spring", channels=channels, duration=30.0, rate=50.0)
+    tension, tip = (made.channels[name] for name in channels)
+    found = diagnose(Samples(made.time, tension, None, None, tip), effects=[])
+    assert found.verdict is Verdict.CLEAN
+    sheath = made.truth["sheath"]
+    for name, true in {"K": sheath["K"], "tip compliance": 1.0 / sheath["k"]}.items():
+        assert found.parameters[name].low < true < found.parameters[name].high
