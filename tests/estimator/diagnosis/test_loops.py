@@ -1,7 +1,7 @@
 """Transmissions besides a tendon whose motor travel is known: loops, torque and angle.
 
-Data of loops are made by masses, springs and bristles in time (`tests.hidden.loop`), which share nothing
-with the estimator.
+Data of loops are made by masses, springs and bristles in time (`tests.hidden.loop`), which share
+nothing with the estimator.
 """
 
 import numpy as np
