@@ -117,6 +117,7 @@ def diagnose(
     if _brief(dataset, plain):
         dataset = with_records(dataset, [in_short_blocks(one) for one in dataset.records])
         plain = again(dataset, plain)
+    plain = again(rescaled(dataset, plain), plain)  # weighed as its rivals will be
     usable = applicable(effects, records[0], dataset.base)
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
