@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from estimator.online.estimator import Estimator as Estimator
     from estimator.online.online import Estimates as Estimates
     from estimator.online.tendon_model import TendonModel as TendonModel
+    from estimator.units import FORCE as FORCE
+    from estimator.units import LINEAR as LINEAR
+    from estimator.units import ROTARY as ROTARY
+    from estimator.units import Units as Units
 
 _PLACES = {
     "Calibration": "calibration.calibration",
@@ -47,10 +51,17 @@ _PLACES = {
     "Estimator": "online.estimator",
     "Estimates": "online.online",
     "TendonModel": "online.tendon_model",
+    "FORCE": "units",
+    "LINEAR": "units",
+    "ROTARY": "units",
+    "Units": "units",
 }
 
 __all__ = [
     "CATALOGUE",
+    "FORCE",
+    "LINEAR",
+    "ROTARY",
     "Calibration",
     "Diagnosis",
     "Estimates",
@@ -64,6 +75,7 @@ __all__ = [
     "SheathFit",
     "Simulation",
     "TendonModel",
+    "Units",
     "calibrate",
     "diagnose",
     "fit_sheath",

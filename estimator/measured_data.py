@@ -3,6 +3,7 @@
 from typing import NamedTuple, Protocol
 
 from estimator.array_types import Array
+from estimator.units import LINEAR, Units
 
 
 class MeasuredData(Protocol):
@@ -40,3 +41,4 @@ class Samples(NamedTuple):
     proximal_displacement: Array | None = None
     distal_tension: Array | None = None
     distal_displacement: Array | None = None
+    units: Units = LINEAR  # ROTARY: torques [N m] and angles [rad] instead

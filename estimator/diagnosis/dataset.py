@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.diagnosis.model import Base, Simulated, base_of, scene_of, simulate
+from estimator.diagnosis.model import Base, Loads, Simulated, base_of, scene_of, simulate
 from estimator.diagnosis.record import Record, at_rows, first_look, in_full
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.transmission_law import Law
 from estimator.effects.effect import PROXIMAL_TENSION, Effect, EffectContext, Values
 
 
@@ -48,7 +49,9 @@ class Expected(NamedTuple):
     uncertainty: float
 
 
-def dataset_of(records: Sequence[Record]) -> Dataset:
+def dataset_of(
+    records: Sequence[Record], law: Law = Law.CAPSTAN, loads: Loads = Loads.SHARED
+) -> Dataset:
     """Return a dataset whose residuals are scaled by the noise, or a small share of the range.
 
     What is not fitted yet is wrong in all channels; one that is measured very finely must not
@@ -61,7 +64,17 @@ def dataset_of(records: Sequence[Record]) -> Dataset:
         }
         for record in records
     )
-    return Dataset(tuple(records), base_of(records[0]), scale)
+    return Dataset(tuple(records), base_of(records[0], law, loads), scale)
+
+
+def with_records(dataset: Dataset, records: Sequence[Record]) -> Dataset:
+    """Return a dataset of other records with the same base law and loads."""
+    return dataset_of(records, dataset.base.law, dataset.base.loads)
+
+
+def with_base(dataset: Dataset, law: Law, loads: Loads = Loads.SHARED) -> Dataset:
+    """Return the same records with another base law or other loads."""
+    return dataset_of(dataset.records, law, loads)
 
 
 def whole(dataset: Dataset) -> Dataset:
@@ -126,7 +139,7 @@ def rescaled(dataset: Dataset, fit: Fit) -> Dataset:
 
 def contexts(dataset: Dataset, fit: Fit) -> tuple[EffectContext, ...]:
     """Return what effects may know of each record beside a model without them."""
-    elastic = fit.model.shared[1] if len(fit.model.shared) > 1 else 0.0
+    elastic = dataset.base.compliance(fit.model.shared) or 0.0
     return tuple(
         scene_of(record, simulated, elastic)
         for record, simulated in zip(dataset.records, fit.simulated, strict=True)
@@ -135,14 +148,14 @@ def contexts(dataset: Dataset, fit: Fit) -> tuple[EffectContext, ...]:
 
 def contexts_without(dataset: Dataset, fit: Fit) -> tuple[EffectContext, ...]:
     """Return what effects may know of records that have not been simulated yet."""
-    elastic = fit.model.shared[1] if len(fit.model.shared) > 1 else 0.0
+    elastic = dataset.base.compliance(fit.model.shared) or 0.0
     return tuple(scene_of(record, None, elastic) for record in dataset.records)
 
 
 def simulated(dataset: Dataset, about: Sequence[EffectContext], model: Model) -> Fit:
     """Return a model with what it makes of each record."""
     done = tuple(
-        simulate(record, context, model.shared, own, model.effects)
+        simulate(record, context, dataset.base, model.shared, own, model.effects)
         for record, context, own in zip(dataset.records, about, model.own, strict=True)
     )
     return Fit(model, done)
@@ -158,7 +171,7 @@ def residual(dataset: Dataset, fit: Fit) -> Array:
             counts = record.train & record.good[channel]
             off = one.signals[channel] - record.signals[channel]
             parts.append((off / scale[channel])[counts])
-        expected = expected_taut(record, fit.model)
+        expected = expected_taut(record, dataset.base, fit.model)
         if expected is not None:
             parts.append(np.array([(own[0] - expected.travel) / expected.uncertainty]))
     return np.concatenate(parts)
@@ -169,12 +182,12 @@ def cost(dataset: Dataset, fit: Fit) -> float:
     return float(np.sum(residual(dataset, fit) ** 2))
 
 
-def expected_taut(record: Record, model: Model) -> Expected | None:
+def expected_taut(record: Record, base: Base, model: Model) -> Expected | None:
     """Return where the motor must be for the first tension that was read, in a slack start."""
-    if record.driver == PROXIMAL_TENSION or not record.starts_slack:
+    compliance = base.compliance(model.shared)
+    if compliance is None or not record.starts_slack:
         return None
     sigma = record.noise[PROXIMAL_TENSION]
-    compliance = model.shared[1]
     tension = max(0.0, float(record.signals[PROXIMAL_TENSION][:5].mean()))
     return Expected(
         float(record.drive[0]) - compliance * tension,

@@ -11,6 +11,7 @@ from estimator.diagnosis.dataset import (
     Fit,
     contexts,
     contexts_without,
+    expected_taut,
     residual,
     simulated,
     thin,
@@ -48,7 +49,7 @@ def detection_limits(
             model = fit.model._replace(effects=(*fit.model.effects, (effect, values)))
             change = residual(dataset, simulated(dataset, about, model)) - r
             change -= basis @ (basis.T @ change)
-            share = _of_least(dataset, change)
+            share = _of_least(dataset, fit, change)
             size = abs(values[0] - first.neutral) / share if share > 0.0 else math.inf
             known = found.get(effect.name)
             most = max(abs(first.low - first.neutral), abs(first.high - first.neutral))
@@ -57,7 +58,7 @@ def detection_limits(
     return found
 
 
-def _of_least(dataset: Dataset, change: Array) -> float:
+def _of_least(dataset: Dataset, fit: Fit, change: Array) -> float:
     """Return how many times the least that would be seen a change of the residual is."""
     floor = tolerance(dataset)
     squares, counts, at = dict.fromkeys(floor, 0.0), dict.fromkeys(floor, 0), 0
@@ -69,7 +70,7 @@ def _of_least(dataset: Dataset, change: Array) -> float:
             squares[channel] += float(np.sum((noises * change[at : at + count]) ** 2))
             counts[channel] += count
             at += count
-        at += record.starts_slack and len(dataset.base.own) > 0
+        at += expected_taut(record, dataset.base, fit.model) is not None
     shares = [
         math.sqrt(squares[c] / max(counts[c], 1) / ((SETTINGS.noise_ratio * floor[c]) ** 2 - 1.0))
         for c in floor

@@ -20,12 +20,14 @@ from estimator.diagnosis.dataset import (
     rescaled,
     tolerance,
     whole,
+    with_records,
 )
 from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.fit import improved, own_only, refitted
 from estimator.diagnosis.free_friction import wanders
 from estimator.diagnosis.hidden_motion import with_hidden_motion
 from estimator.diagnosis.intervals import Named, parameters
+from estimator.diagnosis.law_choice import Choice, applicable, choose_law, choose_loads
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
@@ -39,6 +41,7 @@ from estimator.diagnosis.outcome import (
 )
 from estimator.diagnosis.progress import Report, part, quiet
 from estimator.diagnosis.record import Record, RecordError, in_short_blocks, with_driver_noise
+from estimator.diagnosis.record_units import in_record_units
 from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (
     Errors,
@@ -90,8 +93,10 @@ def diagnose(
     """
     if len({tuple(sorted(record.signals)) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different channels: give those of one dataset")
+    if len({(record.units, record.loop) for record in [*records, *validate]}) > 1:
+        raise RecordError("the records have different units: give those of one dataset")
     dataset = dataset_of(records)
-    report("fitting the plain law", 0.0)
+    report("fitting the base law", 0.0)
     plain = baseline(dataset)
     noisy = [with_driver_noise(record, simulated_by(plain, dataset, record)) for record in records]
     if any(new is not old for new, old in zip(noisy, records, strict=True)):
@@ -103,11 +108,17 @@ def diagnose(
         ]
         dataset = dataset_of(moved)
         plain = again(dataset, plain)
+    law = Choice(dataset, plain, ())
+    if records[0].loop or not _is_noise(dataset, errors(dataset, plain)):
+        report("choosing the base law", 0.0)
+        law = choose_law(dataset, plain)
+    loads = choose_loads(law.dataset, law.fit)
+    dataset, plain = loads.dataset, loads.fit
     if _brief(dataset, plain):
-        dataset = dataset_of([in_short_blocks(record) for record in dataset.records])
+        dataset = with_records(dataset, [in_short_blocks(one) for one in dataset.records])
         plain = again(dataset, plain)
     plain = again(rescaled(dataset, plain), plain)  # weighed as its rivals will be
-    usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
+    usable = applicable(effects, records[0], dataset.base)
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
     for begin, end in itertools.pairwise(SEARCHES):
@@ -136,7 +147,8 @@ def diagnose(
     report("fitting again and testing", SEARCHES[-1])
     steps, fit = _needed(dataset, steps, fit)
     steps, fit = _distinct(dataset, plain, steps, fit)
-    return _outcome(dataset, plain, fit, steps, first, usable, validate)
+    outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
+    return in_record_units(outcome._replace(laws=law, loads=loads))
 
 
 def _by_two(
@@ -223,7 +235,7 @@ def simulated_by(fit: Fit, dataset: Dataset, record: Record) -> Callable[[Record
     about = contexts_without(dataset, fit)[k]
 
     def again_by(other: Record) -> Simulated:
-        return simulate(other, about, fit.model.shared, fit.model.own[k], ())
+        return simulate(other, about, dataset.base, fit.model.shared, fit.model.own[k], ())
 
     return again_by
 
@@ -317,6 +329,7 @@ def _simplest(
 
 def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
     base, at_first = errors(dataset, fit), errors(dataset, plain)
+    size = dataset.records[0].units.size
     ranked = [
         Ranked(
             one.effect.name,
@@ -325,7 +338,7 @@ def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> 
             {c: e.rmse for c, e in one.held_out.items()},
             left_of(one.held_out, at_first),
             {
-                p.name: value
+                p.name: size(p.unit) * value
                 for p, value in zip(
                     one.effect.parameters, one.fit.model.effects[-1][1], strict=True
                 )
@@ -385,6 +398,8 @@ def _outcome(
         detection_limits=detection_limits(dataset, plain, usable)
         if verdict is Verdict.CLEAN
         else {},
+        laws=Choice(dataset, plain, ()),
+        loads=Choice(dataset, plain, ()),
         experiments=experiments.settling(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
     )
@@ -417,7 +432,7 @@ def _fitnesses(folds: tuple[Fold, ...], which: int, validate: Sequence[Record]) 
     return Fitnesses(
         _fitness(folds, which, fitted=True),
         _fitness(folds, which, fitted=False),
-        _validated(folds[0].fits[which], validate) if validate else {},
+        _validated(folds[0].dataset, folds[0].fits[which], validate) if validate else {},
     )
 
 
@@ -438,8 +453,8 @@ def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fi
     return found
 
 
-def _validated(fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
+def _validated(fitted: Dataset, fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
     """Return how far a model is off in records it was not fitted to, but for where they start."""
-    dataset = whole(dataset_of(validate))
+    dataset = whole(with_records(fitted, validate))
     start = own_only(dataset, fit)
     return _fitness([Fold(dataset, (start, start))], 0, fitted=True)

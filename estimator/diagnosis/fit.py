@@ -18,6 +18,7 @@ from estimator.diagnosis.dataset import (
     whole,
 )
 from estimator.diagnosis.layout import Layout
+from estimator.diagnosis.model import MASS, TAUT, TIP, TIP_ZERO, Base
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
@@ -87,23 +88,49 @@ def own_only(dataset: Dataset, fit: Fit) -> Fit:
     about = contexts_without(dataset, fit)
     if not dataset.base.own:
         return simulated(dataset, about, fit.model._replace(own=((),) * len(dataset.records)))
-    own = tuple(own_start(record, fit.model.shared[1]) for record in dataset.records)
+    compliance = dataset.base.compliance(fit.model.shared) or 0.0
+    own = tuple(own_start(record, dataset.base, compliance) for record in dataset.records)
     model = fit.model._replace(own=own)
     layout = Layout(dataset, model)
     return _descended(dataset, about, layout, model, ROUNDS, layout.own)
 
 
-def own_start(record: Record, compliance: float) -> Values:
-    """Return where to look for what a record has for itself, with L/EA [m/N] about known."""
-    T = float(np.median(record.signals[PROXIMAL_TENSION][:5]))
-    taut = float(record.drive[0]) - compliance * max(T, 0.0)
-    if DISTAL_DISPLACEMENT not in record.signals:
-        return (taut,)
+def own_start(record: Record, base: Base, compliance: float, tip: float = 0.0) -> Values:
+    """Return where to look for what a record has for itself.
+
+    With L/EA about `compliance` and what the tip pulls at about `tip` [m/N].
+    """
+    start = {TIP.name: tip, MASS.name: 0.0}
+    if TAUT in base.own:
+        start[TAUT.name] = _taut_start(record, compliance)
+    if TIP_ZERO in base.own:
+        start[TIP_ZERO.name] = _tip_start(record)
+    return tuple(start[p.name] for p in base.own)
+
+
+def _taut_start(record: Record, compliance: float) -> float:
+    """Return about where the drive begins to pull [m]; of a loop, where it carries no effort."""
+    T = record.signals[PROXIMAL_TENSION]
+    if record.loop:
+        return float(np.median(record.drive[_idle(T)]))
+    return float(record.drive[0]) - compliance * max(float(np.median(T[:5])), 0.0)
+
+
+def _tip_start(record: Record) -> float:
+    """Return about where the tip is without effort [m]."""
     loose = record.signals[DISTAL_DISPLACEMENT]
+    if record.loop:
+        return float(np.median(loose[_idle(record.signals[PROXIMAL_TENSION])]))
     if DISTAL_TENSION in record.signals:
         low = record.signals[DISTAL_TENSION] <= SETTINGS.loose_tension
         loose = loose[low] if low.any() else loose
-    return (taut, float(np.min(loose)))
+    return float(np.min(loose))
+
+
+def _idle(effort: Array) -> Mask:
+    """Return which samples of an effort of either sign are nearest to none, a tenth of them."""
+    size = np.abs(effort)
+    return np.asarray(size <= np.quantile(size, 0.1))
 
 
 def moved(dataset: Dataset, model: Model, by: Array) -> Model:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.drive import rate, tension_drive
-from estimator.diagnosis.model import plain_physics
+from estimator.diagnosis.model import base_of, plain_physics
 from estimator.diagnosis.record import Record, Trouble
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
@@ -49,11 +49,13 @@ def with_hidden_motion(record: Record, shared: tuple[float, ...], own: tuple[flo
         Numbers of the plain law, fitted to it (`estimator.diagnosis.model.base_of`).
     """
     sigma = record.noise[PROXIMAL_DISPLACEMENT] if record.driver == PROXIMAL_DISPLACEMENT else 0.0
-    if not sigma > 0.0:
+    if record.loop or not sigma > 0.0:
         return record
+    base = base_of(record)
+    physics = plain_physics(record, base, base.values(shared, own))
     drive, driven = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
     for noise in (record.sigma[PROXIMAL_TENSION], record.noise[PROXIMAL_TENSION]):
-        tendon = Drivable(plain_physics(record, shared), record.time)
+        tendon = Drivable(physics, record.time)
         position, off_by = 0, np.full(len(drive), noise)
         while (found := _next(record, tendon, drive, position, off_by, sigma, own[0])) is not None:
             begin, end, travel = found

@@ -21,6 +21,7 @@ from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import EffectContext, Parameter
 
+UNSEEN = 1e-3  # slope of all residuals below which they tell nothing of a number
 HALVED = 5  # times, the step that is one too far
 
 
@@ -62,7 +63,7 @@ class Named(NamedTuple):
 
 
 def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tuple[Named, ...]:
-    """Return all numbers of a model but those of single records, with their intervals.
+    """Return all numbers of a model but where single records start, with their intervals.
 
     From the scatter of the residuals and their correlation from one sample to the next, and from
     the worst case of a simulation error of `Settings.accuracy`; for a time, a parameter without a
@@ -76,9 +77,10 @@ def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tu
     spread = float(r @ r) / max(len(r) - J.shape[1], 1) * (1.0 + correlation) / (1.0 - correlation)
     sigma = np.sqrt((inverse**2).sum(axis=1) * spread)
     most_off = _off_by_inaccuracy(dataset, fit.model, np.asarray(inverse))
-    found = []
-    for i, value in enumerate(layout.values(fit.model)[: layout.common]):
-        p = layout.parameters[i]
+    found, values = [], layout.values(fit.model)
+    unseen = np.linalg.norm(J, axis=0) < UNSEEN
+    for i in (*range(layout.common), *layout.loads):
+        p, value = layout.parameters[i], values[i]
         sampling = SETTINGS.cover * float(sigma[i]) * layout.step(i)
         reach = math.hypot(sampling, float(most_off[i]) * layout.step(i))
         low, high = value - reach, value + reach
@@ -87,6 +89,8 @@ def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tu
             low = min(low, value + _reach(dataset, about, layout, fit, i, -1.0, most))
             high = max(high, value + _reach(dataset, about, layout, fit, i, 1.0, most))
         low, high = max(low, p.low), min(high, p.high)
+        if unseen[i] and not p.jumps:
+            low, high = p.low, p.high
         found.append(Named(layout.names[i], p, value, low, high, sampling))
     return tuple(found)
 
@@ -107,7 +111,7 @@ def _off_by_inaccuracy(dataset: Dataset, model: Model, inverse: Array) -> Array:
             off = SETTINGS.accuracy * float(np.ptp(record.signals[channel]))
             parts.append(off / scale[channel][counts])
             bins.append(bin_of[counts])
-        if expected_taut(record, model) is not None:
+        if expected_taut(record, dataset.base, model) is not None:
             parts.append(np.zeros(1))
             bins.append(bin_of[:1])
     worst = np.abs(inverse) * np.concatenate(parts)

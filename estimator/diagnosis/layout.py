@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Model
-from estimator.diagnosis.model import COMPLIANCE, own_bounds
+from estimator.diagnosis.model import OWN_LOADS, own_bounds
 
 Mask = NDArray[np.bool_]
 
@@ -28,13 +28,14 @@ class Layout:
             self.names += [f"{p.name} ({k + 1})" for p in base.own]
             self.parameters += [
                 p._replace(low=low, high=high)
-                for p, (low, high) in zip(base.own, own_bounds(record), strict=True)
+                for p, (low, high) in zip(base.own, own_bounds(record, base), strict=True)
             ]
         self._steps = [p.step for p in self.parameters]
-        if COMPLIANCE in base.shared:  # known to a share of itself, whatever the tendon
-            for i, p in enumerate(base.shared):
+        compliance = base.compliance(model.shared)
+        if compliance is not None:  # known to a share of itself, whatever the tendon
+            for i, p in enumerate(self.parameters):
                 if p.unit == "m/N":
-                    self._steps[i] = 0.03 * max(model.shared[1], 1e-7)
+                    self._steps[i] = 0.03 * max(compliance, 1e-7)
 
     @property
     def smooth(self) -> Mask:
@@ -52,6 +53,13 @@ class Layout:
                     mask[i] = p.neutral is None
             at += len(effect.parameters)
         return mask
+
+    @property
+    def loads(self) -> list[int]:
+        """Places of what the tips of single records pull at."""
+        known = {p.name for p in OWN_LOADS[self.base.loads]}
+        own = [p.name in known for p in self.base.own] * self.records
+        return [self.common + k for k, is_load in enumerate(own) if is_load]
 
     @property
     def own(self) -> Mask:

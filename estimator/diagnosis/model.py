@@ -1,6 +1,7 @@
 """The model that is fitted: the law, what holds the tip, and effects on top of it."""
 
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.transmission_law import Law, parameters_of, with_friction
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     DISTAL_TENSION,
@@ -19,14 +21,27 @@ from estimator.effects.effect import (
     Signals,
     Values,
 )
+from estimator.lumped.loop_model import loop_by_travel
 from estimator.lumped.lumped_model import Motion, Physics, by_tension, by_travel
 from estimator.lumped.nodes import even_weights
 
-FRICTION = Parameter("K", "", 0.01, 5.0, 0.05)
 COMPLIANCE = Parameter("L/EA", "m/N", 1e-7, 2e-3, 5e-6)
 TIP = Parameter("tip compliance", "m/N", 0.0, 0.1, 1e-5)
+PRETENSION = Parameter("pretension", "N", 0.1, 500.0, 0.2)  # of a closed loop
 TAUT = Parameter("taut at", "m", -10.0, 10.0, 1e-5)  # of each record
 TIP_ZERO = Parameter("tip zero", "m", -10.0, 10.0, 1e-6)  # of each record
+MASS = Parameter("tip mass", "kg", 0.0, 50.0, 0.02)
+
+
+class Loads(StrEnum):
+    """What several records have in common of what their tips pull at."""
+
+    SHARED = "the same load in all files"
+    SPRINGS = "a spring in each file"
+    MASSES = "a spring and a mass in each file"
+
+
+OWN_LOADS = {Loads.SHARED: (), Loads.SPRINGS: (TIP,), Loads.MASSES: (TIP, MASS)}
 
 
 class Base(NamedTuple):
@@ -34,6 +49,17 @@ class Base(NamedTuple):
 
     shared: tuple[Parameter, ...]
     own: tuple[Parameter, ...]
+    law: Law = Law.CAPSTAN
+    loads: Loads = Loads.SHARED
+
+    def values(self, shared: Sequence[float], own: Sequence[float]) -> dict[str, float]:
+        """Return the values of a record's model by name of their parameter."""
+        names = (p.name for p in (*self.shared, *self.own))
+        return dict(zip(names, (*shared, *own), strict=True))
+
+    def compliance(self, shared: Sequence[float]) -> float | None:
+        """Return L/EA [m/N]; None where the channels do not tell it."""
+        return self.values(shared, [0.0] * len(self.own)).get(COMPLIANCE.name)
 
 
 class Simulated(NamedTuple):
@@ -43,18 +69,26 @@ class Simulated(NamedTuple):
     motion: Motion  # what they would have read it of
 
 
-def base_of(record: Record) -> Base:
+def base_of(record: Record, law: Law = Law.CAPSTAN, loads: Loads = Loads.SHARED) -> Base:
     """Return the parameters that the channels of a record call for."""
-    if record.driver == PROXIMAL_TENSION:
-        return Base((FRICTION,), ())
-    own = (TAUT, TIP_ZERO) if DISTAL_DISPLACEMENT in record.signals else (TAUT,)
-    return Base((FRICTION, COMPLIANCE, TIP), own)
+    by_travel = record.driver != PROXIMAL_TENSION
+    tip_seen = DISTAL_DISPLACEMENT in record.signals
+    shared = [*parameters_of(law, record.loop), *([COMPLIANCE] if by_travel else [])]
+    has_load = by_travel or tip_seen
+    own = [*([TAUT] if by_travel else []), *([TIP_ZERO] if tip_seen else [])]
+    if has_load and loads is Loads.SHARED:
+        shared.append(TIP)
+    elif has_load:
+        own += OWN_LOADS[loads]
+    if record.loop:
+        shared.append(PRETENSION)
+    return Base(tuple(shared), tuple(own), law, loads)
 
 
-def own_bounds(record: Record) -> list[tuple[float, float]]:
+def own_bounds(record: Record, base: Base) -> list[tuple[float, float]]:
     """Return between which values a record's own parameters may be, in the order of its base."""
-    bounds = [(p.low, p.high) for p in base_of(record).own]
-    if bounds and record.starts_slack:
+    bounds = [(p.low, p.high) for p in base.own]
+    if TAUT in base.own and record.starts_slack:
         T = record.signals[PROXIMAL_TENSION]
         soft = float(np.ptp(record.drive)) / float(np.ptp(T))
         near = SETTINGS.slack_noise * record.noise[PROXIMAL_TENSION] * soft
@@ -62,16 +96,10 @@ def own_bounds(record: Record) -> list[tuple[float, float]]:
     return bounds
 
 
-def plain_physics(record: Record, shared: Sequence[float]) -> Physics:
-    """Return the tendon of the plain law, from the values of `base_of` the record."""
-    K, *elastic = shared
-    compliance, tip = elastic if elastic else (SETTINGS.assumed_compliance, 0.0)
-    return Physics(np.full(len(record.time), K), compliance, even_weights(), tip)
-
-
 def simulate(
     record: Record,
     context: EffectContext,
+    base: Base,
     shared: Sequence[float],
     own: Sequence[float],
     effects: Sequence[tuple[Effect, Values]],
@@ -84,31 +112,53 @@ def simulate(
         What drives it.
     context : EffectContext
         What effects may know of it.
+    base : Base
+        Parameters of the model.
     shared, own : sequence of float
-        Values of `base_of` the record.
+        Their values.
     effects : sequence of (Effect, values)
         On top, in this order.
     """
-    physics = plain_physics(record, shared)
-    for effect, values in effects:
-        physics = effect.physics(physics, values, context)
+    values = base.values(shared, own)
+    physics = plain_physics(record, base, values)
+    for effect, numbers in effects:
+        physics = effect.physics(physics, numbers, context)
     drive = record.drive
-    for effect, values in reversed(effects):
-        drive = effect.invert(drive, values, context)
-    if record.driver == PROXIMAL_TENSION:
-        motion = by_tension(physics, record.time, np.maximum(drive, 0.0), record.speed)
-    else:
-        motion = by_travel(physics, record.time, drive - own[0], record.speed)
+    for effect, numbers in reversed(effects):
+        drive = effect.invert(drive, numbers, context)
+    motion = _moved(record, physics, drive, values)
     signals: Signals = {
         PROXIMAL_TENSION: motion.proximal_tension,
         PROXIMAL_DISPLACEMENT: motion.proximal_displacement,
         DISTAL_TENSION: motion.distal_tension,
     }
-    if len(own) > 1:
-        signals[DISTAL_DISPLACEMENT] = motion.distal_displacement + own[1]
-    for effect, values in effects:
-        signals = effect.measure(signals, values, context)
+    if TIP_ZERO in base.own:
+        signals[DISTAL_DISPLACEMENT] = motion.distal_displacement + values[TIP_ZERO.name]
+    for effect, numbers in effects:
+        signals = effect.measure(signals, numbers, context)
     return Simulated({name: signals[name] for name in record.compared}, motion)
+
+
+def plain_physics(record: Record, base: Base, values: Mapping[str, float]) -> Physics:
+    """Return the tendon of a record, or each cable of its loop, without effects."""
+    physics = Physics(
+        np.ones(len(record.time)),
+        values.get(COMPLIANCE.name, SETTINGS.assumed_compliance),
+        even_weights(),
+        values.get(TIP.name, 0.0),
+        mass=values.get(MASS.name, 0.0),
+    )
+    return with_friction(physics, base.law, values)
+
+
+def _moved(record: Record, physics: Physics, drive: Array, values: Mapping[str, float]) -> Motion:
+    """Return what the ends of the transmission do when it is driven."""
+    if record.loop:
+        pretension, taut = values[PRETENSION.name], values[TAUT.name]
+        return loop_by_travel(physics, pretension, record.time, drive - taut, record.speed)
+    if record.driver == PROXIMAL_TENSION:
+        return by_tension(physics, record.time, np.maximum(drive, 0.0), record.speed)
+    return by_travel(physics, record.time, drive - values[TAUT.name], record.speed)
 
 
 def scene_of(record: Record, simulated: Simulated | None, compliance: float) -> EffectContext:

@@ -4,9 +4,11 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from estimator.diagnosis.dataset import Dataset, Fit
+from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.record import Trouble
 from estimator.diagnosis.simple_models import SimpleFit
 from estimator.effects.effect import Effect
+from estimator.units import Units
 
 
 class Verdict(StrEnum):
@@ -31,7 +33,7 @@ class Number(NamedTuple):
 class Fitness(NamedTuple):
     """How far a model is off in one channel, on one set of samples."""
 
-    rmse: float  # [N] or [m]
+    rmse: float  # in the channel's unit
     largest: float  # share of full scale
     mean: float  # share of full scale
 
@@ -52,7 +54,7 @@ class Ranked(NamedTuple):
     score: float  # ln of how much more probable held-out data are with it than without
     rmse: dict[str, float]  # held out, by channel
     left: float  # share of what noise does not explain that it leaves
-    values: dict[str, float]
+    values: dict[str, float]  # of its parameters, in the units of the records
 
 
 class Step(NamedTuple):
@@ -89,7 +91,10 @@ class DetectionLimit(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """What is wrong with the model of a dataset, why, and the gain of correcting it."""
+    """What is wrong with the model of a dataset, why, and the gain of correcting it.
+
+    Numbers are in the units of the records; `dataset` and fits count in newtons and metres.
+    """
 
     verdict: Verdict
     steps: tuple[Step, ...]
@@ -104,11 +109,18 @@ class Diagnosis(NamedTuple):
     noise: dict[str, float]
     left: float  # unexplained share: of the error beyond noise, what the extended model leaves
     wanders: bool  # friction changes with time, and not as the causes say
+    laws: Choice  # of the base law
+    loads: Choice  # of what the tips of several files pull at
     simple_models: tuple[SimpleFit, ...]  # that know no sheath, fitted to the same data
     structure: tuple[Structure, ...]  # of what the extended model leaves
     detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset
     experiments: tuple[str, ...]  # that would settle what is ambiguous
     troubles: tuple[Trouble, ...]
+
+    @property
+    def units(self) -> Units:
+        """Units of the records."""
+        return self.dataset.records[0].units
 
     @property
     def causes(self) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ are, without filters.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
@@ -27,11 +27,13 @@ from estimator.diagnosis.drive import (
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     CHANNELS,
+    DISTAL_TENSION,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
     Signals,
 )
 from estimator.signals import noise_sigma
+from estimator.units import LINEAR, Units
 
 Mask = NDArray[np.bool_]
 
@@ -93,6 +95,10 @@ class Record:
         What was excluded.
     thinned
         How many measured samples became one.
+    units
+        Of the measured data; all here is in newtons and metres (`Units.inward`).
+    loop
+        Whether it is of a closed loop of two cables, with effort of either sign, not of one tendon.
     """
 
     time: Array
@@ -108,6 +114,8 @@ class Record:
     block: NDArray[np.int64]
     troubles: tuple[Trouble, ...]
     thinned: int
+    units: Units = LINEAR
+    loop: bool = False
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -118,7 +126,7 @@ class Record:
     def starts_slack(self) -> bool:
         """Whether there is no tension at the first sample."""
         T = self.signals[PROXIMAL_TENSION]
-        return bool(np.median(T[:5]) <= 5.0 * self.noise[PROXIMAL_TENSION])
+        return not self.loop and bool(np.median(T[:5]) <= 5.0 * self.noise[PROXIMAL_TENSION])
 
 
 def prepare(
@@ -127,6 +135,8 @@ def prepare(
     *,
     most: int = SETTINGS.samples_max,
     noise: Mapping[str, float] = MappingProxyType({}),
+    units: Units = LINEAR,
+    loop: bool | None = None,
 ) -> Record:
     """Return a record made ready.
 
@@ -135,13 +145,17 @@ def prepare(
     time : ndarray
         [s], shape (n,), strictly rising.
     signals : dict
-        By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, [N] and
-        [m], shape (n,).
+        By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
+        `units`, shape (n,).
     most : int
         Samples that are kept of a longer record.
     noise : mapping
-        Standard deviation of the white noise of channels [N] and [m], where it is known better than
-        the data tell it.
+        Standard deviation of the white noise of channels, in `units`, where it is known better
+        than the data tell it.
+    units : Units
+        [N] and [m] by default.
+    loop : bool, optional
+        Whether it is a closed loop of two cables; by default, whether effort changes its sign.
 
     Raises
     ------
@@ -149,6 +163,16 @@ def prepare(
         If nothing can be found out from the data.
     """
     _check(time, signals)
+    loop = is_loop(units, [signals]) if loop is None else loop
+    if loop and PROXIMAL_DISPLACEMENT not in signals:
+        raise RecordError(
+            f"effort changes its sign, as in a closed loop of two cables: "
+            f"the {units.word(PROXIMAL_DISPLACEMENT)} is needed, which drives the loop"
+        )
+    if not units.radius > 0.0:
+        units = units.scaled_to(efforts_of(signals))
+    signals = {name: units.inward(name, signal) for name, signal in signals.items()}
+    noise = {name: float(units.inward(name, np.array(s))) for name, s in noise.items()}
     time = time - time[0]
     good, troubles = {}, list(_repeated(time, signals))
     for name, signal in signals.items():
@@ -186,7 +210,21 @@ def prepare(
         block=block,
         troubles=tuple(troubles),
         thinned=thinned,
+        units=units,
+        loop=loop,
     )
+
+
+def efforts_of(signals: Signals) -> list[Array]:
+    """Return the tensions, forces or torques among signals."""
+    return [signals[name] for name in (PROXIMAL_TENSION, DISTAL_TENSION) if name in signals]
+
+
+def is_loop(units: Units, records: Sequence[Signals]) -> bool:
+    """Return whether records are of a closed loop: effort pushes in earnest in one of them."""
+    efforts = [effort for signals in records for effort in efforts_of(signals)]
+    least, most = min(float(one.min()) for one in efforts), max(float(one.max()) for one in efforts)
+    return units.signed and min(-least, most) > SETTINGS.push * max(-least, most)
 
 
 def _noise_of(driver: str, signals: Signals, good: dict[str, Mask]) -> dict[str, float]:

@@ -4,6 +4,8 @@ import re
 from collections.abc import Iterable, Sequence
 
 from estimator.diagnosis.dataset import tolerance
+from estimator.diagnosis.law_choice import Choice
+from estimator.diagnosis.model import TIP
 from estimator.diagnosis.outcome import (
     DetectionLimit,
     Diagnosis,
@@ -15,20 +17,10 @@ from estimator.diagnosis.outcome import (
 )
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, Effect
-from estimator.effects.effect import (
-    DISTAL_DISPLACEMENT,
-    DISTAL_TENSION,
-    PROXIMAL_DISPLACEMENT,
-    PROXIMAL_TENSION,
-)
+from estimator.effects.effect import CHANNELS, DISTAL_DISPLACEMENT, PROXIMAL_TENSION
 from estimator.text_table import Table
+from estimator.units import quantity
 
-CHANNEL_WORDS = {
-    PROXIMAL_TENSION: "tension at the housing",
-    PROXIMAL_DISPLACEMENT: "travel at the housing",
-    DISTAL_TENSION: "tension at the tip",
-    DISTAL_DISPLACEMENT: "travel at the tip",
-}
 SHOWN = 8  # candidates in a table
 STRUCTURES = 2  # named in a sentence
 UNSURE = 3  # causes in a sentence, none of them sure
@@ -82,6 +74,7 @@ def summary(
     named = files or [f"record {k + 1}" for k in range(len(found.dataset.records))]
     tables = [candidates(found)] if found.ranking else []
     tables.append(parameters(found))
+    tables += [one for one in (laws(found), loads(found)) if one is not None]
     if compared is not None:
         tables.append(compared)
     if found.steps:
@@ -112,12 +105,17 @@ def ranked(found: Diagnosis, ranking: Sequence[Ranked]) -> Table:
         (
             one.label,
             f"{one.score:.0f}",
-            *(quantity(one.rmse.get(c), unit_of(c), 3) for c in channels),
+            *(quantity(one.rmse.get(c), found.units.of(c), 3) for c in channels),
             f"{one.left:.0%}",
         )
         for one in best(ranking, SHOWN)
     ]
-    head = ("candidate", "score", *(f"RMSE, {CHANNEL_WORDS[c]}" for c in channels), "unexplained")
+    head = (
+        "candidate",
+        "score",
+        *(f"RMSE, {found.units.word(c)}" for c in channels),
+        "unexplained",
+    )
     return Table(head, tuple(rows))
 
 
@@ -130,10 +128,39 @@ def parameters(found: Diagnosis) -> Table:
     return Table(("parameter", "value", "95 % interval"), tuple(rows))
 
 
+def laws(found: Diagnosis) -> Table | None:
+    """Return the evidence for the base law; None where nothing was to be chosen."""
+    return _chosen(found, found.laws, "base law", found.dataset.base.law)
+
+
+def loads(found: Diagnosis) -> Table | None:
+    """Return the evidence for loads that differ by file; None where nothing was to be chosen."""
+    return _chosen(found, found.loads, "load at the tip", found.dataset.base.loads)
+
+
+def _chosen(found: Diagnosis, choice: Choice, what: str, chosen: str) -> Table | None:
+    """Return the scores of what could be chosen, the choice marked."""
+    if not choice.scores:
+        return None
+    channels = compared(found)
+    alike = choice.alike if len(choice.alike) > 1 else ()
+    rows = [
+        (
+            one.name,
+            f"{one.score:.0f}",
+            *(quantity(one.rmse[c], found.units.of(c), 3) for c in channels),
+            "chosen" if one.name == chosen else "as good" if one.name in alike else "",
+        )
+        for one in choice.scores
+    ]
+    head = (what, "score", *(f"RMSE, {found.units.word(c)}" for c in channels), "")
+    return Table(head, tuple(rows))
+
+
 def gains(found: Diagnosis) -> Table:
     """Return by how much held-out errors fell."""
     rows = [
-        (CHANNEL_WORDS[channel], f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
+        (found.units.word(channel), f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
         for channel, gain in found.gain.items()
     ]
     return Table(("channel", "held-out RMSE falls by", "95 % interval"), tuple(rows))
@@ -147,10 +174,10 @@ def models(found: Diagnosis) -> Table:
     errors |= {one.name: one.rmse for one in found.simple_models}
     channels = list(found.before.held_out)
     rows = [
-        (name, *(quantity(rmse[channel], unit_of(channel), 3) for channel in channels))
+        (name, *(quantity(rmse[channel], found.units.of(channel), 3) for channel in channels))
         for name, rmse in errors.items()
     ]
-    return Table(("held-out RMSE of", *(CHANNEL_WORDS[c] for c in channels)), tuple(rows))
+    return Table(("held-out RMSE of", *(found.units.word(c) for c in channels)), tuple(rows))
 
 
 def better_models(found: Diagnosis) -> list[str]:
@@ -162,9 +189,9 @@ def better_models(found: Diagnosis) -> list[str]:
             found.noise[channel] < one.rmse
             and best.rmse[channel] < SETTINGS.simple_ratio * one.rmse
         ):
-            unit = unit_of(channel)
+            unit = found.units.of(channel)
             said.append(
-                f"{CHANNEL_WORDS[channel]}: {best.name} fits better than the law, "
+                f"{found.units.word(channel)}: {best.name} fits better than the law, "
                 f"{quantity(best.rmse[channel], unit, 3)} against {quantity(one.rmse, unit, 3)} "
                 "RMSE held out."
             )
@@ -175,9 +202,9 @@ def validated(found: Diagnosis) -> Table:
     """Return the errors of both models in data that were not fitted, by channel."""
     rows = [
         (
-            CHANNEL_WORDS[channel],
-            quantity(before.rmse, unit_of(channel), 3),
-            quantity(found.after.validation[channel].rmse, unit_of(channel), 3),
+            found.units.word(channel),
+            quantity(before.rmse, found.units.of(channel), 3),
+            quantity(found.after.validation[channel].rmse, found.units.of(channel), 3),
         )
         for channel, before in found.before.validation.items()
     ]
@@ -189,9 +216,9 @@ def fitness(found: Diagnosis) -> Table:
     rows = []
     for name, words in SETS.items():
         for channel in getattr(found.before, name):
-            pair = [_fitness(model, name, channel) for model in (found.before, found.after)]
+            pair = [_fitness(found, model, name, channel) for model in (found.before, found.after)]
             cells = [cell for both in zip(*pair, strict=True) for cell in both]
-            rows.append((CHANNEL_WORDS[channel], words, *cells))
+            rows.append((found.units.word(channel), words, *cells))
     head = tuple(f"{item}, {when}" for item in ("RMSE", "largest", "mean") for when in _WHEN)
     return Table(("channel", "data", *head), tuple(rows))
 
@@ -204,9 +231,11 @@ def next_steps(found: Diagnosis) -> list[str]:
     advice = {effect.advice: effect.name for effect in reversed(effects)}
     steps += [f"{name}: {words}" for words, name in reversed(advice.items())]
     if found.dataset.records[0].driver == PROXIMAL_TENSION and (rough := _with_lengths(found)):
+        units, motor = found.units, "angle" if found.units.rotary else "travel"
+        assumed = SETTINGS.assumed_compliance * units.size("m/N")
         steps.append(
-            f"Record the motor's travel: without it {', '.join(rough)} "
-            f"hold for an L/EA of {quantity(SETTINGS.assumed_compliance, 'm/N')} only."
+            f"Record the motor's {motor}: without it {', '.join(rough)} "
+            f"hold for an L/EA of {quantity(assumed, units.name('m/N'))} only."
         )
     if found.verdict is Verdict.UNEXPLAINED and _unsure(found):
         steps.append(
@@ -226,7 +255,7 @@ def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
     said = []
     for file, record in zip(files, found.dataset.records, strict=True):
         said += [
-            f"{file}: {trouble.samples} {trouble.what} ({trouble.channel.replace('_', ' ')}), "
+            f"{file}: {trouble.samples} {trouble.what} ({_channel(found, trouble.channel)}), "
             f"the first at {trouble.first:.4g} s"
             for trouble in record.troubles
         ]
@@ -242,7 +271,7 @@ def remains(found: Diagnosis) -> list[str]:
     """Return what the extended model leaves in each channel, and what that depends on."""
     said, floor = [], tolerance(found.dataset)
     for channel, one in found.after.held_out.items():
-        unit, noise = unit_of(channel), found.noise[channel]
+        unit, noise = found.units.of(channel), found.noise[channel]
         along = [
             f"{s.what} ({s.share:.0%} of its variance)"
             for s in found.structure
@@ -255,7 +284,7 @@ def remains(found: Diagnosis) -> list[str]:
         else:
             what = "it depends on no tension, speed, direction, travel or time"
         said.append(
-            f"{CHANNEL_WORDS[channel]}: {quantity(one.rmse, unit, 3)} RMSE held out, noise is "
+            f"{found.units.word(channel)}: {quantity(one.rmse, unit, 3)} RMSE held out, noise is "
             f"{quantity(noise, unit, 2)}; {what}."
         )
     return said
@@ -280,21 +309,6 @@ def compared(found: Diagnosis) -> tuple[str, ...]:
     return tuple(dict.fromkeys(c for r in found.dataset.records for c in r.compared))
 
 
-def unit_of(channel: str) -> str:
-    """Return the unit of a channel."""
-    return "N" if channel in (PROXIMAL_TENSION, DISTAL_TENSION) else "m"
-
-
-def quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """Return a value as one says it: lengths in mm or µm where metres are too large."""
-    if value is None:
-        return ""
-    if unit.partition("/")[0] == "m" and abs(value) < 0.1:
-        small = abs(value) < 1e-4
-        return f"{value * (1e6 if small else 1e3):.{digits}g} {'µ' if small else 'm'}{unit}"
-    return f"{value:.{digits}g} {unit}".rstrip()
-
-
 def interval(number: Number) -> str:
     """Return from where to where a value may be."""
     ends = (quantity(end, number.unit, digits(number)) for end in (number.low, number.high))
@@ -310,6 +324,10 @@ def digits(number: Number) -> int:
 
 
 _WHEN = ("before", "after")
+
+
+def _channel(found: Diagnosis, channel: str) -> str:
+    return found.units.word(channel) if channel in CHANNELS else channel
 
 
 def _cause(found: Diagnosis, step: Step) -> str:
@@ -330,7 +348,12 @@ def _cause(found: Diagnosis, step: Step) -> str:
 
 def _with_lengths(found: Diagnosis) -> list[str]:
     """Return the parameters with a length in their unit."""
-    return [name for name, one in found.parameters.items() if re.search(r"\bm\b", one.unit)]
+    told = TIP.name if DISTAL_DISPLACEMENT in found.dataset.records[0].signals else ""
+    return [
+        name
+        for name, one in found.parameters.items()
+        if re.search(r"\b(?<!N )(m|rad)\b", one.unit) and not name.startswith(told or " ")
+    ]
 
 
 def _unsure(found: Diagnosis) -> list[str]:
@@ -356,8 +379,8 @@ def _gain(found: Diagnosis) -> str:
     most = found.gain[channel]
     causes = "that" if len(found.steps) == 1 else "them"
     return (
-        f"with {causes} in the model the held-out error of the {CHANNEL_WORDS[channel]} falls by "
-        f"{most.value:.0%} ({most.low:.0%} to {most.high:.0%})"
+        f"with {causes} in the model the held-out error of the {found.units.word(channel)} falls "
+        f"by {most.value:.0%} ({most.low:.0%} to {most.high:.0%})"
     )
 
 
@@ -365,7 +388,7 @@ def _structure(found: Diagnosis) -> str:
     if not found.structure:
         return "residuals depend on none of the tested variables"
     parts = [
-        f"{s.what} ({s.share:.0%} of its variance in the {CHANNEL_WORDS[s.channel]})"
+        f"{s.what} ({s.share:.0%} of its variance in the {found.units.word(s.channel)})"
         for s in found.structure[:STRUCTURES]
     ]
     return "residuals depend on " + " and ".join(parts)
@@ -380,8 +403,8 @@ def _smallest_detectable(sizes: dict[str, DetectionLimit]) -> str:
     return f"; {name} would have been seen from a {least.parameter} of {size} on{others}"
 
 
-def _fitness(model: Fitnesses, name: str, channel: str) -> tuple[str, str, str]:
+def _fitness(found: Diagnosis, model: Fitnesses, name: str, channel: str) -> tuple[str, ...]:
     one = getattr(model, name).get(channel)
     if one is None:
         return "", "", ""
-    return quantity(one.rmse, unit_of(channel), 3), f"{one.largest:.2%}", f"{one.mean:.2%}"
+    return quantity(one.rmse, found.units.of(channel), 3), f"{one.largest:.2%}", f"{one.mean:.2%}"

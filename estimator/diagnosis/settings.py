@@ -26,6 +26,7 @@ class Settings:
     reversal_noise: float = 3.0  # minimum reversal size, in sigma of a travel's noise
     equal_error: float = 12.0  # noise variances by which two places of a reversal fit alike
     corner: float = 0.4  # least over largest curvature about a reversal; below it is a corner
+    push: float = 0.1  # of the largest effort, of the other sign: a closed loop, no tendon
     hidden_tension: float = 4.0  # sigma: a tension so far off shows a motion that travel hides,
     hidden_again: float = 2.0  # until it is no further off than that;
     hidden_travel: float = 3.0  # sigma: the motion may be so far from the measured travel,

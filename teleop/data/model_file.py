@@ -11,17 +11,24 @@ effects:                        # in this order
 - name: friction_step
   where: ''                     # the variant, where there are several
   parameters: {change: 0.25, onset: 20.1}
+
+A closed loop, a rotary record or load-independent friction is saved for people only, as
+`transmission: {closed_loop, law, units, parameters}`.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 
 from estimator.diagnosis.dataset import Model
-from estimator.diagnosis.model import COMPLIANCE, FRICTION, TIP
+from estimator.diagnosis.model import COMPLIANCE, TIP
+from estimator.diagnosis.outcome import Diagnosis, Verdict
+from estimator.diagnosis.transmission_law import FRICTION, Law
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
 from teleop import strict_yaml
 from teleop.data.effect_extensions import is_extension, load_effects
@@ -44,6 +51,32 @@ class SavedModel(NamedTuple):
     duration: float  # [s] of the longest record
     unsure: tuple[str, ...]  # effects that the data do not distinguish from those of the model
     unexplained: bool = False  # whether most of the error is not in the model
+    transmission: Mapping[str, Any] = MappingProxyType({})  # if it is no tendon of the capstan law
+
+
+def of_diagnosis(found: Diagnosis) -> SavedModel:
+    """Return what a diagnosis has found, to be saved."""
+    base, model = found.dataset.base, found.extended.model
+    record = found.dataset.records[0]
+    values = base.values(model.shared, np.mean(model.own, axis=0).tolist())
+    known = [p.name for p in BASE.values() if p.name in values]
+    if COMPLIANCE.name not in values:
+        known = known[:1]
+    transmission: dict[str, Any] = {}
+    if record.loop or record.units.rotary or base.law is not Law.CAPSTAN:
+        transmission = {
+            "closed_loop": record.loop,
+            "law": str(base.law),
+            "units": [record.units.effort, record.units.travel],
+            "parameters": {name: float(one.value) for name, one in found.parameters.items()},
+        }
+    return SavedModel(
+        model._replace(shared=tuple(values[name] for name in known), own=()),
+        max(float(record.time[-1]) for record in found.dataset.records),
+        found.ambiguous_with,
+        found.verdict is Verdict.UNEXPLAINED,
+        transmission,
+    )
 
 
 def save(path: Path, saved: SavedModel, remark: str) -> None:
@@ -55,6 +88,9 @@ def text(saved: SavedModel, remark: str) -> str:
     """Return a model as YAML."""
     model = saved.model
     lines = [f"# {line}" for line in remark.splitlines()]
+    if saved.transmission:
+        only = {"transmission": dict(saved.transmission)}
+        return "\n".join(lines) + "\n" + yaml.safe_dump(only, sort_keys=False)
     tree = {
         "base": {key: float(value) for key, value in zip(BASE, model.shared, strict=False)},
         "duration": float(saved.duration),
@@ -89,6 +125,11 @@ def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
         The file is not a model file or is invalid; one line.
     """
     tree = strict_yaml.read(path, "model")
+    if isinstance(tree, dict) and "transmission" in tree:
+        raise UsageError(
+            f"{path}: a model of torques, of a closed loop or of load-independent friction; the "
+            "estimator runs models of one tendon with the capstan law, in N and m"
+        )
     if not isinstance(tree, dict) or "base" not in tree:
         raise UsageError(
             f"{path}: not a model file; give a model.yaml of `teleop diagnose --out DIR`"

@@ -6,7 +6,7 @@ The format is described in docs/data-format.md. Nothing is repaired silently: in
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.units import LINEAR, Units
+from teleop.data import channel_names
 from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_columns
 from teleop.errors import UsageError
 from teleop.suggestions import did_you_mean
@@ -30,6 +32,8 @@ __all__ = [
 
 TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
 TRAVEL_SPAN = 2.0  # [m] above this the unit is wrong: millimetres
+TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
+ANGLE_SPAN = 100.0  # [rad] above this the unit is wrong: degrees
 NAMES_SHOWN = 12  # of a file's columns in an error message
 PERIOD = 1.5  # [s] above this the unit is wrong: milliseconds
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
@@ -51,17 +55,19 @@ class Columns:
     distal_displacement: str | None = "distal_displacement_m"  # [m] positive towards the housing
 
     @classmethod
-    def of_tendon(cls, number: int) -> Self:
+    def of_tendon(cls, number: int, units: Units = LINEAR) -> Self:
         """Return the standard names of tendon 1, 2, ... in a file that holds several."""
-        if number == 1:
-            return cls()
-        return cls(
-            "time_s",
-            f"proximal_tension_{number}_N",
-            f"proximal_displacement_{number}_m",
-            f"distal_tension_{number}_N",
-            f"distal_displacement_{number}_m",
-        )
+        names = {c: channel_names.standard(units, c, number) for c in channel_names.NAMES[units]}
+        return cls(**names)
+
+    def in_units(self, units: Units) -> Self:
+        """Return names of which the standard ones are those of a record in `units`."""
+        changed = {
+            channel: channel_names.standard(units, channel, _number(name))
+            for channel in channel_names.NAMES[units]
+            if (name := getattr(self, channel)) is not None and self.is_standard(channel)
+        }
+        return replace(self, **changed)
 
     def names(self) -> dict[str, str]:
         """Return field -> column name, of the columns wanted."""
@@ -69,12 +75,18 @@ class Columns:
 
     def is_standard(self, item: str) -> bool:
         """Return whether a field has a standard name, so that its column may be missing."""
-        return bool(_unnumbered(getattr(self, item)) == getattr(Columns(), item))
+        name = _unnumbered(getattr(self, item))
+        return name == "time_s" or any(
+            name == names.get(item) for names in channel_names.NAMES.values()
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredTable:
-    """The samples of one tendon; arrays of shape (samples,), None without a sensor."""
+    """The samples of one tendon; arrays of shape (samples,), None without a sensor.
+
+    In `units`: of a rotary record tensions are torques [N m], displacements angles [rad].
+    """
 
     time: Array  # [s] strictly increasing
     proximal_tension: Array  # [N]
@@ -84,12 +96,13 @@ class MeasuredTable:
     path: Path
     extra: Mapping[str, Column] = field(default_factory=dict)  # further columns, as they are
     dropped: int = 0  # number of rows omitted because of non-finite values
+    units: Units = LINEAR
 
     def columns(self) -> dict[str, Column]:
         """Return all columns by standard names, followed by the further ones."""
         standard = {
             name: column
-            for item, name in Columns().names().items()
+            for item, name in Columns().in_units(self.units).names().items()
             if (column := getattr(self, item)) is not None
         }
         return standard | {k: v for k, v in self.extra.items() if k not in standard}
@@ -101,6 +114,7 @@ def read_table(
     drop_nonfinite: bool = False,
     *,
     diagnosed: bool = False,
+    units: Units | None = None,
 ) -> MeasuredTable:
     """Read and check the samples of one tendon.
 
@@ -114,7 +128,9 @@ def read_table(
         Omit rows with non-finite values instead of raising.
     diagnosed : bool
         For a diagnosis: readings may be below zero by more than noise, single samples by any
-        amount.
+        amount; the record may be of torques and angles, or of forces of either sign.
+    units : Units, optional
+        Of the columns that are named; by default as the file's column names tell.
 
     Raises
     ------
@@ -122,7 +138,7 @@ def read_table(
         The file or its content is invalid.
     """
     tendons = (columns or Columns(),)
-    return read_tables(Path(path), tendons, drop_nonfinite, diagnosed=diagnosed)[0]
+    return read_tables(Path(path), tendons, drop_nonfinite, diagnosed=diagnosed, units=units)[0]
 
 
 def read_tables(
@@ -131,12 +147,15 @@ def read_tables(
     drop_nonfinite: bool = False,
     *,
     diagnosed: bool = False,
+    units: Units | None = None,
 ) -> tuple[MeasuredTable, ...]:
     """Read and check the samples of several tendons of one file; see `read_table`.
 
     A row omitted for one tendon is omitted for all.
     """
     raw = read_columns(path)
+    units = _units(path, raw, tendons, diagnosed) if units is None else units
+    tendons = [columns.in_units(units) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.names().values()}
     found = [_find(path, raw, columns, claimed) for columns in tendons]
     numbers = {name: _numbers(path, raw, name) for names in found for name in names.values()}
@@ -152,10 +171,10 @@ def read_tables(
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
     for names in found:
-        _check(path, raw, names, numbers, diagnosed)
+        _check(path, raw, names, numbers, diagnosed, units)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
-        tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped))
+        tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped, units=units))
     return tuple(tables)
 
 
@@ -167,10 +186,29 @@ def write_table(path: Path, columns: Mapping[str, Column]) -> None:
     write_columns(path, columns)
 
 
+def _units(path: Path, raw: RawTable, tendons: Sequence[Columns], diagnosed: bool) -> Units:
+    """Return the units of a file, as the names of its columns tell."""
+    efforts = [columns.proximal_tension for columns in tendons]
+    named = not all(columns.is_standard("proximal_tension") for columns in tendons)
+    if not diagnosed and all(effort in raw.columns for effort in efforts):
+        return LINEAR
+    channel_names.check_names(path, raw.columns)
+    if named:
+        channel_names.check_linear(path, [n for c in tendons for n in c.names().values()])
+    units = LINEAR if named else channel_names.units_of(path, raw.columns, _number(efforts[0]))
+    if units.signed and not diagnosed:
+        what = "torque and angle" if units.rotary else "a force of either sign"
+        raise UsageError(
+            f"{path}: has {what}; only `teleop diagnose` reads these, here the tension of one "
+            "tendon is needed (proximal_tension_N)"
+        )
+    return units
+
+
 def _find(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dict[str, str]:
     """Return field -> column name of what the file has of `columns`."""
     found = {}
-    standard = Columns().names().values()
+    standard = {name for names in channel_names.NAMES.values() for name in names.values()}
     spare = [n for n in raw.columns if n not in claimed and _unnumbered(n) not in standard]
     for item, name in columns.names().items():
         if name in raw.columns:
@@ -189,7 +227,13 @@ def _find(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dic
 
 def _unnumbered(name: str) -> str:
     """Return a standard name of tendon 2, 3, ... as that of tendon 1."""
-    return re.sub(r"_\d+(?=_[Nm]$)", "", name)
+    return re.sub(r"_\d+(?=_(N|m|Nm|rad)$)", "", name)
+
+
+def _number(name: str) -> int:
+    """Return which tendon a standard name is of."""
+    found = re.search(r"_(\d+)_(N|m|Nm|rad)$", name)
+    return int(found.group(1)) if found else 1
 
 
 def _numbers(path: Path, raw: RawTable, name: str) -> Array:
@@ -239,6 +283,7 @@ def _check(
     names: Mapping[str, str],
     numbers: Mapping[str, Array],
     diagnosed: bool,
+    units: Units,
 ) -> None:
     """Check for increasing time, plausible units and non-negative tensions."""
 
@@ -259,26 +304,31 @@ def _check(
         row = int(np.abs(tension).argmax())
         low = int((_without_dips(tension) if diagnosed else tension).argmin())
         peak = float(tension[row])
-        if abs(peak) > TENSION_PEAK:
-            raise wrong(
-                item,
-                row,
-                (
-                    f"{peak:.6g} is too large for a tendon tension in newtons; check the unit (mN "
-                    "or g?)"
-                ),
-            )
+        if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
+            what = "torque in newton metres; check the unit (N mm?)"
+            if not units.rotary:
+                what = "tendon tension in newtons; check the unit (mN or g?)"
+            raise wrong(item, row, f"{peak:.6g} is too large for a {what}")
+        if units.signed:
+            continue
         share = ZERO_SHARE if diagnosed else NOISE_SHARE
         floor = NOISE_FLOOR + share * float(tension.max(initial=0.0))
         if tension[low] < -floor:
             what = f"{float(tension[low]):.6g} N: a tendon cannot push"
             below = "a zero offset" if diagnosed else "noise"
             limit = f"{below} is taken to end at {-floor:.3g} N"
-            raise wrong(item, low, f"{what} ({limit}); correct its zero or its sign")
+            loop = f"; a closed loop's forces are named {item.replace('tension', 'force')}_N"
+            raise wrong(
+                item, low, f"{what} ({limit}); correct its zero or its sign{loop * diagnosed}"
+            )
+    most = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
     for item in ("proximal_displacement", "distal_displacement"):
-        if item in names and (span := float(np.ptp(numbers[names[item]]))) > TRAVEL_SPAN:
+        if item in names and (span := float(np.ptp(numbers[names[item]]))) > most:
             row = int(np.abs(numbers[names[item]]).argmax())
-            raise wrong(item, row, f"travel spans {span:.6g} m; check that it is in metres")
+            what = f"travel spans {span:.6g} m; check that it is in metres"
+            if units.rotary:
+                what = f"angle spans {span:.6g} rad; check that it is in radians"
+            raise wrong(item, row, what)
     if periods.size and (median := float(np.median(periods))) > PERIOD:
         raise wrong("time", 1, f"samples are {median:.6g} s apart; check that it is in seconds")
 

@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from estimator.diagnosis import report_text
-from estimator.diagnosis.model import COMPLIANCE, FRICTION
+from estimator.diagnosis.model import COMPLIANCE
 from estimator.diagnosis.outcome import Diagnosis, Number
+from estimator.diagnosis.transmission_law import FRICTION
 from estimator.law.sheath import Sheath
 from estimator.text_table import Table
+from estimator.units import quantity
 from slave.calibration import file
 from teleop.errors import UsageError
 
@@ -51,8 +53,8 @@ def table(numbers: Mapping[str, ComparedParameter]) -> Table:
     rows = [
         (
             name,
-            report_text.quantity(one.accepted, one.found.unit),
-            report_text.quantity(one.found.value, one.found.unit),
+            quantity(one.accepted, one.found.unit),
+            quantity(one.found.value, one.found.unit),
             report_text.interval(one.found),
             "yes" if one.agrees else "NO",
         )

@@ -5,8 +5,10 @@
   teleop diagnose monday.csv --validate tuesday.csv        ... and validate on other data
   teleop diagnose bench.csv --effects creep,slack          ... consider only these causes
   teleop diagnose bench.csv --noise proximal_displacement=1e-6    noise that is known, in m or N
+  teleop diagnose joint.csv --column proximal_torque=tau_motor    torques and angles
 
-The data: tables with time_s and proximal_tension_N, and also the motor travel or the tip tension,
+The data: tables with time_s and proximal_tension_N, and also a travel or the tip tension; with
+proximal_torque_Nm and proximal_angle_rad, also of a closed loop of two cables with pretension;
 or recordings (docs/data-format.md). Several files must be of one bench and are fitted
 together. With --out a folder gets report.html, report.json, model.yaml and residuals.rrd
 (docs/diagnosis.md). The exit code is 0 for any diagnosis.
@@ -20,11 +22,11 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from estimator.diagnosis import report_text
-from estimator.diagnosis.api import diagnose, signals_of
-from estimator.diagnosis.outcome import Diagnosis, Verdict
-from estimator.diagnosis.record import Record, RecordError, prepare
+from estimator.diagnosis.api import diagnose, records_of, signals_of
+from estimator.diagnosis.outcome import Diagnosis
+from estimator.diagnosis.record import Record, RecordError
 from teleop.data import model_file
-from teleop.data.table import Columns, MeasuredTable, read_table
+from teleop.data.table import read_table
 from teleop.errors import UsageError
 from teleop.options import add_option, add_options
 from teleop.parallel import processors
@@ -32,6 +34,7 @@ from teleop.process import make_folder, write_summary, write_whole
 from teleop.tools import estimate
 from teleop.tools.diagnose import acceptance, effect_choice, report_json
 from teleop.tools.diagnose.acceptance import ComparedParameter
+from teleop.tools.diagnose.channel_options import NamedColumns, channel_columns
 from teleop.tools.diagnose.noise_option import parse_noise
 from teleop.tools.report.progress import Progress
 
@@ -70,8 +73,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=SIGMA",
-        help="standard deviation of a channel's noise [N] or [m], e.g. --noise "
+        help="standard deviation of a channel's noise in its unit, e.g. --noise "
         "proximal_displacement=1e-6 (default estimated from the data)",
+    )
+    parser.add_argument(
+        "--transmission",
+        choices=("auto", "tendon", "loop"),
+        default="auto",
+        help="one tendon, or a closed loop of two cables (default auto: a loop where torque or "
+        "force changes its sign)",
     )
     parser.add_argument(
         "--tendon", metavar="N", help="tendon to diagnose, if the data have several (default 1)"
@@ -85,9 +95,10 @@ def main(args: argparse.Namespace) -> int:
         make_folder(args.out, "report.html")
     tendon = estimate.select_tendon(args.tendon, (), 1)
     sheath = None if args.calibration is None else acceptance.load(args.calibration, tendon)
-    columns = estimate.column_names(args.column, tendon)
+    columns = channel_columns(args.column, tendon)
     noise = parse_noise(args.noise)
-    data = read(args.data, args.validate, columns, args.drop_nonfinite, noise)
+    loop = None if args.transmission == "auto" else args.transmission == "loop"
+    data = read(args.data, args.validate, columns, args.drop_nonfinite, noise, loop=loop)
     progress, begun = Progress(), time.monotonic()
     try:
         found = diagnose(
@@ -115,9 +126,11 @@ def main(args: argparse.Namespace) -> int:
 def read(
     paths: Sequence[Path],
     validate: Sequence[Path],
-    columns: Columns,
+    columns: NamedColumns,
     drop_nonfinite: bool,
     noise: Mapping[str, float] = MappingProxyType({}),
+    *,
+    loop: bool | None = None,
 ) -> Data:
     """Return the records of some files, all with the same channels.
 
@@ -127,25 +140,27 @@ def read(
         If a file is invalid, cannot be diagnosed, or lacks a channel of another.
     """
     tables = [
-        read_table(path, columns, drop_nonfinite, diagnosed=True) for path in (*paths, *validate)
+        read_table(path, columns.names, drop_nonfinite, diagnosed=True, units=columns.units)
+        for path in (*paths, *validate)
     ]
     first = tables[0]
     for table in tables[1:]:
+        if table.units != first.units:
+            raise UsageError(
+                f"{table.path}: is in {table.units.effort} and {table.units.travel}, but "
+                f"{first.path} in {first.units.effort} and {first.units.travel}"
+            )
         if set(signals_of(table)) != set(signals_of(first)):
             raise UsageError(
                 f"{table.path}: has {', '.join(signals_of(table))}, but {first.path} has "
                 f"{', '.join(signals_of(first))}; data that are diagnosed together need the same "
                 "channels"
             )
-    records = [_record(table, noise) for table in tables]
-    return Data(tuple(map(str, paths)), tuple(records[: len(paths)]), tuple(records[len(paths) :]))
-
-
-def _record(table: MeasuredTable, noise: Mapping[str, float]) -> Record:
     try:
-        return prepare(table.time, signals_of(table), noise=noise)
+        records = records_of(tables, noise, [str(table.path) for table in tables], loop=loop)
     except RecordError as error:
-        raise UsageError(f"{table.path}: {error}") from error
+        raise UsageError(str(error)) from error
+    return Data(tuple(map(str, paths)), tuple(records[: len(paths)]), tuple(records[len(paths) :]))
 
 
 def _write_folder(report: Report, folder: Path) -> None:
@@ -153,10 +168,7 @@ def _write_folder(report: Report, folder: Path) -> None:
 
     found, files = report.found, report.data.files
     remark = f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.sentence(found)}"
-    duration = max(float(record.time[-1]) for record in found.dataset.records)
-    unexplained = found.verdict is Verdict.UNEXPLAINED
-    saved = model_file.SavedModel(found.extended.model, duration, found.ambiguous_with, unexplained)
-    model_file.save(folder / "model.yaml", saved, remark)
+    model_file.save(folder / "model.yaml", model_file.of_diagnosis(found), remark)
     text = page.render(found, files, report.accepted)
     write_whole(folder / "report.html", text, "the page")
     residuals.write(folder / "residuals.rrd", found, files)

@@ -24,6 +24,7 @@ from estimator.effects.effect import (
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
 )
+from estimator.units import Units
 from teleop.tools.report.style import BLACK, BLUE, GREY, STYLE, VERMILION
 
 PALE, OTHER, SHADE = "#9dc7e6", "#cccccc", "#eaf3f9"
@@ -96,7 +97,7 @@ def over_time(found: Diagnosis, k: int) -> Figure:
         above.plot(time, measured[keep], color=BLACK, label="measured")
         above.plot(time, before[keep], color=VERMILION, linestyle=(0, (4, 2)), label="before")
         above.plot(time, after[keep], color=BLUE, linestyle=(0, (1, 1)), label="after")
-        above.set(ylabel=f"[{unit}]", title=report_text.CHANNEL_WORDS[channel])
+        above.set(ylabel=f"[{unit}]", title=found.units.word(channel))
         good = keep[record.good[channel][keep]]
         below.plot(record.time[good], (measured - before)[good], color=VERMILION, linewidth=0.8)
         below.plot(record.time[good], (measured - after)[good], color=BLUE, linewidth=0.8)
@@ -115,8 +116,8 @@ def loop(found: Diagnosis, k: int) -> Figure:
     if axes_of is None:
         raise ValueError("record: has no loop to draw")
     across, up = axes_of
-    x, x_factor, x_unit = _scaled(across, record.signals[across])
-    y, y_factor, y_unit = _scaled(up, record.signals[up])
+    x, x_factor, x_unit = _scaled(found.units, across, record.signals[across])
+    y, y_factor, y_unit = _scaled(found.units, up, record.signals[up])
     figure = Figure(figsize=(8.2, 3.8))
     pair = figure.subplots(1, 2, sharex=True, sharey=True)
     titles = (("before", found.baseline, VERMILION), ("after", found.extended, BLUE))
@@ -132,9 +133,9 @@ def loop(found: Diagnosis, k: int) -> Figure:
             linewidth=1.0,
             label="simulated",
         )
-        axes.set(xlabel=f"{report_text.CHANNEL_WORDS[across]} [{x_unit}]", title=title)
+        axes.set(xlabel=f"{found.units.word(across)} [{x_unit}]", title=title)
         axes.legend(loc="lower right")
-    pair[0].set_ylabel(f"{report_text.CHANNEL_WORDS[up]} [{y_unit}]")
+    pair[0].set_ylabel(f"{found.units.word(up)} [{y_unit}]")
     return figure
 
 
@@ -153,8 +154,8 @@ def structure(found: Diagnosis) -> Figure:
             axes.axhline(0.0, color=BLACK, linewidth=0.6)
             if channel == channels[-1]:
                 axes.set_xlabel(label)
-        unit = _scaled(channel, np.zeros(1))[2]
-        row[0].set_ylabel(f"{report_text.CHANNEL_WORDS[channel]},\nleft [{unit}]")
+        unit = _scaled(found.units, channel, np.zeros(1))[2]
+        row[0].set_ylabel(f"{found.units.word(channel)},\nleft [{unit}]")
     figure.legend(
         [Line2D([], [], color=VERMILION), Line2D([], [], color=BLUE)],
         ["before", "after"],
@@ -194,16 +195,20 @@ def _loop_axes(record: Record) -> tuple[str, str] | None:
 
 def _of(found: Diagnosis, k: int, channel: str) -> tuple[Array, tuple[Array, Array], str]:
     """Return a channel measured and from both models, and its unit."""
-    measured, factor, unit = _scaled(channel, found.dataset.records[k].signals[channel])
+    measured, factor, unit = _scaled(
+        found.units, channel, found.dataset.records[k].signals[channel]
+    )
     both = (found.baseline, found.extended)
     before, after = (factor * fit.simulated[k].signals[channel] for fit in both)
     return measured, (before, after), unit
 
 
-def _scaled(channel: str, signal: Array) -> tuple[Array, float, str]:
-    """Return a signal scaled for drawing, the factor, and its unit."""
-    factor, unit = (1.0, "N") if report_text.unit_of(channel) == "N" else (1e3, "mm")
-    return factor * signal, factor, unit
+def _scaled(units: Units, channel: str, signal: Array) -> tuple[Array, float, str]:
+    """Return a signal in newtons or metres scaled for drawing, the factor, and its unit."""
+    unit = units.of(channel)
+    factor, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
+    factor *= units.size(units.base(channel))
+    return factor * signal, factor, shown
 
 
 def _left(found: Diagnosis, channel: str, when: int) -> Array:
@@ -218,11 +223,14 @@ def _left(found: Diagnosis, channel: str, when: int) -> Array:
 def _against(found: Diagnosis, channel: str) -> dict[str, Array]:
     """Return the variables of the residual plots by axis label."""
     records = found.dataset.records
-    speed = "mm/s" if records[0].driver == PROXIMAL_DISPLACEMENT else "N/s"
-    factor = 1e3 if speed == "mm/s" else 1.0
+    units = found.units
+    _, effort, unit = _scaled(units, PROXIMAL_TENSION, np.zeros(1))
+    _, factor, drive = _scaled(units, records[0].driver, np.zeros(1))
     columns = {
-        "tension at the housing [N]": [r.signals[PROXIMAL_TENSION] for r in records],
-        f"speed [{speed}]": [factor * r.speed for r in records],
+        f"{units.word(PROXIMAL_TENSION)} [{unit}]": [
+            effort * r.signals[PROXIMAL_TENSION] for r in records
+        ],
+        f"speed [{drive}/s]": [factor * r.speed for r in records],
         "time [s]": [r.time for r in records],
     }
     return {

@@ -4,11 +4,12 @@ import math
 from collections.abc import Sequence
 
 from estimator.effects import CHANNELS
+from teleop.data.channel_names import channel_of
 from teleop.errors import UsageError
 
 
 def parse_noise(words: Sequence[str]) -> dict[str, float]:
-    """Return standard deviations [N] or [m] by channel; `UsageError` if a word is none."""
+    """Return standard deviations by channel, in its unit; `UsageError` if a word is none."""
     noise = {}
     for word in words:
         name, _, text = word.partition("=")
@@ -16,9 +17,11 @@ def parse_noise(words: Sequence[str]) -> dict[str, float]:
             sigma = float(text)
         except ValueError:
             sigma = math.nan
-        if name not in CHANNELS or not 0.0 <= sigma < math.inf:
+        channel = channel_of(name)
+        if channel not in CHANNELS or not 0.0 <= sigma < math.inf:
             raise UsageError(
-                f"--noise {word}: expected NAME=SIGMA in N or m, NAME one of {', '.join(CHANNELS)}"
+                f"--noise {word}: expected NAME=SIGMA in the unit of the data, NAME one of "
+                f"{', '.join(CHANNELS)}"
             )
-        noise[name] = sigma
+        noise[channel] = sigma
     return noise

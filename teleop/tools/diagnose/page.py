@@ -24,6 +24,9 @@ def render(
         page.table(report_text.gains(found), mark="")
     page.heading("Parameters of the model")
     page.table(report_text.parameters(found), mark="")
+    for table in (report_text.laws(found), report_text.loads(found)):
+        if table is not None:
+            page.table(table, mark="chosen")
     if calibrated:
         page.table(acceptance.table(calibrated), mark="NO")
     with TemporaryDirectory() as folder:

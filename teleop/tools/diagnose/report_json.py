@@ -1,10 +1,11 @@
-"""report.json: a diagnosis for programs, in SI units."""
+"""report.json: a diagnosis for programs, in SI units, N and m or N m and rad."""
 
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
 from estimator.diagnosis import report_text
+from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.outcome import Diagnosis, Fitness, Fitnesses, Ranked
 from teleop.tools.diagnose.acceptance import ComparedParameter
 from teleop.tools.report.json_values import json_values
@@ -31,6 +32,10 @@ def tree(
     report = {
         "verdict": found.verdict.value,
         "sentence": report_text.sentence(found),
+        "units": {"effort": found.units.effort, "travel": found.units.travel},
+        "closed_loop": found.dataset.records[0].loop,
+        "law": _choice(found.laws, found.dataset.base.law),
+        "loads": _choice(found.loads, found.dataset.base.loads),
         "cause": list(found.causes),
         "candidates": _candidates(found.ranking),
         "ambiguous_with": list(found.ambiguous_with),
@@ -51,7 +56,10 @@ def tree(
         "noise": dict(found.noise),
         "driver": {
             "channel": found.dataset.records[0].driver,
-            "noise": [record.noise[record.driver] for record in found.dataset.records],
+            "noise": [
+                record.noise[record.driver] * record.units.size(record.units.base(record.driver))
+                for record in found.dataset.records
+            ],
         },
         "left": found.left,
         "wanders": found.wanders,
@@ -88,6 +96,18 @@ def _candidates(ranking: Sequence[Ranked]) -> list[dict[str, Any]]:
         }
         for ranked in report_text.best(ranking, len(ranking))
     ]
+
+
+def _choice(choice: Choice, chosen: str) -> dict[str, Any]:
+    """Return what was chosen, and the scores of all that could be."""
+    return {
+        "chosen": str(chosen),
+        "alike": list(choice.alike) if len(choice.alike) > 1 else [],
+        "scores": [
+            {"name": one.name, "score": one.score, "held_out_rmse": one.rmse}
+            for one in choice.scores
+        ],
+    }
 
 
 def _fitnesses(all_of: Fitnesses) -> dict[str, Any]:

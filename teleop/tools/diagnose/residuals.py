@@ -19,12 +19,17 @@ def write(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
         panels = []
         for channel in record.compared:
             rows = record.measured
-            measured = record.signals[channel][rows]
+            units = record.units
+            measured = units.outward(channel, record.signals[channel][rows])
             models = {
-                ("before", BEFORE): found.baseline.simulated[k].signals[channel][rows],
-                ("after", AFTER): found.extended.simulated[k].signals[channel][rows],
+                ("before", BEFORE): units.outward(
+                    channel, found.baseline.simulated[k].signals[channel][rows]
+                ),
+                ("after", AFTER): units.outward(
+                    channel, found.extended.simulated[k].signals[channel][rows]
+                ),
             }
-            title = f"{report_text.CHANNEL_WORDS[channel]} [{report_text.unit_of(channel)}]"
+            title = f"{units.word(channel)} [{units.of(channel)}]"
             lines = {("measured", MEASURED): measured} | models
             off = {key: measured - values for key, values in models.items()}
             panels.append(_panel(f"{title}, {file}", record.time[rows], lines))

@@ -1,0 +1,197 @@
+"""A closed loop of two cables in two sheaths between a drive pulley and a driven one.
+
+Both cables are pretensioned, so that the loop transmits effort of either sign: effort = tension of
+the first cable - tension of the second (times the pulley's radius, which the units hold; see
+estimator.units). Without friction each carries pretension +- effort/2. Both rub in their sheaths,
+
+    |dT/ds| <= T + drag,  s from 0 to K in each,
+
+and a cable goes slack where its tension would fall below zero, which halves the loop's stiffness.
+Contacts are rigid, or follow Dahl (1968) with a stiffness that no tension changes.
+"""
+
+import math
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.lumped.loop_solver import WORK, Line, balance, dahl
+from estimator.lumped.lumped_model import Motion, Physics
+from estimator.lumped.nodes import NODES, PLACES
+
+_SPRINGS = 2 * NODES
+_TIP = NODES - 1
+_APPROACH = 12  # steps from rest to the first sample, and from each turn before it to the next
+_SMALLEST = 1.0 / 64.0  # of a step
+_LEAST_COMPLIANCE = 1e-9  # [m/N] of the load; below it the driven pulley is blocked
+_STEP = np.diff(PLACES)
+SHARES = np.concatenate([_STEP, [0.0], _STEP[::-1]])
+"""Share of its cable's friction at each contact along the loop; none at the driven pulley."""
+
+_PRETENSION, _DRAG, _BRISTLE, _VISCOSITY, _STRIBECK, _STRIBECK_SPEED, _MASS, _DAMPING = range(8)
+_DT, _FRICTION, _OFFSET, _COMPLIANCE, _DRIVE, _SPEED = range(6)
+
+
+def loop_by_travel(
+    physics: Physics, pretension: float, time: Array, travel: Array, speed: Array
+) -> Motion:
+    """Return what happens when the drive pulley goes through a `travel`.
+
+    Parameters
+    ----------
+    physics : Physics
+        Of each cable: `friction` (n,), `drag`, `compliance` and `weights`, `viscosity`, `stribeck`,
+        `presliding`; of the load at the driven pulley `tip_compliance`, `tip_offset`, `mass` and
+        `damping`; `earlier`. All else is left out.
+    pretension : float
+        [N] of both cables where the loop carries no effort.
+    time : ndarray
+        [s], shape (n,), rising.
+    travel : ndarray
+        Of the drive pulley [m], shape (n,), zero where the loop carries no effort.
+    speed : ndarray
+        Of it [m/s], shape (n,); its sign does not matter.
+
+    Returns
+    -------
+    Motion
+        Tensions are the efforts at both pulleys, of either sign.
+    """
+    samples = np.empty((len(time), 6))
+    samples[:, _DT] = np.diff(time, prepend=time[0])
+    samples[:, _FRICTION], samples[:, _OFFSET] = physics.friction, physics.tip_offset
+    samples[:, _COMPLIANCE], samples[:, _DRIVE] = physics.tip_compliance, travel
+    samples[:, _SPEED] = np.abs(speed)
+    turns = np.concatenate([[0.0], travel[0] + physics.earlier, [travel[0]]])
+    approach = np.repeat(samples[:1], _APPROACH * (len(turns) - 1), axis=0)
+    approach[:, _DRIVE] = np.interp(
+        np.arange(1, len(approach) + 1) / _APPROACH, range(len(turns)), turns
+    )
+    weights = physics.weights * physics.compliance
+    stiffness = 1.0 / np.concatenate([weights, weights[::-1]])
+    reference = physics.presliding_tension or max(pretension + physics.drag, 1e-9)
+    bristle = reference / physics.presliding if physics.presliding > 0.0 else 0.0
+    scalars = np.array(
+        [
+            pretension,
+            physics.drag,
+            bristle,
+            physics.viscosity,
+            physics.stribeck,
+            physics.stribeck_speed,
+            physics.mass,
+            physics.damping,
+        ]
+    )
+    out = _advance(scalars, stiffness, np.concatenate([approach, samples]))[len(approach) :]
+    effort, tip = out[:, 0], out[:, 1]
+    place = out[:, 2]
+    return Motion(effort, tip, travel, place, _compliance(travel, effort))
+
+
+def _compliance(travel: Array, effort: Array) -> Array:
+    """Return dq_p/dT_in [m/N] from one sample to the next, (n,)."""
+    rise = np.gradient(travel) * np.sign(np.gradient(effort))
+    usual = float(np.ptp(travel)) / max(float(np.ptp(effort)), 1e-12)
+    return np.clip(rise / np.maximum(np.abs(np.gradient(effort)), 1e-12), 0.0, 10.0 * usual)
+
+
+@compiled
+def _advance(scalars: Array, stiffness: Array, samples: Array) -> Array:
+    """Take a loop from rest through samples; return efforts at both pulleys and the tip, (n, 3)."""
+    n = _SPRINGS - 1
+    out = np.empty((len(samples), 3))
+    places, trial = np.zeros(n), np.zeros(n)
+    force, sliding, kept = np.zeros(n), np.zeros(n), np.zeros(n)
+    tension, work = np.full(n + 1, scalars[_PRETENSION]), np.empty((WORK, n))
+    friction, drag = np.empty(n), np.empty(n)
+    bristle, dashpot = np.empty(n), np.empty(n)
+    q = v = a = drive = 0.0
+    for i in range(len(samples)):
+        row = samples[i]
+        done, share = 0.0, 1.0
+        while done < 1.0:
+            share = min(share, 1.0 - done)
+            dt = row[_DT] * share
+            goal = drive + (row[_DRIVE] - drive) * (share / (1.0 - done))
+            line = _line(scalars, stiffness, row, dt, q, v, a, friction, drag, bristle, dashpot)
+            trial[:] = places
+            kept[:] = sliding
+            found = balance(line, goal, places, force, sliding, trial, tension, work)
+            if not found:
+                sliding[:] = 0.0
+                trial[:] = places
+                found = balance(line, goal, places, force, sliding, trial, tension, work)
+            if not found and share > _SMALLEST:
+                sliding[:] = kept
+                share *= 0.5
+                continue
+            done += share
+            if not line.rigid:
+                _hold(line, tension, places, trial, sliding, force)
+            places[:] = trial
+            drive = goal
+            new = places[_TIP]
+            if dt > 0.0:
+                v_new = 2.0 * (new - q) / dt - v
+                a = 2.0 * (v_new - v) / dt - a
+                v = v_new
+            q = new
+            share *= 2.0
+        out[i, 0] = max(tension[0], 0.0) - max(tension[n], 0.0)
+        out[i, 1] = max(tension[_TIP], 0.0) - max(tension[_TIP + 1], 0.0)
+        out[i, 2] = q
+    return out
+
+
+@compiled
+def _hold(
+    line: Line, tension: Array, before: Array, places: Array, sliding: Array, force: Array
+) -> None:
+    """Keep what friction has become in each contact, in place."""
+    for j in range(len(force)):
+        if j != line.tip:
+            slid = places[j] - before[j]
+            force[j] = dahl(line, tension, j, slid, sliding[j], force[j])[0]
+
+
+@compiled
+def _line(
+    scalars: Array,
+    stiffness: Array,
+    row: Array,
+    dt: float,
+    q: float,
+    v: float,
+    a: float,
+    friction: Array,
+    drag: Array,
+    bristle: Array,
+    dashpot: Array,
+) -> Line:
+    """Return the loop in one step; the last four arrays are filled in."""
+    share = 1.0
+    if scalars[_STRIBECK] != 0.0:
+        x = row[_SPEED] / scalars[_STRIBECK_SPEED]
+        share += scalars[_STRIBECK] * math.exp(-x * x)
+    for j in range(len(SHARES)):
+        ds = row[_FRICTION] * SHARES[j]
+        friction[j] = min(ds * share, 0.9)
+        drag[j] = ds * share * scalars[_DRAG]
+        bristle[j] = max(ds * scalars[_BRISTLE], 1e-9)
+        dashpot[j] = ds * scalars[_VISCOSITY] / dt if dt > 0.0 else 0.0
+    compliance, held = row[_COMPLIANCE], row[_COMPLIANCE] < _LEAST_COMPLIANCE
+    hold = known = 0.0
+    if not held:
+        hold = 1.0 / compliance
+        known = hold * row[_OFFSET]
+        mass, damping = scalars[_MASS], scalars[_DAMPING]
+        if dt > 0.0 and (mass > 0.0 or damping > 0.0):
+            inertia = 4.0 * mass / dt**2 + 2.0 * damping / dt
+            hold += inertia
+            known += inertia * q + (4.0 * mass / dt + damping) * v + mass * a
+    return Line(
+        scalars[_PRETENSION], stiffness, friction, drag, bristle, dashpot,
+        scalars[_BRISTLE] == 0.0, _TIP, held, row[_OFFSET], hold, known,
+    )  # fmt: skip

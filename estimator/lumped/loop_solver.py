@@ -1,0 +1,210 @@
+"""The balance of a closed loop of two cables: all contacts in one step, implicit in time.
+
+A loop is one line from the drive pulley through the first sheath to the driven pulley, and back
+through the second sheath: springs in a row, a contact with the sheath between each two, the driven
+pulley in the middle. Both ends of the line go with the drive pulley. Displacements along the line
+are positive towards the end where the first cable begins.
+
+Contacts are rigid until they slide, or follow Dahl (1968): df/dx = stiffness (1 -/+ f/limit), so
+that friction comes near its limit over limit/stiffness.
+"""
+
+import math
+from typing import NamedTuple
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+
+_ENOUGH = 1e-9  # [m] by which an iteration moves contacts in the end
+_PATIENCE = 20  # iterations in full steps
+_ITERATIONS = 60  # of contacts that follow Dahl
+_LEAST = 1e-9  # [N] limit of a contact
+
+LOOSE = 1e-7
+"""Stiffness of a slack spring over that of a taut one, for a unique balance."""
+
+WORK = 6
+"""Rows of a contact each that `balance` works with."""
+
+
+class Line(NamedTuple):
+    """The loop in one step; arrays of the springs (n + 1,) or the contacts (n,)."""
+
+    pretension: float  # [N] of all springs at zero displacement
+    stiffness: Array  # [N/m] of each spring
+    friction: Array  # limit of each contact over the mean tension beside it
+    drag: Array  # [N] limit of each contact that no tension changes
+    bristle: Array  # [N/m] of each contact at no friction; not used if `rigid`
+    dashpot: Array  # [N/m] of each contact: viscous friction over the time of the step
+    rigid: bool  # contacts do not give before they slide
+    tip: int  # the contact that is the driven pulley
+    held: bool  # whether the driven pulley stays at `place`
+    place: float  # [m]
+    hold: float  # [N/m] of what the driven pulley moves, inertia of the step included
+    known: float  # [N] that is taken from its force
+
+
+@compiled
+def balance(
+    line: Line,
+    drive: float,
+    before: Array,
+    force: Array,
+    sliding: Array,
+    places: Array,
+    tension: Array,
+    work: Array,
+) -> bool:
+    """Find the balance of a loop whose drive pulley is at `drive` [m].
+
+    Rigid contacts are guessed to stick or to slide one way (`sliding`, kept from the step before),
+    the balance of all is solved, and guesses that Coulomb contradicts are corrected until none is
+    left. Those that follow Dahl are solved by Newton's method. `before` [m] and `force` [N], (n,),
+    are places and friction of the contacts one step ago. Fills `places` [m] and `tension` [N];
+    returns whether a balance was found.
+    """
+    n = len(places)
+    _stretch(line, drive, places, tension)
+    for i in range(6 * n if line.rigid else _ITERATIONS):
+        share = 1.0 if line.rigid or i < _PATIENCE else 0.5
+        moved = _solve(line, drive, before, force, sliding, places, tension, work, share)
+        if _stretch(line, drive, places, tension):
+            continue  # springs went slack or taut: their tensions tell nothing of contacts yet
+        if not line.rigid:
+            if moved < _ENOUGH:
+                return True
+        elif not _corrected(line, before, sliding, places, tension):
+            return True
+    return False
+
+
+@compiled
+def friction_of(line: Line, tension: Array, j: int) -> float:
+    """Return the limit of a contact [N]."""
+    pressed: float = max(tension[j] + tension[j + 1], 0.0)
+    return float(line.friction[j] * 0.5 * pressed + line.drag[j])
+
+
+@compiled
+def dahl(
+    line: Line, tension: Array, j: int, slid: float, way: float, force: float
+) -> tuple[float, float, float]:
+    """Return the friction of a contact that slid [N], its slope [N/m], and that by its limit.
+
+    `way` is where it slides if it has not yet, `force` its friction before.
+    """
+    limit = max(friction_of(line, tension, j), _LEAST)
+    begin = min(max(force, -limit), limit)
+    d = way
+    if slid != 0.0:
+        d = 1.0 if slid > 0.0 else -1.0
+    x = abs(slid) * line.bristle[j] / limit
+    fading = math.exp(-x)
+    rest = (begin - d * limit) * fading
+    slope = line.bristle[j] * (1.0 - d * begin / limit) * fading
+    return d * limit + rest, slope, d * (1.0 - fading) + rest * x / limit
+
+
+@compiled
+def _stretch(line: Line, drive: float, places: Array, tension: Array) -> bool:
+    """Fill in the tensions of all springs; return whether any went slack or taut."""
+    n, changed = len(places), False
+    for j in range(n + 1):
+        left = drive if j == 0 else places[j - 1]
+        right = drive if j == n else places[j]
+        T = line.pretension + line.stiffness[j] * (left - right)
+        changed |= (T < 0.0) != (tension[j] < 0.0)
+        tension[j] = T if T >= 0.0 else LOOSE * T
+    return changed
+
+
+@compiled
+def _solve(
+    line: Line,
+    drive: float,
+    before: Array,
+    force: Array,
+    sliding: Array,
+    places: Array,
+    tension: Array,
+    work: Array,
+    share: float,
+) -> float:
+    """Take all contacts a share of the way to their balance as guessed, or of a Newton step.
+
+    Elimination and substitution; returns the largest move [m].
+    """
+    n = len(places)
+    upper, right = work[0], work[1]
+    for j in range(n):
+        taut, behind = tension[j] >= 0.0, tension[j + 1] >= 0.0
+        k = line.stiffness[j] * (1.0 if taut else LOOSE)
+        k_next = line.stiffness[j + 1] * (1.0 if behind else LOOSE)
+        T = line.pretension * (1.0 if taut else LOOSE)
+        T_next = line.pretension * (1.0 if behind else LOOSE)
+        d, A, B, own, known = sliding[j], 1.0, 1.0, 0.0, 0.0
+        stays = False
+        if j == line.tip:
+            own, known = line.hold, line.known
+            stays = line.held
+        elif not line.rigid:
+            slid = places[j] - before[j]
+            rub, slope, by_limit = dahl(line, tension, j, slid, d, force[j])
+            if slid != 0.0:
+                sliding[j] = 1.0 if slid > 0.0 else -1.0
+            A -= 0.5 * by_limit * line.friction[j]
+            B += 0.5 * by_limit * line.friction[j]
+            own = slope + line.dashpot[j]
+            known = (1.0 - A) * tension[j] - (1.0 - B) * tension[j + 1] - rub
+            known += slope * places[j] + line.dashpot[j] * before[j]
+        elif d != 0.0:
+            A -= 0.5 * d * line.friction[j]
+            B += 0.5 * d * line.friction[j]
+            own = line.dashpot[j]
+            known = own * before[j] - d * line.drag[j]
+        else:
+            stays = True
+        if stays:
+            upper[j], right[j] = 0.0, line.place if j == line.tip else before[j]
+            continue
+        lower, diagonal, upper[j] = A * k, -A * k - B * k_next - own, B * k_next
+        right[j] = B * T_next - A * T - known
+        if j == 0:
+            right[j] -= lower * drive
+        else:
+            diagonal -= lower * upper[j - 1]
+            right[j] -= lower * right[j - 1]
+        if j == n - 1:
+            right[j] -= upper[j] * drive
+            upper[j] = 0.0
+        upper[j] /= diagonal
+        right[j] /= diagonal
+    ahead = most = 0.0
+    for j in range(n - 1, -1, -1):
+        ahead = right[j] - upper[j] * ahead
+        most = max(most, abs(ahead - places[j]))
+        places[j] += share * (ahead - places[j])
+    return most
+
+
+@compiled
+def _corrected(line: Line, before: Array, sliding: Array, places: Array, tension: Array) -> bool:
+    """Correct the guesses that Coulomb contradicts; return whether there were any."""
+    found = False
+    for j in range(len(places)):
+        if j == line.tip:
+            continue
+        jump = tension[j] - tension[j + 1]
+        moved = places[j] - before[j]
+        carried = jump - line.dashpot[j] * moved
+        limit = friction_of(line, tension, j)
+        d = sliding[j]
+        if d == 0.0:
+            room = 1e-10 * (1.0 + limit)
+            if carried > limit + room:
+                sliding[j], found = 1.0, True
+            elif carried < -limit - room:
+                sliding[j], found = -1.0, True
+        elif moved * d < -1e-15:
+            sliding[j], found = 0.0, True
+    return found

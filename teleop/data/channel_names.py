@@ -1,0 +1,162 @@
+"""Names of the columns of a record, which tell its units: linear or rotary as a whole."""
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+from estimator.units import FORCE, LINEAR, ROTARY, Units
+from teleop.errors import UsageError
+
+NAMES: Mapping[Units, Mapping[str, str]] = MappingProxyType(
+    {
+        LINEAR: {
+            "proximal_tension": "proximal_tension_N",
+            "proximal_displacement": "proximal_displacement_m",
+            "distal_tension": "distal_tension_N",
+            "distal_displacement": "distal_displacement_m",
+        },
+        FORCE: {
+            "proximal_tension": "proximal_force_N",
+            "proximal_displacement": "proximal_displacement_m",
+            "distal_tension": "distal_force_N",
+            "distal_displacement": "distal_displacement_m",
+        },
+        ROTARY: {
+            "proximal_tension": "proximal_torque_Nm",
+            "proximal_displacement": "proximal_angle_rad",
+            "distal_tension": "distal_torque_Nm",
+            "distal_displacement": "distal_angle_rad",
+        },
+    }
+)
+"""Channel -> standard column, by units."""
+
+_UNIT_OF = {
+    "tension": "N",
+    "force": "N",
+    "displacement": "m",
+    "torque": "Nm",
+    "angle": "rad",
+}
+_NAME = re.compile(
+    r"(proximal|distal)_(tension|force|torque|displacement|angle)(_\d+)?_([A-Za-z]+)"
+)
+_MEANT = {"Nm": "torque", "rad": "angle", "deg": "angle"}
+_REMEDY = {"rad": "in radians", "Nm": "in newton metres", "N": "in newtons", "m": "in metres"}
+
+
+def standard(units: Units, channel: str, number: int = 1) -> str:
+    """Return the standard column of a channel of tendon 1, 2, ..."""
+    name = NAMES[units][channel]
+    if number == 1:
+        return name
+    stem, _, unit = name.rpartition("_")
+    return f"{stem}_{number}_{unit}"
+
+
+def check_names(path: Path, names: Collection[str]) -> None:
+    """Refuse columns whose name contradicts its unit, such as `proximal_tension_Nm`.
+
+    Raises
+    ------
+    UsageError
+        One line with the right name.
+    """
+    for name in names:
+        match = _NAME.fullmatch(name)
+        if match is None:
+            continue
+        end, what, number, unit = match.groups()
+        meant = _MEANT.get(unit, what)
+        right = f"{end}_{meant}{number or ''}_{_UNIT_OF[meant]}"
+        rotary = what in ("torque", "angle")
+        if right == name or (meant == what and not rotary):
+            continue  # other units of a tension or travel are what the reader looks for misspelt
+        linear = "displacement_m" if what == "angle" else "tension_N"
+        if rotary and f"{end}_{linear}" in names:
+            continue  # a further column of a linear record
+        kind = f"is {'an angle' if meant == 'angle' else 'a torque'}, not a {what}"
+        wrong = kind if meant != what else f"is not {_REMEDY[_UNIT_OF[meant]]}"
+        how = "" if unit == _UNIT_OF[meant] else f", its values {_REMEDY[_UNIT_OF[meant]]}"
+        raise UsageError(f"{path}: column {name!r} {wrong}; name it {right!r}{how}")
+
+
+def check_linear(path: Path, names: Collection[str]) -> None:
+    """Refuse a column as a tension or travel if its name ends in N m, radians or degrees."""
+    for name in names:
+        meant = _MEANT.get(name.rpartition("_")[2])
+        if meant is not None:
+            raise UsageError(
+                f"{path}: column {name!r} is of {meant}s, and is given as a tension or travel; "
+                f"name the channel by --column proximal_{meant}={name} or distal_{meant}={name}"
+            )
+
+
+def units_of(path: Path, names: Collection[str], number: int = 1) -> Units:
+    """Return the units of a record with such columns; linear where none tells.
+
+    Raises
+    ------
+    UsageError
+        It is linear in part and rotary in part.
+    """
+    there = {
+        units: [
+            name for channel in NAMES[units] if (name := standard(units, channel, number)) in names
+        ]
+        for units in NAMES
+    }
+    linear, rotary = [*there[LINEAR], *there[FORCE]], there[ROTARY]
+    if standard(LINEAR, "proximal_tension", number) in names:  # further columns are ignored
+        rotary = [
+            name
+            for channel in NAMES[ROTARY]
+            if (name := standard(ROTARY, channel, number)) in names
+            and (standard(LINEAR, channel, number) not in names or channel == "proximal_tension")
+        ]
+    if linear and rotary:
+        raise UsageError(
+            f"{path}: has {linear[0]!r} and {rotary[0]!r}, but a record is linear (N, m) or rotary "
+            "(N m, rad) as a whole; rename the columns that are not to be used"
+        )
+    if rotary:
+        return ROTARY
+    forces = [name for name in there[FORCE] if "_force" in name]
+    tensions = [name for name in there[LINEAR] if "_tension" in name]
+    if forces and tensions:
+        raise UsageError(
+            f"{path}: has {tensions[0]!r} and {forces[0]!r}; name both tensions (of one tendon) or "
+            "both forces (of a closed loop, of either sign)"
+        )
+    return FORCE if forces else LINEAR
+
+
+def units_of_words(words: Sequence[str]) -> Units | None:
+    """Return the units that channel names in `--column` tell, None where they tell none.
+
+    Raises
+    ------
+    UsageError
+        They contradict one another.
+    """
+    told = [ROTARY if "_torque" in w or "_angle" in w else FORCE for w in words if _tells(w)]
+    linear = [w for w in words if "_tension" in w or "_displacement" in w]
+    if len(set(told)) > 1 or (ROTARY in told and linear):
+        raise UsageError(
+            f"--column: {', '.join(words)}: a record is linear (tension or force, displacement) or "
+            "rotary (torque, angle) as a whole"
+        )
+    return told[0] if told else None
+
+
+def _tells(word: str) -> bool:
+    return any(f"_{what}" in word for what in ("torque", "angle", "force"))
+
+
+def channel_of(word: str) -> str:
+    """Return the channel that a name means: `proximal_torque` is that of `proximal_tension`."""
+    end, _, what = word.partition("_")
+    if what in ("torque", "force"):
+        return f"{end}_tension"
+    return f"{end}_displacement" if what == "angle" else word

@@ -1,0 +1,84 @@
+"""A closed loop of two cables: its limits, and a simulation in time that shares nothing with it."""
+
+import numpy as np
+import pytest
+
+from estimator.lumped.loop_model import loop_by_travel
+from estimator.lumped.lumped_model import Physics
+from estimator.lumped.nodes import even_weights
+from tests.hidden.loop import Loop, motion, run
+
+TIME = np.arange(800) / 50.0
+TRAVEL = 3e-3 * np.sin(TIME) * np.cos(0.23 * TIME)
+COMPLIANCE, TIP = 1.25e-4, 4e-4
+
+
+def moved(travel=TRAVEL, K=0.5, pretension=20.0, time=TIME, **changes):
+    physics = Physics(np.full(len(time), K), COMPLIANCE, even_weights(), TIP)._replace(**changes)
+    return loop_by_travel(physics, pretension, time, travel, np.gradient(travel, time))
+
+
+def test_without_friction_it_is_two_springs_beside_each_other():
+    out = moved(K=1e-9)
+    assert out.proximal_tension == pytest.approx(out.distal_tension, abs=1e-6)
+    assert out.proximal_tension == pytest.approx(TRAVEL / (COMPLIANCE / 2 + TIP), abs=1e-6)
+
+
+def test_a_slack_cable_halves_the_stiffness():
+    out = moved(np.full(800, 3e-3), K=1e-9, pretension=1.0)
+    assert out.proximal_tension[-1] == pytest.approx((3e-3 + COMPLIANCE) / (COMPLIANCE + TIP))
+
+
+@pytest.mark.parametrize("law", [{}, {"presliding": 2e-5}, {"K": 1e-3, "drag": 3e3}])
+def test_both_ways_are_alike(law):
+    one, other = moved(**law), moved(-TRAVEL, **law)
+    assert one.proximal_tension == pytest.approx(-other.proximal_tension, abs=1e-6)
+    assert one.distal_displacement == pytest.approx(-other.distal_displacement, abs=1e-9)
+
+
+def test_friction_of_both_cables_opposes_the_drive():
+    force = 3.0
+    out = moved(K=1e-3, drag=force / 1e-3)
+    late = slice(300, None)
+    lost = np.abs(out.proximal_tension - out.distal_tension)[late]
+    assert lost.max() == pytest.approx(2 * force, rel=1e-2)
+    assert moved(K=0.5).proximal_tension.max() > moved(K=0.2).proximal_tension.max()
+
+
+def test_a_way_there_and_back_costs_energy():
+    time = np.arange(400) / 50.0
+    there = 3e-3 * np.sin(2 * np.pi * np.clip(time, 1.0, 7.0) / 2.0)
+    out = moved(there, time=time, presliding=1e-5)
+    after = time > 1.0
+    work = np.trapezoid(out.proximal_tension[after], there[after])
+    passed_on = np.trapezoid(out.distal_tension[after], out.distal_displacement[after])
+    assert work > passed_on > -1e-6
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [
+        Loop(K=0.5, spring=0.0),
+        Loop(K=0.0, friction=3.0, give=2e-5),
+        Loop(K=0.4, friction=1.0, pretension=3.0),
+    ],
+    ids=["capstan, held", "load-independent", "both, slack"],
+)
+def test_a_simulation_in_time_agrees(loop):
+    time, angle = motion(3, duration=12.0, rate=50.0)
+    torque, at_tip, turned = run(loop, time, angle)
+    K = max(loop.K, 1e-3)
+    out = moved(
+        angle * loop.radius,
+        K,
+        loop.pretension,
+        time,
+        drag=loop.friction / K,
+        presliding=loop.give,
+        tip_compliance=1.0 / loop.spring if loop.spring else 0.0,
+        compliance=1.0 / loop.stiffness,
+    )
+    full = np.ptp(torque)
+    assert np.std(out.proximal_tension * loop.radius - torque) < 0.012 * full
+    assert np.std(out.distal_tension * loop.radius - at_tip) < 0.012 * full
+    assert np.std(out.distal_displacement / loop.radius - turned) < 0.012 * np.ptp(angle)

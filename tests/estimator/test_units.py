@@ -1,0 +1,59 @@
+"""Units of a record: what is counted in newtons and metres comes back in its own."""
+
+import numpy as np
+import pytest
+
+from estimator.units import FORCE, LINEAR, ROTARY, quantity
+
+R = 0.01
+UNITS = ROTARY.scaled_to([np.array([0.02, -0.1])])
+
+
+def test_a_rotary_record_goes_through_newtons_and_metres_unchanged():
+    signal = np.array([-0.1, 0.0, 0.07])
+    for channel in ("proximal_tension", "distal_displacement"):
+        inside = UNITS.inward(channel, signal)
+        assert UNITS.outward(channel, inside) == pytest.approx(signal)
+    assert UNITS.inward("proximal_tension", signal).tolist() == pytest.approx([-10.0, 0.0, 7.0])
+
+
+@pytest.mark.parametrize(
+    ("unit", "name", "size"),
+    [
+        ("N", "N m", R),
+        ("m", "rad", 1 / R),
+        ("m/N", "rad/(N m)", R**-2),
+        ("N/m", "N m/rad", R**2),
+        ("N s/m", "N m s/rad", R**2),
+        ("kg", "kg m^2", R**2),
+        ("N/min", "N m/min", R),
+        ("1/N", "1/(N m)", 1 / R),
+        ("s", "s", 1.0),
+        ("", "", 1.0),
+        ("of K", "of K", 1.0),
+    ],
+)
+def test_numbers_of_a_model_have_the_records_units(unit, name, size):
+    assert UNITS.name(unit) == name
+    assert UNITS.size(unit) == pytest.approx(size)
+    assert (LINEAR.name(unit), LINEAR.size(unit)) == (unit, 1.0)
+
+
+def test_units_of_the_catalogue_are_all_known():
+    from estimator.effects import CATALOGUE
+
+    for unit in {p.unit for effect in CATALOGUE for p in effect.parameters}:
+        assert ("m/" not in f"{unit}/") or UNITS.name(unit) != unit
+
+
+def test_channels_are_called_by_what_they_are():
+    assert LINEAR.word("proximal_tension") == "tension at the housing"
+    assert FORCE.word("distal_tension") == "force at the tip"
+    assert ROTARY.word("proximal_displacement") == "angle at the housing"
+
+
+def test_small_values_get_a_prefix():
+    assert quantity(0.0123, "N m", 3) == "12.3 mN m"
+    assert quantity(5e-6, "rad", 2) == "5 µrad"
+    assert quantity(2.5e-4, "m/N", 3) == "0.25 mm/N"
+    assert quantity(12.0, "N", 3) == "12 N"
