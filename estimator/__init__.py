@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from estimator.calibration.sheath_fit import FitError as FitError
     from estimator.calibration.sheath_fit import SheathFit as SheathFit
     from estimator.calibration.sheath_fit import fit_sheath as fit_sheath
+    from estimator.diagnosis.api import CauseError as CauseError
     from estimator.diagnosis.api import RecordError as RecordError
     from estimator.diagnosis.api import diagnose as diagnose
     from estimator.diagnosis.outcome import Diagnosis as Diagnosis
@@ -34,6 +35,7 @@ _PLACES = {
     "FitError": "calibration.sheath_fit",
     "SheathFit": "calibration.sheath_fit",
     "fit_sheath": "calibration.sheath_fit",
+    "CauseError": "diagnosis.api",
     "RecordError": "diagnosis.api",
     "diagnose": "diagnosis.api",
     "Diagnosis": "diagnosis.outcome",
@@ -52,6 +54,7 @@ _PLACES = {
 __all__ = [
     "CATALOGUE",
     "Calibration",
+    "CauseError",
     "Diagnosis",
     "Estimates",
     "Estimator",

@@ -6,12 +6,14 @@ from types import MappingProxyType
 from estimator.array_types import Array
 from estimator.diagnosis import engine
 from estimator.diagnosis.engine import quiet
+from estimator.diagnosis.force import file_force, rival_force
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.diagnosis.record import Record, RecordError, prepare
+from estimator.diagnosis.rivals import CauseError
 from estimator.effects import CATALOGUE, CHANNELS, Effect
 from estimator.measured_data import MeasuredData
 
-__all__ = ["RecordError", "diagnose"]
+__all__ = ["CauseError", "RecordError", "diagnose"]
 
 
 def diagnose(
@@ -20,6 +22,9 @@ def diagnose(
     *,
     validate: Sequence[MeasuredData | Record] = (),
     noise: Mapping[str, float] = MappingProxyType({}),
+    cause: str = "",
+    fit_all: bool = False,
+    leave_one_file_out: bool = False,
     progress: Callable[[str, float], None] = quiet,
     workers: int = 1,
 ) -> Diagnosis:
@@ -39,6 +44,12 @@ def diagnose(
     noise : mapping
         Standard deviation of the noise of channels [N] and [m], where it is known better than
         `MeasuredData` tell it.
+    cause : str
+        Name of the effect to be taken where several explain the data equally well.
+    fit_all : bool
+        Fit and judge all samples; none is held out.
+    leave_one_file_out : bool
+        Also predict each record by the fit of the others.
     progress : callable
         Called with what is being done and which share of it (0 to 1) is.
     workers : int
@@ -47,30 +58,66 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        With `verdict`, `causes`, `parameters`, `gain` and `summary()`.
+        With `verdict`, `causes`, `parameters`, `gain`, `summary()` and `plot()`; in a notebook it
+        draws itself.
 
     Raises
     ------
     RecordError
         If the data cannot be diagnosed; the message says why.
+    CauseError
+        If `cause` is not among the effects that explain the data equally well.
     ValueError
         If an effect is not in the catalogue.
     """
     one = isinstance(data, Record) or hasattr(data, "proximal_tension")
-    several = [data] if one else data
-    return engine.diagnose(
-        [_record(item, noise) for item in several],  # type: ignore[union-attr, arg-type]
+    several: list[MeasuredData | Record] = [data] if one else list(data)  # type: ignore[list-item, arg-type]
+    found = engine.diagnose(
+        [_record(item, noise) for item in several],
         tuple(map(_effect, effects)) if effects is not CATALOGUE else CATALOGUE,
         validate=[_record(item, noise) for item in validate],
+        cause=cause,
+        fit_all=fit_all,
+        leave_one_file_out=leave_one_file_out,
         report=progress,
         workers=workers,
+    )
+    progress("estimating the force", 1.0)
+    return _with_forces(found, several, validate)
+
+
+def _with_forces(
+    found: Diagnosis,
+    data: Sequence[MeasuredData | Record],
+    validate: Sequence[MeasuredData | Record],
+) -> Diagnosis:
+    """Return a diagnosis with the forces that its models would estimate in data that are given."""
+    plain, model = found.baseline.model, found.extended.model
+    fitted = [one for one in data if not isinstance(one, Record)]
+    further = [one for one in validate if not isinstance(one, Record)]
+    places = [(one, False) for one in fitted] + [(one, True) for one in further]
+    forces = [
+        file_force(plain, model, found.duration, one, validation=apart) for one, apart in places
+    ]
+    names = [(rival.replaces, rival.effect.label) for rival in found.rivals]
+    return found._replace(
+        forces=tuple(one for one in forces if one is not None),
+        rival_forces=tuple(
+            rival_force(model, rival.fit.model, name, found.duration, fitted)
+            for rival, name in zip(found.rivals, names, strict=True)
+            if fitted
+        ),
     )
 
 
 def _record(data: MeasuredData | Record, noise: Mapping[str, float]) -> Record:
     if isinstance(data, Record):
         return data
-    return prepare(data.time, signals_of(data), noise=noise)
+    try:
+        return prepare(data.time, signals_of(data), noise=noise)
+    except RecordError as error:
+        path = getattr(data, "path", None)
+        raise RecordError(f"{path}: {error}" if path else str(error)) from error
 
 
 def signals_of(data: MeasuredData) -> dict[str, Array]:

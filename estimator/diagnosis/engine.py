@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis import experiments
+from estimator.diagnosis import experiments, rivals
 from estimator.diagnosis.baseline import baseline
 from estimator.diagnosis.dataset import (
     Dataset,
@@ -21,13 +21,12 @@ from estimator.diagnosis.dataset import (
     whole,
 )
 from estimator.diagnosis.detection_limit import detection_limits
-from estimator.diagnosis.fit import improved, own_only, refitted
+from estimator.diagnosis.fit import improved, refitted
 from estimator.diagnosis.free_friction import wanders
 from estimator.diagnosis.intervals import Named, parameters
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
-    Fitness,
     Fitnesses,
     Gain,
     Number,
@@ -35,8 +34,16 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
-from estimator.diagnosis.record import Record, RecordError, in_short_blocks, with_driver_noise
+from estimator.diagnosis.prediction import Fitness, Predicted, fitness_of, left_out, predicted
+from estimator.diagnosis.record import (
+    Record,
+    RecordError,
+    in_full,
+    in_short_blocks,
+    with_driver_noise,
+)
 from estimator.diagnosis.residual_dependence import structure
+from estimator.diagnosis.rivals import CauseError, Equal, replaced
 from estimator.diagnosis.score import (
     Errors,
     bootstrapped_gain,
@@ -65,6 +72,9 @@ def diagnose(
     effects: Sequence[Effect] = CATALOGUE,
     *,
     validate: Sequence[Record] = (),
+    cause: str = "",
+    fit_all: bool = False,
+    leave_one_file_out: bool = False,
     report: Report = quiet,
     workers: int = 1,
 ) -> Diagnosis:
@@ -78,6 +88,12 @@ def diagnose(
         That may be the cause.
     validate : sequence of Record
         To be predicted with what was found; only where each record starts is fitted to them.
+    cause : str
+        Name of the effect to be taken where several explain the data equally well.
+    fit_all : bool
+        Fit and judge all samples; none is held out.
+    leave_one_file_out : bool
+        Also predict each record by what the others give.
     report : callable
         Told what is being done and which share of it is.
     workers : int
@@ -86,18 +102,23 @@ def diagnose(
     Raises
     ------
     RecordError
-        If the records have different channels.
+        If the records have different channels, or one is to be left out of one.
+    CauseError
+        If `cause` is not among the effects that explain the data equally well.
     """
+    if leave_one_file_out and len(records) < 2:
+        raise RecordError("one file: to leave one out, at least two are needed")
     if len({tuple(sorted(record.signals)) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different channels: give those of one dataset")
-    dataset = dataset_of(records)
+    dataset = dataset_of([in_full(record) for record in records] if fit_all else records)
     report("fitting the plain law", 0.0)
     plain = baseline(dataset)
-    noisy = [with_driver_noise(record, _again(record, dataset, plain)) for record in records]
-    if any(new is not old for new, old in zip(noisy, records, strict=True)):
+    before = dataset.records
+    noisy = [with_driver_noise(record, _again(record, dataset, plain)) for record in before]
+    if any(new is not old for new, old in zip(noisy, before, strict=True)):
         dataset = dataset_of(noisy)
         plain = baseline(dataset)
-    if _brief(dataset, plain):
+    if not fit_all and _brief(dataset, plain):
         dataset = dataset_of([in_short_blocks(record) for record in dataset.records])
         plain = baseline(dataset)
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
@@ -125,7 +146,66 @@ def diagnose(
         fit = step.fit
     steps, fit = _needed(dataset, steps, fit)
     steps, fit = _distinct(dataset, plain, steps, fit)
-    return _outcome(dataset, plain, fit, steps, first, usable, validate)
+    if cause:
+        steps, fit = _with_cause(dataset, plain, steps, fit, usable, cause)
+    outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
+    if not leave_one_file_out:
+        return outcome
+    report("leaving one file out", 1.0)
+    others = left_out(dataset, outcome.baseline, outcome.extended)
+    return outcome._replace(left_out=others)
+
+
+def _with_cause(
+    dataset: Dataset,
+    plain: Fit,
+    steps: list[Step],
+    fit: Fit,
+    usable: Sequence[Effect],
+    cause: str,
+) -> tuple[list[Step], Fit]:
+    """Return the causes with one of equally good ones in the place of the first of them."""
+    if cause in [step.effect.name for step in steps]:
+        return steps, fit
+    equals = {one.effect.name: one for one in _equals(steps, usable)}
+    if cause not in equals:
+        raise _not_equal(cause, [*(step.effect.name for step in steps), *equals])
+    chosen = equals[cause]
+    fit = improved(
+        rescaled(dataset, fit), contexts(dataset, plain), replaced(fit.model, chosen), LAST
+    )
+    return [
+        Step(
+            chosen.effect,
+            (step.effect.name, *(name for name in step.rivals if name != cause)),
+            step.ranking,
+            fit,
+        )
+        if step.effect.name == chosen.replaces
+        else step
+        for step in steps
+    ], fit
+
+
+def _not_equal(cause: str, names: Sequence[str]) -> CauseError:
+    if not names:
+        return CauseError(f"{cause}: no cause was found in these data; leave it out")
+    listed = ", ".join(dict.fromkeys(names))
+    return CauseError(f"{cause}: does not explain these data equally well; choose from {listed}")
+
+
+def _equals(steps: Sequence[Step], usable: Sequence[Effect]) -> list[Equal]:
+    """Return the effects that explain as much as the causes, each in its best variant."""
+    effects = {effect.label: effect for effect in usable}
+    causes = [step.effect.name for step in steps]
+    found = []
+    for step in steps:
+        for name in step.rivals:
+            ranked = next(one for one in step.ranking if one.name == name)
+            if name not in causes:
+                values = tuple(ranked.values.values())
+                found.append(Equal(step.effect.name, effects[ranked.label], values))
+    return found
 
 
 def _by_two(
@@ -336,6 +416,9 @@ def _outcome(
 ) -> Diagnosis:
     full = rescaled(whole(dataset), fit)
     last = improved(full, contexts(dataset, plain), fit.model, LAST)
+    first_law = improved(
+        rescaled(whole(dataset), plain), contexts(dataset, plain), plain.model, LAST
+    )
     folds = _folds(dataset, plain, last)
     before, after = (joined([errors(one.dataset, one.fits[k]) for one in folds]) for k in (0, 1))
     left = left_of(after, before)
@@ -352,6 +435,7 @@ def _outcome(
         one.name: Number(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
         for one in parameters(full, contexts(dataset, plain), last)
     }
+    further = predicted(first_law, last if steps else first_law, validate)
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
     return Diagnosis(
         verdict=verdict,
@@ -359,10 +443,10 @@ def _outcome(
         ranking=first,
         parameters=numbers,
         dataset=dataset,
-        baseline=plain,
-        extended=last if steps else plain,
-        before=_fitnesses(folds, 0, validate),
-        after=_fitnesses(folds, 1, validate),
+        baseline=first_law,
+        extended=last if steps else first_law,
+        before=_fitnesses(folds, 0, further),
+        after=_fitnesses(folds, 1, further),
         gain={
             channel: Gain(*bootstrapped_gain(after[channel], before[channel])) for channel in before
         },
@@ -376,6 +460,9 @@ def _outcome(
         else {},
         experiments=experiments.settling(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
+        fit_all=all(record.train.all() for record in dataset.records),
+        rivals=rivals.fitted(dataset, plain, last, _equals(steps, usable)),
+        validation=further,
     )
 
 
@@ -386,10 +473,15 @@ class Fold(NamedTuple):
     fits: tuple[Fit, Fit]
 
 
-def _folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, Fold]:
-    """Return both ways to fit one half of the samples and to be judged by the other."""
+def _folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, ...]:
+    """Return both ways to fit one half of the samples and to be judged by the other.
+
+    Where all samples are fitted, they are judged as well.
+    """
     about = contexts(dataset, plain)
     full = whole(dataset)
+    if all(record.train.all() for record in dataset.records):
+        return (Fold(dataset, (plain, fit)),)
 
     def fold(half: Dataset) -> Fold:
         before, after = (
@@ -402,11 +494,11 @@ def _folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, Fold]:
     return fold(dataset), fold(dataset._replace(records=swapped))
 
 
-def _fitnesses(folds: tuple[Fold, ...], which: int, validate: Sequence[Record]) -> Fitnesses:
+def _fitnesses(folds: tuple[Fold, ...], which: int, further: Sequence[Predicted]) -> Fitnesses:
     return Fitnesses(
         _fitness(folds, which, fitted=True),
         _fitness(folds, which, fitted=False),
-        _validated(folds[0].fits[which], validate) if validate else {},
+        _validated(further, which),
     )
 
 
@@ -416,19 +508,20 @@ def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fi
         off, full = [], 0.0
         for fold in folds:
             for record, one in zip(fold.dataset.records, fold.fits[which].simulated, strict=True):
-                rows = record.good[channel] & (record.train == fitted)
+                judged = record.train if record.train.all() else record.train == fitted
+                rows = record.good[channel] & judged
                 off.append((record.signals[channel] - one.signals[channel])[rows])
                 full = max(full, float(np.ptp(record.signals[channel])))
-        error = np.concatenate(off)
-        share = np.abs(error) / max(full, 1e-12)
-        found[channel] = Fitness(
-            float(np.sqrt(np.mean(error**2))), float(share.max()), float(share.mean())
-        )
+        found[channel] = fitness_of(off, full)
     return found
 
 
-def _validated(fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
-    """Return how far a model is off in records it was not fitted to, but for where they start."""
-    dataset = whole(dataset_of(validate))
-    start = own_only(dataset, fit)
-    return _fitness([Fold(dataset, (start, start))], 0, fitted=True)
+def _validated(further: Sequence[Predicted], which: int) -> dict[str, Fitness]:
+    """Return how far a model is off in all records that it predicts."""
+    channels = further[0].record.compared if further else ()
+    found = {}
+    for channel in channels:
+        off = [one.residual((one.before, one.after)[which], channel) for one in further]
+        full = max(float(np.ptp(one.record.signals[channel])) for one in further)
+        found[channel] = fitness_of(off, full)
+    return found

@@ -5,7 +5,7 @@ The format is described in docs/data-format.md. Nothing is repaired silently: in
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Self
@@ -34,7 +34,7 @@ NAMES_SHOWN = 12  # of a file's columns in an error message
 PERIOD = 1.5  # [s] above this the unit is wrong: milliseconds
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
 NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
-ZERO_SHARE = 0.25  # of its peak, for a diagnosis, which identifies zero errors
+ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only scored
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ def read_table(
     columns: Columns | None = None,
     drop_nonfinite: bool = False,
     *,
-    diagnosed: bool = False,
+    zero_errors: Collection[str] = (),
 ) -> MeasuredTable:
     """Read and check the samples of one tendon.
 
@@ -112,9 +112,9 @@ def read_table(
         The columns' names; the standard ones by default.
     drop_nonfinite : bool
         Omit rows with non-finite values instead of raising.
-    diagnosed : bool
-        For a diagnosis: readings may be below zero by more than noise, single samples by any
-        amount.
+    zero_errors : collection of str
+        Tensions that may be below zero by more than noise, as far as a load cell's wrong zero
+        takes them, and single samples by any amount: "proximal_tension", "distal_tension".
 
     Raises
     ------
@@ -122,7 +122,7 @@ def read_table(
         The file or its content is invalid.
     """
     tendons = (columns or Columns(),)
-    return read_tables(Path(path), tendons, drop_nonfinite, diagnosed=diagnosed)[0]
+    return read_tables(Path(path), tendons, drop_nonfinite, zero_errors=zero_errors)[0]
 
 
 def read_tables(
@@ -130,7 +130,7 @@ def read_tables(
     tendons: Sequence[Columns],
     drop_nonfinite: bool = False,
     *,
-    diagnosed: bool = False,
+    zero_errors: Collection[str] = (),
 ) -> tuple[MeasuredTable, ...]:
     """Read and check the samples of several tendons of one file; see `read_table`.
 
@@ -152,7 +152,7 @@ def read_tables(
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
     for names in found:
-        _check(path, raw, names, numbers, diagnosed)
+        _check(path, raw, names, numbers, zero_errors)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
         tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped))
@@ -238,7 +238,7 @@ def _check(
     raw: RawTable,
     names: Mapping[str, str],
     numbers: Mapping[str, Array],
-    diagnosed: bool,
+    zero_errors: Collection[str],
 ) -> None:
     """Check for increasing time, plausible units and non-negative tensions."""
 
@@ -257,7 +257,8 @@ def _check(
             continue
         tension = numbers[names[item]]
         row = int(np.abs(tension).argmax())
-        low = int((_without_dips(tension) if diagnosed else tension).argmin())
+        may_err = item in zero_errors
+        low = int((_without_dips(tension) if may_err else tension).argmin())
         peak = float(tension[row])
         if abs(peak) > TENSION_PEAK:
             raise wrong(
@@ -268,11 +269,11 @@ def _check(
                     "or g?)"
                 ),
             )
-        share = ZERO_SHARE if diagnosed else NOISE_SHARE
+        share = ZERO_SHARE if may_err else NOISE_SHARE
         floor = NOISE_FLOOR + share * float(tension.max(initial=0.0))
         if tension[low] < -floor:
             what = f"{float(tension[low]):.6g} N: a tendon cannot push"
-            below = "a zero offset" if diagnosed else "noise"
+            below = "a zero offset" if may_err else "noise"
             limit = f"{below} is taken to end at {-floor:.3g} N"
             raise wrong(item, low, f"{what} ({limit}); correct its zero or its sign")
     for item in ("proximal_displacement", "distal_displacement"):

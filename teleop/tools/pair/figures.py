@@ -7,9 +7,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from estimator.drawing import BLACK, BLUE, STYLE, VERMILION
 from estimator.pair.pair_study import PairStudy
 from teleop.tools.pair.report_text import degrees
-from teleop.tools.report.style import BLACK, BLUE, STYLE, VERMILION
 
 ACROSS = 3  # loops in a row
 
