@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from estimator.online.estimator import Estimator as Estimator
     from estimator.online.online import Estimates as Estimates
     from estimator.online.tendon_model import TendonModel as TendonModel
+    from estimator.pair.pair import PairRecord as PairRecord
+    from estimator.pair.pair_fit import PairError as PairError
+    from estimator.pair.pair_study import PairStudy as PairStudy
+    from estimator.pair.pair_study import study_pair as study_pair
 
 _PLACES = {
     "Calibration": "calibration.calibration",
@@ -49,6 +53,10 @@ _PLACES = {
     "Estimator": "online.estimator",
     "Estimates": "online.online",
     "TendonModel": "online.tendon_model",
+    "PairRecord": "pair.pair",
+    "PairError": "pair.pair_fit",
+    "PairStudy": "pair.pair_study",
+    "study_pair": "pair.pair_study",
 }
 
 __all__ = [
@@ -60,6 +68,9 @@ __all__ = [
     "Estimator",
     "FitError",
     "MeasuredData",
+    "PairError",
+    "PairRecord",
+    "PairStudy",
     "RecordError",
     "Samples",
     "Section",
@@ -71,6 +82,7 @@ __all__ = [
     "diagnose",
     "fit_sheath",
     "simulate",
+    "study_pair",
 ]
 
 

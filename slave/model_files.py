@@ -12,6 +12,7 @@ from pathlib import Path
 from estimator import signals
 from estimator.array_types import Array
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.spikes import LEAST
 from estimator.online.extension import Use, why_left_out
 from slave.calibration.file import JointTendons
 from slave.tendon_config import TendonConfig
@@ -117,7 +118,8 @@ def with_noise_of(tendon: TendonConfig, tension: Array, travel: Array | None) ->
     tension, travel : ndarray
         At the housing [N] and [m], shape (n,); None where no travel was measured.
     """
-    if tendon.model_file is None or tendon.tension_noise or tendon.displacement_noise:
+    known = tendon.tension_noise > 0.0 or tendon.displacement_noise > 0.0
+    if tendon.model_file is None or known or len(tension) < LEAST:
         return tendon
     return replace(
         tendon,

@@ -9,6 +9,7 @@ from estimator.measured_data import MeasuredData, Samples
 from estimator.signals import noise_sigma
 
 WINDOW = 101  # samples of the local scatter
+LEAST = 8  # samples that tell a scatter
 
 
 def single_spikes(signal: Array) -> NDArray[np.bool_]:
@@ -17,6 +18,8 @@ def single_spikes(signal: Array) -> NDArray[np.bool_]:
     A spike is off the mean of its neighbours by `Settings.spike` times the local scatter, while
     its neighbours are near each other.
     """
+    if len(signal) < LEAST:
+        return np.zeros(len(signal), dtype=np.bool_)
     from scipy.ndimage import median_filter  # here: the control processes import this module
 
     off = np.zeros_like(signal)
