@@ -9,6 +9,7 @@ import itertools
 import math
 import time
 from collections import Counter
+from functools import partial
 from multiprocessing import get_context
 from typing import NamedTuple
 
@@ -66,6 +67,12 @@ class Result(NamedTuple):
         return (
             named and set(effects) <= named_causes and len(named_causes) <= ALIKE + len(effects) - 1
         )
+
+    @property
+    def needless(self):
+        """Whether it names a cause beside the hidden ones."""
+        hidden_ones = set(self.case.effects)
+        return bool(set(self.causes) - hidden_ones) and hidden_ones <= {*self.causes, *self.rivals}
 
     @property
     def absorbed(self):
@@ -160,6 +167,7 @@ def main():
     parser.add_argument("--travel-noise", type=float, default=0.0, help="on both travels [m]")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", nargs="*", default=())
+    parser.add_argument("--no-oracle", action="store_true", help="in half the time")
     args = parser.parse_args()
     todo = cases(
         range(args.first, args.first + args.seeds),
@@ -171,7 +179,7 @@ def main():
     )
     with get_context("spawn").Pool(args.jobs) as pool:
         results = []
-        for result in pool.imap_unordered(judge, todo):
+        for result in pool.imap_unordered(partial(judge, oracle=not args.no_oracle), todo):
             results.append(result)
             show(result)
     summary(results)
@@ -215,6 +223,8 @@ def summary(results):
                 f"{name}: {right} of {len(found)} right ({right / len(found):.0%}), "
                 f"{wrong} named wrongly ({wrong / len(found):.1%})"
             )
+    needless, named = sum(r.needless for r in results), sum(bool(r.causes) for r in results)
+    print(f"a needless cause beside the right one: {needless} of {named}")
     absorbed = sum(r.absorbed for r in results if r.case.effects)
     print(f"absorbed by the plain law, and left out of these shares: {absorbed}")
     numbers = [n for r in results if r.right for n in r.numbers]

@@ -5,9 +5,9 @@ from types import MappingProxyType
 
 from estimator.array_types import Array
 from estimator.diagnosis import engine
-from estimator.diagnosis.engine import quiet
 from estimator.diagnosis.force import file_force, rival_force
 from estimator.diagnosis.outcome import Diagnosis
+from estimator.diagnosis.progress import quiet
 from estimator.diagnosis.record import Record, RecordError, prepare
 from estimator.diagnosis.rivals import CauseError
 from estimator.effects import CATALOGUE, CHANNELS, Effect

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from estimator.diagnosis.dataset import Dataset, Fit, Model, residual, simulated
+from estimator.diagnosis.dataset import Dataset, Fit, Model, cost, simulated, thin
 from estimator.diagnosis.fit import improved, own_start
 from estimator.diagnosis.model import scene_of
 from estimator.diagnosis.record import Record
@@ -12,26 +12,31 @@ from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
     PROXIMAL_DISPLACEMENT,
     PROXIMAL_TENSION,
-    Effect,
     EffectContext,
-    Values,
 )
 
 FRICTIONS = (0.2, 0.45, 0.8, 1.2, 1.8)
 TIP_SHARES = (0.0, 0.35, 0.75)
 """Of the travel per tension, that the tip may have where nothing at the tip was measured."""
-TRIED = 5  # of the starts, in full
+TRIED = 5  # of the starts
+FIRST_LOOK = 1500  # samples of a record
 ROUNDS = 15
 
 
-def baseline(dataset: Dataset, effects: tuple[tuple[Effect, Values], ...] = ()) -> Fit:
-    """Return the best fit of the plain law, or of one with effects begun at their values."""
-    about = [scene_of(record, None, 1e-4) for record in dataset.records]
-    starts = [model._replace(effects=effects) for model in _starts(dataset)]
-    costs = [_cost(dataset, about, model) for model in starts]
+def baseline(dataset: Dataset) -> Fit:
+    """Return the best fit of the plain law: from many starts on few samples, then on all."""
+    few = thin(dataset, FIRST_LOOK)
+    about = _contexts(few)
+    starts = _starts(few)
+    costs = [cost(few, simulated(few, about, model)) for model in starts]
     order = np.argsort(costs)[:TRIED]
-    fits = [improved(dataset, about, starts[k], ROUNDS) for k in order]
-    return min(fits, key=lambda fit: float(np.sum(residual(dataset, fit) ** 2)))
+    fits = [improved(few, about, starts[k], ROUNDS) for k in order]
+    return again(dataset, min(fits, key=lambda fit: cost(few, fit)))
+
+
+def again(dataset: Dataset, fit: Fit) -> Fit:
+    """Return the fit of the plain law on from that of the same records, weighed otherwise."""
+    return improved(dataset, _contexts(dataset), fit.model, ROUNDS)
 
 
 def by_most(dataset: Dataset, fit: Fit) -> Fit:
@@ -40,12 +45,11 @@ def by_most(dataset: Dataset, fit: Fit) -> Fit:
     Where something happened at one time, what came before it and what came after it are each fitted
     badly by one model; this one fits the longer part.
     """
-    about = [scene_of(record, None, 1e-4) for record in dataset.records]
-    return improved(dataset, about, fit.model, ROUNDS, robust=True)
+    return improved(dataset, _contexts(dataset), fit.model, ROUNDS, robust=True)
 
 
-def _cost(dataset: Dataset, about: list[EffectContext], model: Model) -> float:
-    return float(np.sum(residual(dataset, simulated(dataset, about, model)) ** 2))
+def _contexts(dataset: Dataset) -> list[EffectContext]:
+    return [scene_of(record, None, 1e-4) for record in dataset.records]
 
 
 def _starts(dataset: Dataset) -> list[Model]:

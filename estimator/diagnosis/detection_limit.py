@@ -10,14 +10,18 @@ from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
     contexts,
+    contexts_without,
     residual,
     simulated,
+    thin,
     tolerance,
 )
 from estimator.diagnosis.fit import slopes_of
 from estimator.diagnosis.outcome import DetectionLimit
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect
+
+FIRST_LOOK = 3000  # samples of a record, of which the rms of a change is taken
 
 
 def detection_limits(
@@ -28,6 +32,8 @@ def detection_limits(
     By a linear step from its starts: what the model's own parameters do not take up grows with the
     size, until some channel is off by more than noise and the simulation's own error make it.
     """
+    dataset = thin(dataset, FIRST_LOOK)
+    fit = simulated(dataset, contexts_without(dataset, fit), fit.model)
     about = contexts(dataset, fit)
     r = residual(dataset, fit)
     basis, _ = np.linalg.qr(slopes_of(dataset, about, fit))

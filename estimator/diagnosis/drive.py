@@ -6,7 +6,6 @@ turning points the drive is monotone, which keeps its peaks (docs/theory.md, sec
 """
 
 import itertools
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.smoothing import smooth
 
 SPEED_OVER = 0.02  # [s] over which speed is taken
-ORDERS = (2, 3, 4, 5, 6)  # of the differences that an encoder's noise is taken from
 TRIED_TURNS = 24  # places in a rest at which the motor may have turned
 
 
@@ -123,18 +121,6 @@ def turning_points(signal: Array, band: float) -> list[int]:
     if turns[-1] != len(values) - 1:
         turns.append(len(values) - 1)
     return turns
-
-
-def encoder_noise(travel: Array) -> float:
-    """Return the standard deviation of an encoder's noise [m].
-
-    White noise contributes equally to (normalised) differences of every order, motion less to
-    higher ones. The least of them is taken, so that fast motion does not count as noise.
-    """
-    return min(
-        float(np.median(np.abs(np.diff(travel, m)))) * 1.4826 / math.sqrt(math.comb(2 * m, m))
-        for m in ORDERS
-    )
 
 
 def rate(time: Array, signal: Array) -> Array:

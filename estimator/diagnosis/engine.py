@@ -1,14 +1,13 @@
 """The diagnosis: from records to a verdict, with its gain."""
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis import experiments, rivals
-from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis import equal_causes, experiments, rivals
+from estimator.diagnosis.baseline import again, baseline
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -21,20 +20,22 @@ from estimator.diagnosis.dataset import (
     whole,
 )
 from estimator.diagnosis.detection_limit import detection_limits
-from estimator.diagnosis.fit import improved, refitted
+from estimator.diagnosis.fit import improved
+from estimator.diagnosis.folds import fitnesses, two_folds
 from estimator.diagnosis.free_friction import wanders
+from estimator.diagnosis.hidden_motion import with_hidden_motion
 from estimator.diagnosis.intervals import Named, parameters
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
-    Fitnesses,
     Gain,
     Number,
     Ranked,
     Step,
     Verdict,
 )
-from estimator.diagnosis.prediction import Fitness, Predicted, fitness_of, left_out, predicted
+from estimator.diagnosis.prediction import left_out, predicted
+from estimator.diagnosis.progress import Report, part, quiet
 from estimator.diagnosis.record import (
     Record,
     RecordError,
@@ -43,7 +44,6 @@ from estimator.diagnosis.record import (
     with_driver_noise,
 )
 from estimator.diagnosis.residual_dependence import structure
-from estimator.diagnosis.rivals import CauseError, Equal, replaced
 from estimator.diagnosis.score import (
     Errors,
     bootstrapped_gain,
@@ -54,17 +54,14 @@ from estimator.diagnosis.score import (
     log_likelihood_ratio,
     surely_better,
 )
-from estimator.diagnosis.search import Candidate, Report, candidates
+from estimator.diagnosis.search import Candidate, candidates
 from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.simple_models import simple_models
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect
 
 LAST = 12  # rounds of the fit to all samples
-
-
-def quiet(_what: str, _share: float) -> None:
-    """Report nothing."""
+SEARCHES = (0.1, 0.5, 0.75, 0.9)  # shares of the time between which each search for a cause runs
 
 
 def diagnose(
@@ -114,21 +111,28 @@ def diagnose(
     report("fitting the plain law", 0.0)
     plain = baseline(dataset)
     before = dataset.records
-    noisy = [with_driver_noise(record, _again(record, dataset, plain)) for record in before]
+    noisy = [with_driver_noise(record, simulated_by(plain, dataset, record)) for record in before]
     if any(new is not old for new, old in zip(noisy, before, strict=True)):
         dataset = dataset_of(noisy)
-        plain = baseline(dataset)
+        plain = again(dataset, plain)
+        moved = [
+            with_hidden_motion(record, plain.model.shared, own)
+            for record, own in zip(noisy, plain.model.own, strict=True)
+        ]
+        dataset = dataset_of(moved)
+        plain = again(dataset, plain)
     if not fit_all and _brief(dataset, plain):
         dataset = dataset_of([in_short_blocks(record) for record in dataset.records])
-        plain = baseline(dataset)
+        plain = again(dataset, plain)
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
-    for _ in range(SETTINGS.causes_max):
+    for begin, end in itertools.pairwise(SEARCHES):
         if _is_noise(dataset, errors(dataset, fit)) or (steps and _is_all(dataset, fit, plain)):
             break
         rest = [effect for effect in usable if effect.name not in fit.names]
-        found = candidates(dataset, fit, rest, report, workers)
+        searching = part(report, begin, end)
+        found = candidates(dataset, fit, rest, searching, workers)
         step = _step(dataset, plain, fit, found)
         if step is not None and not steps:
             without = _without(dataset, step.fit, step.effect)
@@ -139,73 +143,24 @@ def diagnose(
                 continue
         first = first or _ranking(dataset, plain, fit, found)
         if step is None:
-            two = _by_two(dataset, plain, fit, found, rest, report, workers)
+            two = _by_two(
+                dataset, plain, fit, found, rest, part(report, end, SEARCHES[-1]), workers
+            )
             steps, fit = [*steps, *two], two[-1].fit if two else fit
             break
         steps.append(step)
         fit = step.fit
+    report("fitting again and testing", SEARCHES[-1])
     steps, fit = _needed(dataset, steps, fit)
     steps, fit = _distinct(dataset, plain, steps, fit)
     if cause:
-        steps, fit = _with_cause(dataset, plain, steps, fit, usable, cause)
+        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause)
     outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
     if not leave_one_file_out:
         return outcome
     report("leaving one file out", 1.0)
     others = left_out(dataset, outcome.baseline, outcome.extended)
     return outcome._replace(left_out=others)
-
-
-def _with_cause(
-    dataset: Dataset,
-    plain: Fit,
-    steps: list[Step],
-    fit: Fit,
-    usable: Sequence[Effect],
-    cause: str,
-) -> tuple[list[Step], Fit]:
-    """Return the causes with one of equally good ones in the place of the first of them."""
-    if cause in [step.effect.name for step in steps]:
-        return steps, fit
-    equals = {one.effect.name: one for one in _equals(steps, usable)}
-    if cause not in equals:
-        raise _not_equal(cause, [*(step.effect.name for step in steps), *equals])
-    chosen = equals[cause]
-    fit = improved(
-        rescaled(dataset, fit), contexts(dataset, plain), replaced(fit.model, chosen), LAST
-    )
-    return [
-        Step(
-            chosen.effect,
-            (step.effect.name, *(name for name in step.rivals if name != cause)),
-            step.ranking,
-            fit,
-        )
-        if step.effect.name == chosen.replaces
-        else step
-        for step in steps
-    ], fit
-
-
-def _not_equal(cause: str, names: Sequence[str]) -> CauseError:
-    if not names:
-        return CauseError(f"{cause}: no cause was found in these data; leave it out")
-    listed = ", ".join(dict.fromkeys(names))
-    return CauseError(f"{cause}: does not explain these data equally well; choose from {listed}")
-
-
-def _equals(steps: Sequence[Step], usable: Sequence[Effect]) -> list[Equal]:
-    """Return the effects that explain as much as the causes, each in its best variant."""
-    effects = {effect.label: effect for effect in usable}
-    causes = [step.effect.name for step in steps]
-    found = []
-    for step in steps:
-        for name in step.rivals:
-            ranked = next(one for one in step.ranking if one.name == name)
-            if name not in causes:
-                values = tuple(ranked.values.values())
-                found.append(Equal(step.effect.name, effects[ranked.label], values))
-    return found
 
 
 def _by_two(
@@ -286,15 +241,15 @@ def _bic_penalty(dataset: Dataset, effect: Effect) -> float:
     return 0.5 * len(effect.parameters) * math.log(samples)
 
 
-def _again(record: Record, dataset: Dataset, fit: Fit) -> Callable[[Record], Simulated]:
-    """Return a function that simulates a record again with another drive."""
+def simulated_by(fit: Fit, dataset: Dataset, record: Record) -> Callable[[Record], Simulated]:
+    """Return a function that simulates a record of the dataset again with another drive."""
     k = next(i for i, other in enumerate(dataset.records) if other is record)
     about = contexts_without(dataset, fit)[k]
 
-    def again(other: Record) -> Simulated:
+    def again_by(other: Record) -> Simulated:
         return simulate(other, about, fit.model.shared, fit.model.own[k], ())
 
-    return again
+    return again_by
 
 
 def _brief(dataset: Dataset, plain: Fit) -> bool:
@@ -419,7 +374,7 @@ def _outcome(
     first_law = improved(
         rescaled(whole(dataset), plain), contexts(dataset, plain), plain.model, LAST
     )
-    folds = _folds(dataset, plain, last)
+    folds = two_folds(dataset, plain, last)
     before, after = (joined([errors(one.dataset, one.fits[k]) for one in folds]) for k in (0, 1))
     left = left_of(after, before)
     astray = not _is_noise(dataset, after) and wanders(dataset, fit)
@@ -445,8 +400,8 @@ def _outcome(
         dataset=dataset,
         baseline=first_law,
         extended=last if steps else first_law,
-        before=_fitnesses(folds, 0, further),
-        after=_fitnesses(folds, 1, further),
+        before=fitnesses(folds, 0, further),
+        after=fitnesses(folds, 1, further),
         gain={
             channel: Gain(*bootstrapped_gain(after[channel], before[channel])) for channel in before
         },
@@ -461,67 +416,6 @@ def _outcome(
         experiments=experiments.settling(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
         fit_all=all(record.train.all() for record in dataset.records),
-        rivals=rivals.fitted(dataset, plain, last, _equals(steps, usable)),
+        rivals=rivals.fitted(dataset, plain, last, equal_causes.equals(steps, usable)),
         validation=further,
     )
-
-
-class Fold(NamedTuple):
-    """A dataset of which one half is fitted, and the plain and the extended model fitted to it."""
-
-    dataset: Dataset
-    fits: tuple[Fit, Fit]
-
-
-def _folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, ...]:
-    """Return both ways to fit one half of the samples and to be judged by the other.
-
-    Where all samples are fitted, they are judged as well.
-    """
-    about = contexts(dataset, plain)
-    full = whole(dataset)
-    if all(record.train.all() for record in dataset.records):
-        return (Fold(dataset, (plain, fit)),)
-
-    def fold(half: Dataset) -> Fold:
-        before, after = (
-            refitted(rescaled(half, one), rescaled(full, one), about, one, LAST)
-            for one in (plain, fit)
-        )
-        return Fold(half, (before, after))
-
-    swapped = tuple(replace(record, train=~record.train) for record in dataset.records)
-    return fold(dataset), fold(dataset._replace(records=swapped))
-
-
-def _fitnesses(folds: tuple[Fold, ...], which: int, further: Sequence[Predicted]) -> Fitnesses:
-    return Fitnesses(
-        _fitness(folds, which, fitted=True),
-        _fitness(folds, which, fitted=False),
-        _validated(further, which),
-    )
-
-
-def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fitness]:
-    found = {}
-    for channel in folds[0].dataset.records[0].compared:
-        off, full = [], 0.0
-        for fold in folds:
-            for record, one in zip(fold.dataset.records, fold.fits[which].simulated, strict=True):
-                judged = record.train if record.train.all() else record.train == fitted
-                rows = record.good[channel] & judged
-                off.append((record.signals[channel] - one.signals[channel])[rows])
-                full = max(full, float(np.ptp(record.signals[channel])))
-        found[channel] = fitness_of(off, full)
-    return found
-
-
-def _validated(further: Sequence[Predicted], which: int) -> dict[str, Fitness]:
-    """Return how far a model is off in all records that it predicts."""
-    channels = further[0].record.compared if further else ()
-    found = {}
-    for channel in channels:
-        off = [one.residual((one.before, one.after)[which], channel) for one in further]
-        full = max(float(np.ptp(one.record.signals[channel])) for one in further)
-        found[channel] = fitness_of(off, full)
-    return found

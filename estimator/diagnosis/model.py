@@ -62,6 +62,13 @@ def own_bounds(record: Record) -> list[tuple[float, float]]:
     return bounds
 
 
+def plain_physics(record: Record, shared: Sequence[float]) -> Physics:
+    """Return the tendon of the plain law, from the values of `base_of` the record."""
+    K, *elastic = shared
+    compliance, tip = elastic if elastic else (SETTINGS.assumed_compliance, 0.0)
+    return Physics(np.full(len(record.time), K), compliance, even_weights(), tip)
+
+
 def simulate(
     record: Record,
     context: EffectContext,
@@ -82,9 +89,7 @@ def simulate(
     effects : sequence of (Effect, values)
         On top, in this order.
     """
-    K, *elastic = shared
-    compliance, tip = elastic if elastic else (SETTINGS.assumed_compliance, 0.0)
-    physics = Physics(np.full(len(record.time), K), compliance, even_weights(), tip)
+    physics = plain_physics(record, shared)
     for effect, values in effects:
         physics = effect.physics(physics, values, context)
     drive = record.drive

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.diagnosis.channel_noise import white_noise
 from estimator.diagnosis.drive import (
     Drive,
-    encoder_noise,
     rate,
     tension_drive,
     travel_drive,
@@ -200,10 +200,9 @@ def _noise_of(driver: str, signals: Signals, good: dict[str, Mask]) -> dict[str,
     sigma = {}
     for name, signal in signals.items():
         known = signal[good[name]]
-        if name == driver:
-            sigma[name] = (noise_sigma if driver == PROXIMAL_TENSION else encoder_noise)(known)
-        else:  # nothing is simulated more precisely
-            sigma[name] = max(noise_sigma(known), SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
+        sigma[name] = white_noise(known)
+        if name != driver:  # nothing is simulated more precisely
+            sigma[name] = max(sigma[name], SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
     return sigma
 
 

@@ -26,12 +26,14 @@ from estimator.diagnosis.dataset import (
 )
 from estimator.diagnosis.fit import improved, moved, slopes_of
 from estimator.diagnosis.layout import Layout
+from estimator.diagnosis.progress import Report, part
 from estimator.diagnosis.score import Errors, errors
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
 THIN = 1200  # samples of a record in a first look
 SECOND, BARE = 10, 12  # starts of all effects, besides the best of each
+TRYING, FITTING = 0.3, (0.6, 0.75)  # shares of a search after which these are done
 HALVINGS = 3  # of a linear step that leads uphill
 ROUNDS = (4, 6)  # of the first fits, on thin records
 LONG = 25  # rounds of the last fit, on whole records
@@ -39,7 +41,6 @@ FURTHEST = 6.0  # times a start's amplitude that a linear step may go
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
-Report = Callable[[str, float], None]
 
 
 class Candidate(NamedTuple):
@@ -90,22 +91,28 @@ def candidates(
     around = contexts(thin_bench, there)
     sudden = [effect for effect in effects if any(p.jumps for p in effect.parameters)]
     gradual = [effect for effect in effects if effect not in sudden]
-    led, bare = promised(thin_bench, there, around, gradual, report, workers)
+    trying = part(report, 0.0, TRYING if not sudden else 0.5 * TRYING)
+    led, bare = promised(thin_bench, there, around, gradual, trying, workers)
     if sudden:
         by_part = by_most(thin_bench, there)
-        more = promised(thin_bench, by_part, around, sudden, report, workers)
+        trying = part(report, 0.5 * TRYING, TRYING)
+        more = promised(thin_bench, by_part, around, sudden, trying, workers)
         led, bare = led + more.led, bare + more.bare
     firsts = [pair[0] for pair in led]
     seconds = [pair[1] for pair in led if len(pair) > 1]
     begin = [*firsts, *_cheapest(seconds, SECOND), *_cheapest(bare, BARE)]
     models = [one.model for one in sorted(begin, key=lambda one: one.cost)]
     best: list[Candidate] = []
-    for rounds, kept, hopeless in zip(ROUNDS, SETTINGS.kept, SETTINGS.hopeless, strict=True):
+    begun = TRYING
+    for rounds, kept, hopeless, done in zip(
+        ROUNDS, SETTINGS.kept, SETTINGS.hopeless, FITTING, strict=True
+    ):
+        fitting, begun = part(report, begun, done), done
 
         def fitted(model: Model, rounds: int = rounds) -> Candidate:
             return _candidate(thin_bench, around, model, rounds)
 
-        best = _best_of_each(_each(fitted, models, report, "fitting candidates", workers))[:kept]
+        best = _best_of_each(_each(fitted, models, fitting, "fitting candidates", workers))[:kept]
         models = [one.fit.model for one in best if one.cost < hopeless * best[0].cost]
 
     def finished(model: Model) -> Candidate:
@@ -114,7 +121,8 @@ def candidates(
             (_candidate(dataset, about, one, LONG) for one in begun), key=lambda one: one.cost
         )
 
-    done = list(_each(finished, models, report, "finishing the best", workers))
+    finishing = part(report, FITTING[-1], 1.0)
+    done = list(_each(finished, models, finishing, "finishing the best", workers))
     rest = [
         _scored(dataset, simulated(dataset, about, one.fit.model)) for one in best[len(models) :]
     ]

@@ -26,6 +26,10 @@ class Settings:
     reversal_noise: float = 3.0  # minimum reversal size, in sigma of a travel's noise
     equal_error: float = 12.0  # noise variances by which two places of a reversal fit alike
     corner: float = 0.4  # least over largest curvature about a reversal; below it is a corner
+    hidden_tension: float = 4.0  # sigma: a tension so far off shows a motion that travel hides,
+    hidden_again: float = 2.0  # until it is no further off than that;
+    hidden_travel: float = 3.0  # sigma: the motion may be so far from the measured travel,
+    hidden_share: float = 0.3  # of the samples at most: more are no noise
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 
     # when a record starts slack, and where it is taut then (model.py, dataset.py)
@@ -57,7 +61,6 @@ class Settings:
     margin: float = 15.0  # log-likelihood ratio less the BIC penalty (Schwarz 1978)
     gain_min: float = 0.04  # by which it lowers the error
     confidence: float = 0.98  # share of bootstrap resamples in which it is better
-    causes_max: int = 3  # one on top of the other
     explained: float = 0.25  # of the error beyond noise that may be left by named effects
     free_friction: float = 0.3  # of what a step or drift leaves, left by friction free over time:
     # less, and the friction wanders

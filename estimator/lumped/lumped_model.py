@@ -185,11 +185,60 @@ def constants_of(physics: Physics) -> Array:
     return _packed(scalars, p.tip_compliance, p.weights * p.compliance, float(p.friction[0]))
 
 
-def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced: bool) -> Motion:
-    constants, samples = constants_of(physics), np.empty((len(time), SAMPLE))
+class Drivable:
+    """A tendon that is driven by a travel or a tension in turn, from any of its samples on.
+
+    Parameters
+    ----------
+    physics : Physics
+        What is driven; its speed-dependent parts must be neutral.
+    time : ndarray
+        [s], shape (n,), rising.
+    """
+
+    def __init__(self, physics: Physics, time: Array) -> None:
+        self._constants, self._samples = _ready(physics, time)
+        self._memory = start(self._constants, physics.start, *self._samples[0, [STRETCH, OFFSET]])
+        self._done = 0
+
+    def by_travel(self, travel: Array, begin: int) -> Array:
+        """Return T_in [N] from sample `begin` on under a `travel` [m], shape (n - begin,)."""
+        memory = self._reached(travel, begin).copy()
+        return self._advanced(memory, travel[begin:], begin, forced=False)[:, 0]
+
+    def by_tension(self, travel: Array, begin: int, tension: Array) -> tuple[Array, Array]:
+        """Return q_p [m] and dq_p/dT_in [m/N] under a tension [N] from `begin` on, shape of it.
+
+        Before, it is driven by `travel` [m].
+        """
+        memory = self._reached(travel, begin).copy()
+        memory[_DRIVEN] = np.nan
+        motion = self._advanced(memory, tension, begin, forced=True)
+        return motion[:, 2], motion[:, 4]
+
+    def _reached(self, travel: Array, begin: int) -> Array:
+        """Return the state after the samples before `begin`, driven by `travel`."""
+        self._advanced(self._memory, travel[self._done : begin], self._done, forced=False)
+        self._done = begin
+        return self._memory
+
+    def _advanced(self, memory: Array, drive: Array, begin: int, *, forced: bool) -> Array:
+        samples = self._samples[begin : begin + len(drive)].copy()
+        samples[:, TARGET] = drive
+        return np.asarray(advance(self._constants, memory, samples, _UNTOLD, forced, _SMALLEST))
+
+
+def _ready(physics: Physics, time: Array) -> tuple[Array, Array]:
+    """Return the constants of a tendon and its samples, undriven yet."""
+    samples = np.zeros((len(time), SAMPLE))
     samples[:, DT] = np.diff(time, prepend=time[0])
     samples[:, FRICTION], samples[:, STRETCH] = physics.friction, physics.stretch
     samples[:, OFFSET], samples[:, COMPLIANCE] = physics.tip_offset, physics.tip_compliance
+    return constants_of(physics), samples
+
+
+def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced: bool) -> Motion:
+    constants, samples = _ready(physics, time)
     samples[:, TARGET], samples[:, SPEED] = drive, rate
     memory = start(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
     if len(physics.earlier):

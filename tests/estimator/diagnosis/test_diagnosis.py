@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis import record
-from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis.baseline import again, baseline
 from estimator.diagnosis.dataset import (
     contexts,
     contexts_without,
@@ -14,8 +14,9 @@ from estimator.diagnosis.dataset import (
     simulated,
     thin,
 )
-from estimator.diagnosis.engine import diagnose, quiet
+from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.progress import quiet
 from estimator.diagnosis.record import RecordError, prepare
 from estimator.diagnosis.search import THIN, promised
 from estimator.diagnosis.settings import SETTINGS
@@ -95,7 +96,8 @@ def test_a_second_cause_is_looked_for_by_no_slope_in_the_time_of_a_sudden_one():
     sudden, drag = (next(e for e in CATALOGUE if e.name == name) for name in hide)
     begun = (sudden, tuple(made.truth["friction_step"].values()))
     bench = dataset_of([prepare(made.time, dict(made.channels))])
-    fit = baseline(bench, (begun,))
+    plain = baseline(bench)
+    fit = again(bench, plain._replace(model=plain.model._replace(effects=(begun,))))
     bench = rescaled(bench, fit)
     bench = thin(bench, THIN)
     fit = simulated(bench, contexts_without(bench, fit), fit.model)

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden.campaign import Case, judge
+from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare
 from estimator.effects import CATALOGUE, NAMES
 from tests import hidden
+from tests.hidden.play_grid import make_grid
 
 SHORT = {"duration": 30.0, "rate": 50.0}
 RIVALS = 2  # causes beside the true ones, in a case
@@ -51,8 +54,10 @@ NOISY = [  # white noise on both travels: 0.4 N behind a reversal
 ]
 NOISY_EFFECTS = [
     Case(63, (name,), 1.0, "spring", 40.0, 100.0, 5e-7)
-    for name in ("friction_step", "viscous_friction", "creep", "distal_tension_gain")
+    for name in hidden.EFFECTS
+    if "spring" in hidden.VISIBLE[name]
 ]
+GRID = [(1, "blocked", 100.0, 5e-6), (2, "spring", 50.0, 1e-6), (3, "blocked", 500.0, 5e-7)]
 
 
 def named(case):
@@ -83,6 +88,14 @@ def test_noise_of_the_travel_is_no_cause(case):
     found = judge(case, oracle=False)
     print(found)
     assert found.verdict == Verdict.CLEAN
+
+
+@pytest.mark.parametrize(("seed", "bench", "rate", "noise"), GRID)
+def test_strokes_at_random_on_a_grid_of_plays_are_clean(seed, bench, rate, noise):
+    made = make_grid(seed, bench, duration=40.0, rate=rate, travel_noise=noise)
+    found = diagnose([prepare(made.time, dict(made.channels))])
+    assert found.verdict == Verdict.CLEAN
+    assert found.parameters["K"].low <= made.K <= found.parameters["K"].high
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from estimator.diagnosis.drive import encoder_noise, travel_drive, turning_points
+from estimator.diagnosis.channel_noise import white_noise
+from estimator.diagnosis.drive import travel_drive, turning_points
 from estimator.diagnosis.smoothing import smooth
 
 SIGMAS = [1e-7, 1e-6, 5e-6]
@@ -28,7 +29,7 @@ def test_a_drive_is_nearer_to_the_motion_than_what_was_measured(rate, sigma):
     _, true = motion(rate)
     rng = np.random.default_rng(1)
     measured = true + sigma * rng.standard_normal(len(true))
-    found = travel_drive(measured, encoder_noise(measured)).signal
+    found = travel_drive(measured, white_noise(measured)).signal
     assert np.sqrt(np.mean((found - true)[100:-100] ** 2)) < 0.75 * sigma
 
 
@@ -39,7 +40,7 @@ def test_noise_makes_no_turns_and_hides_none(rate, sigma):
     turns = len(turning_points(true, 1e-5))
     for seed in range(3):
         measured = true + sigma * np.random.default_rng(seed).standard_normal(len(true))
-        drive = travel_drive(measured, encoder_noise(measured))
+        drive = travel_drive(measured, white_noise(measured))
         assert turns - 1 <= len(turning_points(drive.signal, drive.jitter)) <= turns + 3
 
 
@@ -60,7 +61,7 @@ def test_noise_is_told_apart_from_motion():
     _, true = motion(200.0)
     for sigma in SIGMAS:
         measured = true + sigma * np.random.default_rng(0).standard_normal(len(true))
-        assert encoder_noise(measured) == pytest.approx(sigma, rel=0.15)
+        assert white_noise(measured) == pytest.approx(sigma, rel=0.15)
 
 
 def test_without_noise_nothing_is_smoothed():

@@ -1,0 +1,50 @@
+"""The white noise of a channel, told from the motion in it and from coarse steps of its reading."""
+
+import math
+
+import numpy as np
+
+from estimator.array_types import Array
+
+ORDERS = (2, 3, 4, 5, 6)  # of the differences that it is taken from
+BLOCK = 20  # differences of which one root mean square is taken
+RESTS = 0.25  # of the blocks without any change: the reading has steps, and no noise
+
+
+def white_noise(signal: Array) -> float:
+    """Return the standard deviation of a channel's white noise, in its unit.
+
+    White noise contributes equally to (normalised) differences of every order, motion less to
+    higher ones, so the least of several orders is taken. Of each order it is the median over short
+    blocks of their root mean square: bursts of motion do not count, and a reading in steps coarser
+    than its noise still tells it, where a median of the differences themselves would be no or one
+    step. A reading that rests without any change has none.
+
+    Parameters
+    ----------
+    signal : ndarray
+        Shape (n,), evenly sampled, n >= 50.
+    """
+    return min(_from_order(signal, m) for m in ORDERS)
+
+
+def _from_order(signal: Array, order: int) -> float:
+    off = np.diff(signal, order)
+    count = max(len(off) // BLOCK, 1)
+    blocks = off[: count * BLOCK].reshape(count, -1)
+    scatter = np.sqrt(np.mean(blocks**2, axis=1))
+    if not np.quantile(scatter, RESTS) > 0.0:
+        return 0.0
+    return float(np.median(scatter)) / math.sqrt(math.comb(2 * order, order)) / _median(order)
+
+
+def _median(order: int) -> float:
+    """Return the median of a block's root mean square over its expectation.
+
+    That of chi-square (Wilson and Hilferty, PNAS 17, 1931), with as many degrees of freedom as the
+    differences, which correlate by C(2m, m+k)/C(2m, m), leave of a block (Bartlett 1946).
+    """
+    half = math.comb(2 * order, order)
+    correlated = sum((math.comb(2 * order, order + k) / half) ** 2 for k in range(1, order + 1))
+    freedom = BLOCK / (1.0 + 2.0 * correlated)
+    return (1.0 - 2.0 / (9.0 * freedom)) ** 1.5

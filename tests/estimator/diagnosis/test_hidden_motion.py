@@ -1,0 +1,56 @@
+"""The tension tells a motion that the travel's noise hides, and no more than that."""
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis.baseline import again, baseline
+from estimator.diagnosis.dataset import dataset_of
+from estimator.diagnosis.engine import simulated_by
+from estimator.diagnosis.hidden_motion import with_hidden_motion
+from estimator.diagnosis.record import prepare, with_driver_noise
+from estimator.diagnosis.score import errors
+from tests import hidden
+from tests.hidden.play_grid import make_grid
+
+TENSION, TRAVEL = "proximal_tension", "proximal_displacement"
+
+
+def before_and_after(time, channels):
+    """Return a record as the noise of its travel leaves it, and with its hidden motion."""
+    record = prepare(time, dict(channels))
+    dataset = dataset_of([record])
+    plain = baseline(dataset)
+    record = with_driver_noise(record, simulated_by(plain, dataset, record))
+    plain = again(dataset_of([record]), plain)
+    return record, with_hidden_motion(record, plain.model.shared, plain.model.own[0])
+
+
+def excess(record):
+    """Return the mean square of what the plain law leaves of both tensions, in their noise."""
+    dataset = dataset_of([record])
+    found = errors(dataset, baseline(dataset), held_out=False)
+    return [found[channel].mean for channel in (TENSION, "distal_tension")]
+
+
+@pytest.mark.parametrize(("bench", "rate"), [("blocked", 100.0), ("spring", 50.0)])
+def test_with_the_motion_beneath_the_noise_the_plain_law_leaves_noise_alone(bench, rate):
+    made = make_grid(1, bench, duration=60.0, rate=rate, travel_noise=5e-6)
+    before, after = before_and_after(made.time, made.channels)
+    driven = before.good[TENSION] & ~after.good[TENSION]
+    assert 0.01 < driven.mean() < 0.15
+    assert max(excess(before)) > 1.6 or bench == "spring"
+    assert max(excess(after)) < 1.4
+
+
+def test_a_travel_without_noise_hides_nothing():
+    made = make_grid(1, duration=30.0, rate=100.0)
+    before, after = before_and_after(made.time, made.channels)
+    assert after is before
+
+
+@pytest.mark.parametrize("effect", ["friction_step", "viscous_friction", "creep"])
+def test_what_is_wrong_with_a_bench_is_not_taken_for_motion(effect):
+    made = hidden.make(63, effect, bench="spring", duration=40.0, rate=100.0, travel_noise=5e-7)
+    before, after = before_and_after(made.time, made.channels)
+    assert (before.good[TENSION] & ~after.good[TENSION]).mean() < 0.1
+    assert np.abs(after.drive - before.drive).max() < 10 * before.noise[TRAVEL]
