@@ -1,17 +1,24 @@
 """How to cite this software, from CITATION.cff."""
 
+import sysconfig
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-_HERE = Path(__file__).parent
-PLACES = (_HERE / "CITATION.cff", _HERE.parent / "CITATION.cff")  # of the wheel, of the sources
+NAME = "CITATION.cff"
+PLACES = (
+    Path(__file__).parents[1] / NAME,  # of the sources
+    Path(sysconfig.get_path("data")) / "share" / "tendon-teleop" / NAME,  # of an installed wheel
+)
 
 
 def citations() -> tuple[str, ...]:
     """Return the references to be cited: the software, then the papers that it names."""
-    path = next(place for place in PLACES if place.is_file())
+    path = next((place for place in PLACES if place.is_file()), None)
+    if path is None:
+        return (f"tendon-teleop {version('tendon-teleop')} ({NAME} is not in this installation)",)
     tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     software = (
         f"{_authors(tree)}. {tree['title']} (version {tree['version']}) [software]. "

@@ -34,7 +34,7 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
-from estimator.diagnosis.prediction import left_out, predicted
+from estimator.diagnosis.prediction import as_driven, left_out, predicted
 from estimator.diagnosis.progress import Report, part, quiet
 from estimator.diagnosis.record import (
     Record,
@@ -390,7 +390,8 @@ def _outcome(
         one.name: Number(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
         for one in parameters(full, contexts(dataset, plain), last)
     }
-    further = predicted(first_law, last if steps else first_law, validate)
+    known = as_driven(validate, first_law)
+    further = predicted(first_law, last if steps else first_law, known)
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
     return Diagnosis(
         verdict=verdict,

@@ -67,7 +67,7 @@ def with_hidden_motion(record: Record, shared: tuple[float, ...], own: tuple[flo
     if not driven.any():
         return record
     good = record.good | {PROXIMAL_TENSION: record.good[PROXIMAL_TENSION] & ~driven}
-    first = float(record.time[int(np.argmax(driven))])
+    first = record.start + float(record.time[int(np.argmax(driven))])
     return replace(
         record,
         drive=drive + own[0],

@@ -1,15 +1,24 @@
 """Records that a model was not fitted to, predicted by it: validation, and leave-one-file-out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.diagnosis.dataset import Dataset, Fit, contexts, dataset_of, rescaled, whole
+from estimator.diagnosis.dataset import (
+    Dataset,
+    Fit,
+    contexts,
+    contexts_without,
+    dataset_of,
+    rescaled,
+    whole,
+)
 from estimator.diagnosis.fit import improved, own_only
-from estimator.diagnosis.model import Simulated
-from estimator.diagnosis.record import Record
+from estimator.diagnosis.hidden_motion import with_hidden_motion
+from estimator.diagnosis.model import Simulated, simulate
+from estimator.diagnosis.record import Record, with_driver_noise
 
 ROUNDS = 12  # of a fit to the other files
 
@@ -72,6 +81,30 @@ def predicted(plain: Fit, fit: Fit, records: Sequence[Record]) -> tuple[Predicte
     return tuple(
         Predicted(*row)
         for row in zip(dataset.records, before.simulated, after.simulated, strict=True)
+    )
+
+
+def as_driven(records: Sequence[Record], plain: Fit) -> tuple[Record, ...]:
+    """Return records that were not fitted with what the noise of their drive does, as fitted ones.
+
+    `plain` is the plain law, fitted to other records.
+    """
+    if not records:
+        return ()
+    dataset = whole(dataset_of(records))
+    fit = own_only(dataset, plain)
+    about = contexts_without(dataset, fit)
+
+    def again(k: int) -> Callable[[Record], Simulated]:
+        return lambda other: simulate(other, about[k], fit.model.shared, fit.model.own[k], ())
+
+    noisy = [with_driver_noise(record, again(k)) for k, record in enumerate(records)]
+    if all(new is old for new, old in zip(noisy, records, strict=True)):
+        return tuple(records)
+    own = own_only(whole(dataset_of(noisy)), plain).model.own
+    return tuple(
+        with_hidden_motion(record, plain.model.shared, one)
+        for record, one in zip(noisy, own, strict=True)
     )
 
 
