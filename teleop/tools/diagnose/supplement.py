@@ -28,8 +28,8 @@ from teleop.tools.report.page import Page
 SYMBOLS = (
     "T tension at the friction coordinate s, from 0 at the housing to K at the tip; q_p, q_d "
     "travel at the housing and at the tip; e elongation; L/EA compliance of the tendon; c "
-    "compliance of the load at the tip; v sliding speed; t time from the first sample; x a signal, "
-    "r its reading."
+    "compliance of the load at the tip; v sliding speed; F friction per unit of s; t time from the "
+    "first sample; x a signal, r its reading; a, κ and σ inner states."
 )
 
 
