@@ -35,6 +35,10 @@ class Answers:
         del report
         self._made += 1
 
+    def get_input(self, number: int, length: int) -> bytes:
+        """Return a state without any flag."""
+        return bytes([number]).ljust(length, b"\0")
+
     def get_feature(self, number: int, length: int) -> bytes:
         """Return that it was made."""
         return bytes([number, self._made, 1]).ljust(length, b"\0")

@@ -13,9 +13,10 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from benchmarks.kernel import image
 from benchmarks.kernel.cases import CASES
@@ -23,12 +24,14 @@ from benchmarks.kernel.kernel import MissingError, emulator, kernel
 from benchmarks.kernel.machine import Machine
 
 _LATE = ("hidraw", "multiprocessing.popen_fork", "encodings.utf_8_sig")  # imported while it runs
-_PATIENCE = 400.0  # [s]
+SILENCE_MAX_S = 120.0  # of the processor's time that a machine works without a result
+HANGING_S = 120.0  # of the wall in which it gets no work done at all
 _MACHINES_MAX = 2
 
 
 def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
     """Try these devices; return how much has failed."""
+    start = time.monotonic()
     qemu = emulator()
     vmlinuz, modules = kernel()
     initrd = folder / "initrd"
@@ -49,26 +52,64 @@ def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
             )
             for k in range(count)
         ]
-        _follow(machines, results)
-        if sum(line["check"] == "end" for line in results) < count:
-            results.append({"check": "end", "trouble": "a machine did not come to its end"})
-            _show(results[-1])
+        for line in follow(machines):
+            results.append(line)
+            _show(line)
         if failed := sum("trouble" in line for line in results):
             print(*(machine.console for machine in machines), sep="\n")
-    print(f"{len(results)} checks, {failed} failed")
+    print(f"{len(results)} checks, {failed} failed, {time.monotonic() - start:.0f} s")
     return failed
 
 
-def _follow(machines: list[Machine], results: list[dict[str, Any]]) -> None:
-    """Print and keep each line as it comes."""
-    end = time.monotonic() + _PATIENCE
-    running = True
-    while running and time.monotonic() < end:
-        running = any(machine.runs for machine in machines)
-        for line in [line for machine in machines for line in machine.news()]:
-            results.append(line)
-            _show(line)
-        time.sleep(0.1)
+class Guest(Protocol):
+    """A machine that runs checks."""
+
+    @property
+    def runs(self) -> bool:
+        """Whether it has not ended yet."""
+
+    @property
+    def worked_s(self) -> float:
+        """Processor time that it has used [s]."""
+
+    def news(self) -> list[dict[str, Any]]:
+        """Return the results that have come since the last call."""
+
+
+def follow(
+    machines: Sequence[Guest],
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Iterator[dict[str, Any]]:
+    """Yield each result as it comes, and one for each machine that did not come to its end.
+
+    A machine is given up that has worked for `SILENCE_MAX_S` without a result, however long a busy
+    host took over that.
+    """
+    heard = [(clock(), machine.worked_s) for machine in machines]
+    worked = list(heard)
+    last = ["the start"] * len(machines)
+    left = set(range(len(machines)))
+    while left:
+        for k in sorted(left):
+            runs = machines[k].runs  # before its news: what it said at its end is not missed
+            for line in machines[k].news():
+                heard[k] = clock(), machines[k].worked_s
+                last[k] = f"{line.get('device', '')} {line['check']}".strip()
+                yield line
+            now_s, work_s = clock(), machines[k].worked_s
+            if work_s > worked[k][1]:
+                worked[k] = now_s, work_s
+            silent_s, worked_s = now_s - heard[k][0], work_s - heard[k][1]
+            if runs and worked_s < SILENCE_MAX_S and now_s - worked[k][0] < HANGING_S:
+                continue
+            left.remove(k)
+            if last[k] != "end":
+                why = f"no result for {silent_s:.0f} s, {worked_s:.0f} s of work"
+                why = why if runs else "it ended too early"
+                trouble = f"machine {k + 1} did not come to its end: {why}, after {last[k]}"
+                yield {"check": "end", "trouble": trouble}
+        sleep(0.1)
 
 
 def _show(line: dict[str, Any]) -> None:

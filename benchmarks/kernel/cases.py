@@ -28,6 +28,7 @@ class Case(NamedTuple):
     forces: tuple[str, ...] = ()
     signs: tuple[int, ...] = ()
     force: Callable[[int], Shares] = lambda _n: ()
+    centres: bool = False  # by itself, from power on until the driver begins
     counts: int = 32767  # of an input from the middle to the end; a decoded share is that exact
 
     def device(self) -> VirtualDevice:
@@ -72,7 +73,8 @@ CASES = (
     Case("openffboard", "pid", "hid-generic", _XY, (), _XY, (1, 1), _pushes),
     Case("openffboard-wheel", "pid", "hid-generic", ("x",), (), ("x",), (1,), _one_push),
     Case("arduino", "pid", "hid-generic", _XY, (), _XY, (-1, -1), _pushes),
-    Case("rhino", "pid", "hid-generic", _XY, (), _XY, (1, 1), _pushes, 4096),
+    Case("sidewinder", "pid", "hid-generic", _XY, (), _XY, (-1, -1), _pushes, centres=True),
+    Case("rhino", "pid", "hid-generic", _XY, (), _XY, (1, 1), _pushes, counts=4096),
     Case(
         "dualsense",
         "dualsense",
@@ -82,7 +84,7 @@ CASES = (
         ("l2", "r2"),
         (1, 1),
         _resistances,
-        127,
+        counts=127,
     ),
     Case(
         "spacemouse",

@@ -43,6 +43,8 @@ _PROBE_SHARE = 0.2
 _SETTLE_S = 0.05
 _APPEAR_S = 5.0
 
+_REPORT_POWER = ("openffboard", "sidewinder", "rhino")
+
 Figures = dict[str, str]
 Check = Callable[[Case, Plugged], Figures]
 
@@ -73,9 +75,45 @@ def beside_kernel(case: Case, rig: Plugged) -> Figures:
     """What the kernel's hid-pidff writes at plug-in leaves no force, and us a device that works."""
     with _node(case) as node:
         pidff.play(node, case)
-    if any(any(push.force) for push in rig.pushes()):
+    if not case.centres and any(any(push.force) for push in rig.pushes()):
         raise WrongError("it pushed before anyone asked for a force")
     return {"hid-pidff": "played"}
+
+
+def centring(case: Case, rig: Plugged) -> Figures:
+    """Its own spring ends when it is opened, and stays away: a moving hand feels nothing."""
+    _wait(lambda: any(rig.pushes()[-1].force), "it does not centre by itself")
+    for start in ("first", "second"):
+        hid = _open(case)
+        opened = time.monotonic()
+        try:
+            _read(hid, 10 * _SETTLE_S)
+        finally:
+            hid.close()
+        time.sleep(_SETTLE_S)
+        if any(any(push.force) for push in rig.pushes() if push.time > opened):
+            raise WrongError(f"it pushed by itself after its {start} start")
+    return {"moving hand": "feels nothing"}
+
+
+def actuators(case: Case, rig: Plugged) -> Figures:
+    """Power that goes is a fault with that reason; back, it is read again and pushes nothing."""
+    hid = _open(case)
+    try:
+        _drive(hid, case, 0.2)
+        rig.power(on=False)
+        _until(hid, fails=True, saying="no power")
+        rig.power(on=True)
+        on = time.monotonic()
+        back = _until(hid, fails=False) - on
+        time.sleep(_SETTLE_S + ABANDONED_S)
+        if any(rig.pushes()[-1].force):
+            raise WrongError("it pushed by itself when its power was back")
+        _read(hid, _SETTLE_S)
+    finally:
+        hid.close()
+    _silent(rig)
+    return {"fault": "no power", "back after": _ms(back)}
 
 
 def signs(case: Case, rig: Plugged) -> Figures:
@@ -108,7 +146,7 @@ def loop(case: Case, rig: Plugged) -> Figures:
     decoded: list[Shares] = []
     sent: list[Sent] = []
     with _node(case) as node:
-        driver = DRIVERS[case.driver].make(_search(case).item, node.descriptor(), PidConfig())
+        driver = DRIVERS[case.driver].make(_search(case).item, node.descriptor(), PidConfig(), None)
         driver.begin(node)
         places = [driver.axes.index(name) for name in case.inputs]
         controls = Controls((0.0,) * len(driver.axes), 0, 0)
@@ -121,8 +159,9 @@ def loop(case: Case, rig: Plugged) -> Figures:
             for tick in grid:
                 now = time.monotonic()
                 for report in node.drain():
-                    controls = driver.decode(controls, report)
-                    decoded.append(tuple(controls.axes[place] for place in places))
+                    last, controls = controls, driver.decode(controls, report)
+                    if controls.axes != last.axes:  # a report of the inputs, not of the state
+                        decoded.append(tuple(controls.axes[place] for place in places))
                 sent.append(Sent(time.monotonic(), case.force(tick.index)))
                 reports, written = writer.step(driver, written, sent[-1].force, now)
                 for report in reports:
@@ -150,8 +189,8 @@ def device(case: Case, rig: Plugged) -> Figures:
     """The same through `HidDevice`: in metres and newtons, with a thread of its own that writes."""
     sent: list[Sent] = []
     read: list[Shares] = []
-    before = len(rig.pushes())
     hid = _open(case)
+    before = len(rig.pushes())
     try:
         grid = Grid(RATE_HZ, stop=lambda: len(sent) >= READS_BY_DEVICE)
         with quiet_garbage():
@@ -187,8 +226,10 @@ def replug(case: Case, rig: Plugged) -> Figures:
         missed = _until(hid, fails=True) - out
         back = rig.plug()
         again = _until(hid, fails=False) - back
+        opened = time.monotonic()
         time.sleep(_SETTLE_S)
-        if any(any(push.force) for push in rig.pushes()):
+        pushes = [push for push in rig.pushes() if push.time > opened or not case.centres]
+        if any(any(push.force) for push in pushes) or any(rig.pushes()[-1].force):
             raise WrongError("it pushed by itself when it was back")
         figures = {"missed after": _ms(missed), "back after": _ms(again)}
         if case.forces:
@@ -224,10 +265,14 @@ def killed(case: Case, rig: Plugged) -> Figures:
 
 def checks_for(case: Case) -> tuple[Check, ...]:
     """Return what is tried on a device, in order."""
-    pid = (beside_kernel,) if case.driver == "pid" else ()
     if not case.forces:
         return found, descriptor, loop, device, replug
-    return (found, descriptor, *pid, signs, loop, device, replug, killed)
+    usual = signs, loop, device, replug, killed
+    if case.driver != "pid":
+        return found, descriptor, *usual
+    own = (centring,) if case.centres else ()
+    state = (actuators,) if case.name in _REPORT_POWER else ()
+    return found, descriptor, beside_kernel, *own, *usual, *state
 
 
 def _push_for_ever(case: Case) -> None:
@@ -289,14 +334,22 @@ def _drive(hid: HidDevice, case: Case, span: float) -> None:
         hid.write(_newtons(case, case.force(tick.index)))
 
 
-def _until(hid: HidDevice, *, fails: bool) -> float:
-    """Read until that fails, or works again; return when it did [s]."""
+def _read(hid: HidDevice, span: float) -> None:
+    end = time.monotonic() + span
+    for tick in Grid(RATE_HZ, stop=lambda: time.monotonic() > end):
+        hid.read(tick.index / RATE_HZ)
+
+
+def _until(hid: HidDevice, *, fails: bool, saying: str = "") -> float:
+    """Read until that fails, `saying` why, or works again; return when it did [s]."""
     end = time.monotonic() + _APPEAR_S
     for tick in Grid(RATE_HZ, stop=lambda: time.monotonic() > end):
         try:
             hid.read(tick.index / RATE_HZ)
-        except DeviceFault:
+        except DeviceFault as fault:
             failed = True
+            if saying not in str(fault):
+                raise WrongError(f"it failed otherwise: {fault}") from fault
         else:
             failed = False
         if failed is fails:

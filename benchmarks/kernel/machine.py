@@ -1,6 +1,7 @@
 """One virtual machine: booted, listened to, and gone again."""
 
 import json
+import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ class Machine:
         folder.mkdir()
         self._results, self._console = folder / "results", folder / "console"
         self._results.touch()
-        self._lines_read = 0
+        self._lines_read, self._worked_s = 0, 0.0
         self._process = subprocess.Popen(
             [
                 qemu,
@@ -61,6 +62,17 @@ class Machine:
     def runs(self) -> bool:
         """Whether it has not ended yet."""
         return self._process.poll() is None
+
+    @property
+    def worked_s(self) -> float:
+        """Processor time that it has used [s]; of Linux."""
+        try:
+            status = Path(f"/proc/{self._process.pid}/stat").read_text()
+        except OSError:  # it is gone
+            return self._worked_s
+        user, system = status.rpartition(")")[2].split()[11:13]
+        self._worked_s = (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+        return self._worked_s
 
     @property
     def console(self) -> str:

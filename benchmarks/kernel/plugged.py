@@ -51,6 +51,10 @@ class Plugged:
         """Return the reports it could make nothing of."""
         return list(self._tell("refused"))
 
+    def power(self, *, on: bool) -> None:
+        """Switch the power of its motors."""
+        self._tell("power on" if on else "power off")
+
     def _tell(self, word: str) -> Any:
         self._ask.send(word)
         return self._ask.recv()
@@ -74,6 +78,8 @@ def _live(powered_on: VirtualDevice, hand: Hand, asked: Connection) -> None:
             elif word == "plug" and uhid is None:
                 device = copy.deepcopy(powered_on)
                 uhid = Uhid(device)
+            elif word.startswith("power "):
+                device.powered = word == "power on"
             asked.send(getattr(device, word, time.monotonic()))
         if now >= due:
             hand(device, number)

@@ -11,6 +11,7 @@ from tests.hid.virtual.device import VirtualDevice
 
 _DESTROY, _OUTPUT, _GET_REPORT, _GET_REPORT_REPLY = 1, 6, 9, 10
 _CREATE2, _INPUT2, _SET_REPORT, _SET_REPORT_REPLY = 11, 12, 13, 14
+_INPUT_REPORT = 2  # kind of report that is got
 _LARGEST = 4380
 _DATA_MAX = 4096
 _EIO = 5
@@ -63,8 +64,10 @@ class Uhid:
             (size,) = struct.unpack_from("=H", event, 4 + _DATA_MAX)
             self._device.output(now, event[4 : 4 + size])
         elif kind == _GET_REPORT:
-            number, report = struct.unpack_from("=IB", event, 4)
-            answer = self._device.get_feature(now, report)
+            number, report, kind = struct.unpack_from("=IBB", event, 4)
+            device = self._device
+            ask = device.get_input if kind == _INPUT_REPORT else device.get_feature
+            answer = ask(now, report)
             head = struct.pack("=IHH", number, 0 if answer else _EIO, len(answer or b""))
             self._write(_GET_REPORT_REPLY, head + (answer or b""))
         elif kind == _SET_REPORT:

@@ -47,4 +47,4 @@ def _median(order: int) -> float:
     half = math.comb(2 * order, order)
     correlated = sum((math.comb(2 * order, order + k) / half) ** 2 for k in range(1, order + 1))
     freedom = BLOCK / (1.0 + 2.0 * correlated)
-    return (1.0 - 2.0 / (9.0 * freedom)) ** 1.5
+    return math.pow(1.0 - 2.0 / (9.0 * freedom), 1.5)

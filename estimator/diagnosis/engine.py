@@ -124,6 +124,7 @@ def diagnose(
     if not fit_all and _brief(dataset, plain):
         dataset = dataset_of([in_short_blocks(record) for record in dataset.records])
         plain = again(dataset, plain)
+    plain = again(rescaled(dataset, plain), plain)  # weighed as its rivals will be
     usable = [effect for effect in effects if effect.needs <= set(records[0].signals)]
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()

@@ -24,7 +24,7 @@ from estimator.diagnosis.dataset import (
     simulated,
     thin,
 )
-from estimator.diagnosis.fit import improved, moved, slopes_of
+from estimator.diagnosis.fit import QUICK, improved, moved, slopes_of
 from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.progress import Report, part
 from estimator.diagnosis.score import Errors, errors
@@ -117,6 +117,9 @@ def candidates(
 
     def finished(model: Model) -> Candidate:
         begun = [model] if (inside := _off_bounds(model, about[0])) is None else [model, inside]
+        effect = model.effects[-1][0]
+        if effect.brief:
+            begun += _begun(dataset, about, fit.model, effect)
         return min(
             (_candidate(dataset, about, one, LONG) for one in begun), key=lambda one: one.cost
         )
@@ -127,6 +130,15 @@ def candidates(
         _scored(dataset, simulated(dataset, about, one.fit.model)) for one in best[len(models) :]
     ]
     return sorted(done + rest, key=lambda one: one.cost)
+
+
+def _begun(
+    dataset: Dataset, about: Sequence[EffectContext], model: Model, effect: Effect
+) -> list[Model]:
+    """Return where a few rounds on all samples lead from the starts of an effect: the best two."""
+    starts = [_with(model, effect, values) for values in effect.starts(about[0])]
+    fits = [improved(dataset, about, one, QUICK) for one in starts]
+    return [one.model for one in sorted(fits, key=lambda one: cost(dataset, one))[:2]]
 
 
 def promised(

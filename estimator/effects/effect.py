@@ -113,6 +113,8 @@ class Effect:
     correction
         Of a sensor at the housing: how its readings are put right one by one, in another session
         too; None where they cannot be.
+    brief
+        Whether it shows in the first samples of a motion only, which a thin record does not have.
     """
 
     name: str
@@ -129,6 +131,7 @@ class Effect:
     needs: frozenset[str] = frozenset()
     within: Callable[[tuple[Parameter, ...], float], tuple[Parameter, ...]] = _as_they_are
     correction: CorrectionKind | None = None
+    brief: bool = False
 
     @property
     def label(self) -> str:

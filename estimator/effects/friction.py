@@ -183,6 +183,7 @@ STICK_SLIP = Effect(
     physics=lambda physics, values, _: physics._replace(
         static=values[0], static_time=values[1], static_distance=values[2]
     ),
+    brief=True,
 )
 
 EFFECTS = (

@@ -32,7 +32,7 @@ COMMANDS = {
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
     "devices": (
         "master.devices.hid.command",
-        "list, probe and test haptic devices; print udev rules",
+        "list, probe, dump and test haptic devices; print udev rules",
     ),
     "calibrate": ("slave.calibration.command", "measure a rig's sheaths: friction and stiffness"),
     "estimate": ("teleop.tools.estimate", "estimate the distal tension in measured data"),

@@ -141,6 +141,14 @@ class Handle:
             raise OSError("read error")
         return list(report[:max_length])
 
+    def get_input_report(self, report_num: int, max_length: int) -> list[int]:
+        node = self._open()
+        with node.lock:
+            report = node.device.get_input(self._bus.clock(), report_num) if node.there else None
+        if report is None:
+            raise OSError("read error")
+        return list(report[:max_length])
+
     def get_report_descriptor(self) -> list[int]:
         node = self._open()
         if not node.there:

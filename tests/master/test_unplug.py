@@ -206,6 +206,37 @@ def test_hand_to_slave_and_back_unplugged_and_plugged_in_again(console, capsys):
     assert console.master.error is None
 
 
+def test_power_that_goes_is_a_fault_and_its_return_a_new_engagement(console, capsys):
+    console.engage()
+    console.move(0.05)
+    console.until(lambda: console.node.force()[0] < -0.05)
+    console.node.device.powered = False
+    console.until(lambda: console.side.state == State.FAULT, 100)
+    assert console.side.reason == Reason.DEVICE_FAULT
+    console.until(lambda: console.slave.state == State.FAULT)
+
+    console.node.device.powered = True  # the button was never let go of
+    console.run(500)
+    assert (console.side.state, console.slave.state) == (State.FAULT, State.FAULT)
+    assert console.node.force() == (0.0,)
+    console.engage()
+    assert "its actuators have no power" in capsys.readouterr().out
+    assert console.master.error is None
+
+
+def test_power_that_goes_before_engagement_prevents_it(console, capsys):
+    console.until(console.both(State.READY))
+    console.node.device.powered = False
+    console.until(lambda: console.side.state == State.FAULT, 100)
+    for buttons in (ENGAGE, 0, ENGAGE):
+        console.press(buttons)
+        console.run(200)
+        assert console.side.state == State.FAULT
+    assert "its actuators have no power" in capsys.readouterr().out
+    console.node.device.powered = True
+    console.engage()
+
+
 def test_the_clutch_lets_the_hand_move_alone_and_nothing_jumps(console):
     console.engage()
     console.move(0.02)

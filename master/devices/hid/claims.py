@@ -1,10 +1,26 @@
 """Registry of the nodes open in this process, so that no device is opened twice."""
 
+import os
 import threading
 from collections import Counter
+from typing import NamedTuple
 
 from master.device import DeviceFault
 from master.devices.hid.drivers import AttachedNode
+
+
+class _File(NamedTuple):
+    """Identity of a device file; not its times, as a change of permissions changes them."""
+
+    system: int
+    inode: int
+
+
+class _Claim(NamedTuple):
+    """An open device."""
+
+    identity: str
+    file: _File | None  # None on systems without device files
 
 
 class Claims:
@@ -15,7 +31,7 @@ class Claims:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._open: dict[str, str] = {}  # identity of the device at each path
+        self._open: dict[str, _Claim] = {}  # by path
         self._most: Counter[str] = Counter()  # of each identity, largest number open at once
 
     def claim(self, item: AttachedNode) -> None:
@@ -26,8 +42,8 @@ class Claims:
                     f"{item}: already in use by another device of this session; set find to a "
                     "serial number or path"
                 )
-            self._open[item.path] = item.identity
-            alike = sum(identity == item.identity for identity in self._open.values())
+            self._open[item.path] = _Claim(item.identity, _file(item.path))
+            alike = sum(claim.identity == item.identity for claim in self._open.values())
             self._most[item.identity] = max(self._most[item.identity], alike)
 
     def release(self, item: AttachedNode) -> None:
@@ -50,11 +66,23 @@ class Claims:
         """Return whether a device that came back may be any of several that were unplugged.
 
         Two devices open at once with the same identity (no serial number, or the same one) differ
-        only in their paths. If both were unplugged, each may come back at the other's path.
+        only in their paths. If both were unplugged, each may come back at the other's path. An open
+        device whose file is gone is unplugged, even if that was not noticed yet.
         """
         with self._lock:
-            here = sum(identity == item.identity for identity in self._open.values())
+            here = sum(
+                claim.identity == item.identity and claim.file == _file(path)
+                for path, claim in self._open.items()
+            )
             return self._most[item.identity] - here > 1
+
+
+def _file(path: str) -> _File | None:
+    try:
+        status = os.stat(path)
+    except OSError:
+        return None
+    return _File(status.st_dev, status.st_ino)
 
 
 CLAIMS = Claims()  # of this process

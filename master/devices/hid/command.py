@@ -1,7 +1,8 @@
-"""List, probe and test haptic devices; print the udev rules that open them.
+"""List, probe, dump and test haptic devices; print the udev rules that open them.
 
   teleop devices list                 list attached devices, drivers and permissions
   teleop devices probe 1209:ffb0      print its report descriptor and report rate
+  teleop devices dump 1209:ffb0       print its raw report descriptor, to attach to a report
   teleop devices test                 test axes and buttons, find the sign of the force
   teleop devices rules | sudo tee /etc/udev/rules.d/70-tendon-teleop.rules
 
@@ -14,12 +15,13 @@ import itertools
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
-from master.devices.hid import rules, search, signs, trial
+from master.devices.hid import console_mode, dump, rules, search, signs, trial
 from master.devices.hid.descriptor import DescriptorError, parse
 from master.devices.hid.driver import Controls
 from master.devices.hid.drivers import DRIVERS, AttachedNode
@@ -27,6 +29,7 @@ from master.devices.hid.line import DeviceConnection
 from master.devices.hid.node import Node
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.report_text import describe
+from master.devices.hid.search import FoundDevice
 from master.devices.hid.signs import ForceSign
 from teleop.errors import UsageError
 from teleop.process import seconds
@@ -49,19 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     actions.add_parser("list", help="list attached devices, drivers and permissions")
     probe = actions.add_parser("probe", help="print the report descriptor and the report rate")
+    raw = actions.add_parser("dump", help="print the raw report descriptor, for a report")
     test = actions.add_parser("test", help="test axes and buttons, find the sign of the force")
     actions.add_parser("rules", help="print udev rules that let you open haptic devices (Linux)")
     for action, purpose, duration in (
         (probe, "count reports", PROBE_S),
         (test, "watch the inputs", TEST_S),
     ):
-        action.add_argument(
-            "find",
-            nargs="?",
-            default="",
-            metavar="DEVICE",
-            help="vendor:product, serial number or path (default the only one that fits)",
-        )
+        _add_device(action)
         action.add_argument(
             "--seconds",
             type=seconds,
@@ -69,6 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             default=None,
             help=f"seconds to {purpose} (default {duration:g})",
         )
+    _add_device(raw)
+    raw.add_argument("--out", type=Path, metavar="FILE", help="write it to a file")
     test.add_argument(
         "--driver", choices=("auto", *DRIVERS), default="auto", help="driver to use (default auto)"
     )
@@ -81,6 +81,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_device(action: argparse.ArgumentParser) -> None:
+    action.add_argument(
+        "find",
+        nargs="?",
+        default="",
+        metavar="DEVICE",
+        help="vendor:product, serial number or path (default the only one that fits)",
+    )
+
+
 def main(args: argparse.Namespace) -> int:
     """Run the subcommand; returns the exit code."""
     try:
@@ -90,6 +100,8 @@ def main(args: argparse.Namespace) -> int:
             print(rules.rules(fitting(search.attached())), end="")
         elif args.action == "probe":
             print("\n".join(probe_device(select_device(args.find), args.seconds or PROBE_S)))
+        elif args.action == "dump":
+            save_dump(select_devices(args.find), args.out)
         else:
             test(args.find, args.driver, args.signs, args.seconds or TEST_S, Person())
     except DeviceFault as fault:
@@ -102,15 +114,18 @@ def format_nodes(items: Sequence[AttachedNode]) -> list[str]:
     if not items:
         return ["no HID device attached"]
     rows = [("path", "model", "driver", "may be opened", "serial", "name")]
-    for one in map(search.examine, items):
+    examined = [search.examine(item) for item in items]
+    for one in examined:
         item, driver = one.item, next(iter(one.fits), "-")
         allowed = "no: teleop devices rules" if one.not_ready_reason else "yes"
         rows.append((item.path, item.model, driver, allowed, item.serial, item.name))
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return [
+    table = [
         "  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
+    advice = [(one.item.path, one.advice) for one in examined]
+    return table + [f"{path}: {text}" for path, text in advice if text]
 
 
 def fitting(items: Sequence[AttachedNode]) -> list[tuple[int, int, str]]:
@@ -138,6 +153,25 @@ def select_device(find: str) -> AttachedNode:
         f"{find!r} is not attached" if not meant else "several devices match; give the path of one"
     )
     raise UsageError(f"{wanted}\n{table}")
+
+
+def select_devices(find: str) -> list[AttachedNode]:
+    """Return the selected device; all nodes of it if `find` matches several."""
+    meant = [item for item in search.attached() if find and search.matches(item, find)]
+    return meant or [select_device(find)]
+
+
+def save_dump(items: Sequence[AttachedNode], file: Path | None) -> None:
+    """Print the dump of each node, or write all to a file."""
+    text = "---\n".join(dump.dump(search.examine(item)) for item in items)
+    if file is None:
+        print(text, end="")
+        return
+    try:
+        file.write_text(text)
+    except OSError as error:
+        raise UsageError(f"{file}: {error.strerror}") from error
+    print(f"written to {file}")
 
 
 def probe_device(item: AttachedNode, watched_s: float) -> list[str]:
@@ -178,29 +212,39 @@ def rate(item: AttachedNode, watched_s: float) -> str:
 
 def test(find: str, driver: str, file: Path | None, watched_s: float, person: Person) -> None:
     """Guide a person through a test of all inputs and forces; save the signs found."""
+    if switched := console_mode.leave(find, driver):
+        person.write(switched)
     found = search.choose(find, driver)
     known = signs.load(file) if file is None or file.exists() else signs.Signs()
-    line = DeviceConnection(found, PidConfig())
-    try:
+    forces = DRIVERS[found.kind].make(found.item, found.descriptor, PidConfig(), None).forces
+    with _opened(found, ()) as line:
         person.write(f"{found.item}, driver {found.kind}")
         person.write(f"Move every axis to both ends and press every button ({watched_s:g} s).")
         for line_text in show_inputs(line, watched_s):
             person.write(line_text)
-        if not line.driver.forces:
-            person.write("It has no force output.")
-        for axis in line.driver.forces:
+    if not forces:
+        person.write("It has no force output.")
+    for axis in forces:
+        with _opened(found, (axis,)) as line:  # one by one, for a device with one effect
             sign = asked_sign(line, axis, person)
-            if not sign:
-                person.write(f"{axis}: sign not found; it will render no force")
-                continue
-            known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
-            signs.save(file, known)
-            person.write(f"{axis}: sign {sign:+d}, saved in {file or signs.default_path()}")
-            if not found.item.serial:
-                person.write(
-                    "It has no serial number: another device of this model, wired the other way, "
-                    "would get the same sign. Test again after replacing it."
-                )
+        if not sign:
+            person.write(f"{axis}: sign not found; it will render no force")
+            continue
+        known = known.having(ForceSign(*found.pusher, axis, 1 if sign > 0 else -1))
+        signs.save(file, known)
+        person.write(f"{axis}: sign {sign:+d}, saved in {file or signs.default_path()}")
+        if not found.item.serial:
+            person.write(
+                "It has no serial number: another device of this model, wired the other way, "
+                "would get the same sign. Test again after replacing it."
+            )
+
+
+@contextmanager
+def _opened(found: FoundDevice, pushed: tuple[str, ...]) -> Iterator[DeviceConnection]:
+    line = DeviceConnection(found, PidConfig(), pushed)
+    try:
+        yield line
     finally:
         line.end(1.0)
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from master.device import Axes, DeviceFault, DeviceLost, HandState
-from master.devices.hid import mapping, search, signs
+from master.devices.hid import console_mode, mapping, search, signs
 from master.devices.hid.claims import CLAIMS
 from master.devices.hid.config import HidConfig
 from master.devices.hid.drivers import INPUTS_ONLY, PID, AttachedNode
@@ -23,11 +23,12 @@ class OpenedDevice:
     def __init__(self, config: HidConfig, known: Signs, found: tuple[FoundDevice, ...]) -> None:
         self.lines: list[DeviceConnection] = []
         pid = config.pid if trusted(found[0], known) else PidConfig()
+        pushed = tuple(axis.name for axis in config.axes if axis.force > 0.0)
         CLAIMS.claim(found[0].item)
         self._claimed: AttachedNode | None = found[0].item
         try:
             for one in found:
-                self.lines.append(DeviceConnection(one, pid))
+                self.lines.append(DeviceConnection(one, pid, pushed))
             self.device, self.switches = self.lines[0], self.lines[-1]
             buttons = self.switches.driver.buttons
             found_signs = known.of(found[0].pusher)
@@ -59,10 +60,15 @@ class HidDevice:
 
     def __init__(self, config: HidConfig, say: Callable[[str], None] = print) -> None:
         self._config = config
+        if switched := console_mode.leave(config.find, config.driver):
+            say(switched)
         self._found: tuple[FoundDevice, ...] = (search.choose(config.find, config.driver),)
         if config.buttons.find:
             self._found += (search.choose(config.buttons.find, INPUTS_ONLY),)
         self._signs = signs.load(config.signs)
+        advice = search.examine(self._found[0].item).advice
+        if advice and any(axis.force > 0.0 for axis in config.axes):
+            raise DeviceFault(f"{self._found[0].item}: {advice}")
         opened = OpenedDevice(config, self._signs, self._found)
         self.axes = opened.plan.joints
         self._opened: OpenedDevice | None = opened
@@ -72,12 +78,14 @@ class HidDevice:
         self._time_s = 0.0
         for line in describe_device(config, self._found, self._signs):
             say(line)
+        if advice:
+            say(f"WARNING: {advice}")
 
     def read(self, time_s: float) -> HandState:
         """Return the newest hand state.
 
-        `DeviceLost` while the device is unplugged, and once after lost reports, which may have
-        contained a button change.
+        `DeviceLost` while the device is unplugged or reports that it cannot render a force, and
+        once after lost reports, which may have contained a button change.
         """
         dt, self._time_s = time_s - self._time_s, time_s
         opened = self._opened or self._returned()
@@ -94,6 +102,8 @@ class HidDevice:
         )
         if knew and not self._memory.knows:
             raise DeviceLost("reports were lost: they were not read in time")
+        if controls.actuators is not None and (faults := controls.actuators.faults):
+            raise DeviceLost(f"{opened.device.found.item}: {'; '.join(faults)}")
         return hand
 
     def write(self, force: Axes) -> None:
@@ -121,7 +131,7 @@ class HidDevice:
 
     def _open_again(self, before: frozenset[str]) -> OpenedDevice:
         device, *switches = self._found
-        back = [search.again(device, before, CLAIMS.paths())]
+        back = [console_mode.again(device, before, CLAIMS.paths())]
         if CLAIMS.is_ambiguous(device.item):
             raise DeviceFault(
                 f"{device.item}: was unplugged together with a device of the same identity, which "

@@ -7,6 +7,8 @@ A driver owns no handle, no thread and no clock; only `begin` talks to the devic
 import math
 from typing import NamedTuple, Protocol
 
+from master.devices.hid.actuators import ActuatorState
+
 Share = float  # of full scale, -1 ... 1
 
 
@@ -20,6 +22,7 @@ class Controls(NamedTuple):
     axes: tuple[Share, ...]  # in the order of `Driver.axes`; a one-sided axis is 0 ... 1
     buttons: int  # those held; bit k is button k + 1
     known: int  # mask of the buttons reported so far
+    actuators: ActuatorState | None = None  # None before the first report, or without any
 
 
 def unknown(axes: int) -> Controls:
@@ -38,6 +41,9 @@ class Features(Protocol):
 
     def get_feature(self, number: int, length: int) -> bytes:
         """Return feature report `number`, at most `length` bytes; `DeviceFault` if it has none."""
+
+    def get_input(self, number: int, length: int) -> bytes:
+        """Return input report `number`, at most `length` bytes; `DeviceFault` if it has none."""
 
 
 class Driver(Protocol):

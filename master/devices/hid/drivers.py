@@ -29,11 +29,20 @@ class AttachedNode(NamedTuple):
     interface: int = -1  # of a USB device with several
     bluetooth: bool = False
     usages: tuple[tuple[int, int], ...] = ()  # page and usage of its outermost collections
+    release: int = 0  # of the device, a number in BCD
 
     @property
     def model(self) -> str:
         """Its vendor:product."""
         return f"{self.vendor:04x}:{self.product:04x}"
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Its vendor:product in each of its modes."""
+        g923 = (logitech.G923, logitech.G923_CONSOLE)
+        if self.vendor != logitech.VENDOR or self.product not in g923:
+            return (self.model,)
+        return tuple(f"{self.vendor:04x}:{product:04x}" for product in g923)
 
     @property
     def identity(self) -> str:
@@ -55,7 +64,9 @@ class Kind(NamedTuple):
     misfit: Callable[
         [AttachedNode, bytes], str
     ]  # (device, its descriptor) -> why not; empty = fits
-    make: Callable[[AttachedNode, bytes, PidConfig], Driver]  # raises DriverError, DescriptorError
+    # of the device, its descriptor, effects of its own, and the axes to be pushed (None = all);
+    # raises DriverError, DescriptorError
+    make: Callable[[AttachedNode, bytes, PidConfig, tuple[str, ...] | None], Driver]
     forgets: bool = True  # whether a force ends by itself without writes of the host
     heartbeat: float = math.inf  # [s] largest interval between its reports
 
@@ -93,8 +104,11 @@ def _not_spacemouse(item: AttachedNode, _descriptor: bytes) -> str:
 
 
 def _not_logitech(item: AttachedNode, _descriptor: bytes) -> str:
-    fits = item.vendor == logitech.VENDOR and item.product in logitech.PRODUCTS
-    return "" if fits else "not a classic Logitech wheel"
+    if (item.vendor, item.product) == (logitech.VENDOR, logitech.G923_CONSOLE):
+        return "a G923 in console mode"
+    if item.vendor != logitech.VENDOR or item.product not in logitech.PRODUCTS:
+        return "not a classic Logitech wheel"
+    return "another interface of a Logitech wheel" if item.interface > 0 else ""
 
 
 def _not_joystick(item: AttachedNode, descriptor: bytes) -> str:
@@ -112,7 +126,7 @@ INPUTS_ONLY = "joystick"  # fallback for devices without a driver of their own
 
 # in order of preference
 DRIVERS: dict[str, Kind] = {
-    PID: Kind(_not_pid, lambda _, data, config: PidDriver(data, config)),
+    PID: Kind(_not_pid, lambda _, data, config, pushed: PidDriver(data, config, pushed)),
     "ffbeast": Kind(_not_ffbeast, lambda *_: FFBeastDriver(), forgets=False),
     "dualsense": Kind(
         _not_dualsense,
@@ -122,7 +136,9 @@ DRIVERS: dict[str, Kind] = {
     ),
     "spacemouse": Kind(_not_spacemouse, lambda *_: SpaceMouseDriver()),
     "logitech": Kind(
-        _not_logitech, lambda _item, data, _config: LogitechDriver(parse(data)), forgets=False
+        _not_logitech,
+        lambda item, data, *_: LogitechDriver(parse(data), item.product, item.release),
+        forgets=False,
     ),
-    INPUTS_ONLY: Kind(_not_joystick, lambda _item, data, _config: JoystickDriver(data)),
+    INPUTS_ONLY: Kind(_not_joystick, lambda _item, data, *_: JoystickDriver(data)),
 }

@@ -133,7 +133,7 @@ class Inputs:
             way = (bits >> offset & mask) - low
             if 0 <= way < len(ways):
                 buttons |= ways[way] << first
-        return Controls(axes, buttons, controls.known | plan.reported)
+        return Controls(axes, buttons, controls.known | plan.reported, controls.actuators)
 
 
 def _is_button(field: Field) -> bool:

@@ -3,10 +3,10 @@
 import math
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 from master.device import DeviceFault
-from master.devices.hid.driver import Controls, Share, unknown
+from master.devices.hid.driver import Controls, Driver, Share, unknown
 from master.devices.hid.drivers import DRIVERS
 from master.devices.hid.guard import Guard
 from master.devices.hid.node import QUEUE, Node
@@ -15,10 +15,17 @@ from master.devices.hid.search import FoundDevice
 from master.devices.hid.writer import Writer
 
 _FIRST_WORD_S = 1.0  # timeout for the first report of a device with a heartbeat
+_SETTLE_S = 0.1  # after opening, in which a device reports how it was reset and enabled
 
 
 class DeviceConnection:
     """Opened and set up by its constructor; raises `DeviceFault` on failure.
+
+    Parameters
+    ----------
+    pushed : tuple of str, optional
+        The axes whose force will be used, all by default: a device may have memory for a few
+        effects only.
 
     Attributes
     ----------
@@ -28,7 +35,9 @@ class DeviceConnection:
         Its driver.
     """
 
-    def __init__(self, found: FoundDevice, pid: PidConfig) -> None:
+    def __init__(
+        self, found: FoundDevice, pid: PidConfig, pushed: tuple[str, ...] | None = None
+    ) -> None:
         self.found = found
         item, kind = found.item, DRIVERS[found.kind]
         self._guard: Guard | None = None
@@ -38,10 +47,11 @@ class DeviceConnection:
             if node.descriptor() != found.descriptor:
                 raise DeviceFault(f"{item}: its report descriptor has changed; restart")
             try:
-                self.driver = kind.make(item, found.descriptor, pid)
+                self.driver = kind.make(item, found.descriptor, pid, pushed)
                 if self.driver.forces and not kind.forgets and sys.platform == "linux":
                     self._guard = Guard(item.path, self.driver.silence())
                     undo.callback(self._guard.end)
+                undo.callback(_silence, node, self.driver)  # begun in part, it may push by itself
                 self.driver.begin(node)
             except (ValueError, OSError) as error:  # DescriptorError, DriverError; of the guard
                 raise DeviceFault(f"{item}: {error}") from error
@@ -51,6 +61,7 @@ class DeviceConnection:
             undo.pop_all()
         self._node, self._heartbeat = node, kind.heartbeat
         self._heard_s: float | None = None  # [s] time of its last report
+        self._first_s: float | None = None  # [s] time of the first read
         self._writer = Writer(node, self.driver, self._beat)
 
     def read(self, time_s: float) -> Controls:
@@ -65,16 +76,26 @@ class DeviceConnection:
             raise self._writer.failure
         if self._writer.hangs:
             raise DeviceFault(f"{self.found.item}: no longer accepts forces")
+        self._forget_interruptions()
         if self._take(self._node.drain()) or self._heard_s is None:
             self._heard_s = time_s
         elif time_s - self._heard_s > self._heartbeat:
             raise DeviceFault(f"{self.found.item}: stopped sending reports")
+        self._first_s = time_s if self._first_s is None else self._first_s
+        if time_s - self._first_s < _SETTLE_S:
+            self._forget_interruptions()
         return self._controls
+
+    def _forget_interruptions(self) -> None:
+        actuators = self._controls.actuators
+        if actuators is not None and actuators.interrupted:
+            self._controls = self._controls._replace(actuators=actuators.read())
 
     def _take(self, reports: list[bytes]) -> bool:
         """Decode reports, oldest first; return whether there were any."""
         if len(reports) == QUEUE:  # newer ones may be lost, with a button release
-            self._controls = unknown(len(self.driver.axes))
+            inputs = unknown(len(self.driver.axes))
+            self._controls = inputs._replace(actuators=self._controls.actuators)
             return True
         controls, decode = self._controls, self.driver.decode
         for report in reports:
@@ -108,3 +129,9 @@ class DeviceConnection:
         """
         done = self._writer.end(patience_s)
         return (self._guard is None or self._guard.end()) and done
+
+
+def _silence(node: Node, driver: Driver) -> None:
+    for report in driver.silence():
+        with suppress(DeviceFault):
+            node.write(report)

@@ -1,7 +1,8 @@
 """Logitech's classic wheels: commands of seven bytes, no report id, a force of eight bits.
 
-hidapi expects a zero in place of the id. The wheel holds a force until the next command. Source:
-Linux hid-lg4ff.c. Wheels with the HID++ protocol (G920, G923 for Xbox, G Pro) are others.
+hidapi expects a zero in place of the id. The wheel holds a force until the next command. Sources:
+hid-lg.c, hid-lg4ff.c and hid-ids.h of Linux; for the G923 the same files of berarma/new-lg4ff.
+Wheels with the HID++ protocol (G920, G923 for Xbox, G Pro) are others.
 """
 
 from master.devices.hid.bits import scaled
@@ -10,11 +11,27 @@ from master.devices.hid.driver import Controls, DriverError, Features, Share
 from master.devices.hid.inputs import Inputs
 
 VENDOR = 0x046D
-# G29 with its switch at PS3, Driving Force GT, G25, G27, Driving Force Pro, G923 for PlayStation
-PRODUCTS = (0xC24F, 0xC29A, 0xC299, 0xC29B, 0xC298, 0xC267)
+PRODUCTS = {
+    0xC24F: "G29",  # its switch at PS3
+    0xC266: "G923 (PlayStation)",  # in PC mode
+    0xC29B: "G27",
+    0xC299: "G25",
+    0xC29A: "Driving Force GT",
+    0xC298: "Driving Force Pro",
+    0xC294: "Driving Force, Formula Force EX, or a later wheel in their mode",
+    0xC295: "MOMO Force",
+    0xCA03: "MOMO Racing",
+    0xC29C: "Speed Force Wireless",
+    0xC293: "WingMan Formula Force GP",
+}
+HIDPP_PRODUCTS = (0xC262, 0xC26E)  # G920, G923 for Xbox: force feedback by another protocol
+G923, G923_CONSOLE = 0xC266, 0xC267
+LEAVE_CONSOLE = bytes((0x30, 0xF8, 0x09, 0x07, 0x01, 0x01, 0, 0))  # report 0x30; detaches
 
 _STEERING = "x"
+_FORMULA_FORCE_EX = (0xC294, 0x2100)  # product and release
 _CENTRE_OFF = bytes((0, 0xF5, 0, 0, 0, 0, 0, 0))
+_CENTRE_OFF_EX = bytes((0, 0xFE, 0x03, 0, 0, 0, 0, 0))  # a centring force of zero
 _STOP = bytes((0, 0x13, 0, 0, 0, 0, 0, 0))  # the force in slot 1
 _PLAY = tuple(bytes((0, 0x11, 0x08, level, 0x80, 0, 0, 0)) for level in range(256))
 _ZERO = 0x80
@@ -30,11 +47,15 @@ class LogitechDriver:
     ----------
     descriptor : Descriptor
         Of the wheel; `DriverError` if it has no steering axis.
+    product, release : int
+        Of its USB descriptor.
     """
 
     forces: tuple[str, ...] = (_STEERING,)
 
-    def __init__(self, descriptor: Descriptor) -> None:
+    def __init__(self, descriptor: Descriptor, product: int = 0, release: int = 0) -> None:
+        formula_force_ex = (product, release) == _FORMULA_FORCE_EX
+        self._centre_off = _CENTRE_OFF_EX if formula_force_ex else _CENTRE_OFF
         inputs = Inputs(descriptor)
         if _STEERING not in inputs.axes:
             raise DriverError("its report descriptor has no steering axis")
@@ -43,7 +64,7 @@ class LogitechDriver:
 
     def begin(self, device: Features) -> None:
         """Turn off the centring spring, and stop effects of other programs."""
-        device.write(_CENTRE_OFF)
+        device.write(self._centre_off)
         device.write(_STOP)
 
     def decode(self, controls: Controls, report: bytes) -> Controls:

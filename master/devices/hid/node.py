@@ -90,6 +90,13 @@ class Node:
         except (OSError, ValueError) as error:
             raise DeviceFault(f"{self.name}: cannot read feature report {number}") from error
 
+    def get_input(self, number: int, length: int) -> bytes:
+        """Return input report `number` as it is now, at most `length` bytes, its id first."""
+        try:
+            return bytes(self._handle.get_input_report(number, length))
+        except (OSError, ValueError) as error:
+            raise DeviceFault(f"{self.name}: cannot read input report {number}") from error
+
     def close(self) -> None:
         """Close the node."""
         with suppress(OSError, ValueError):

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from master.devices.hid import pid_effects
 from master.devices.hid import usages as U  # noqa: N812
+from master.devices.hid.actuators import ActuatorReports, ActuatorState
 from master.devices.hid.bits import limits, scaled
 from master.devices.hid.descriptor import DescriptorError, parse
 from master.devices.hid.driver import Controls, DriverError, Features, Share
@@ -52,6 +53,8 @@ class PidDriver:
         The device's report descriptor.
     config : PidConfig
         Effects in addition to the force.
+    pushed : tuple of str, optional
+        The axes to be pushed, all by default; each takes an effect of the device's memory.
 
     Raises
     ------
@@ -59,15 +62,27 @@ class PidDriver:
         Lists everything that the device lacks, or the error in its descriptor.
     """
 
-    def __init__(self, descriptor: bytes, config: PidConfig | None = None) -> None:
+    def __init__(
+        self,
+        descriptor: bytes,
+        config: PidConfig | None = None,
+        pushed: tuple[str, ...] | None = None,
+    ) -> None:
         try:
             known = parse(descriptor)
         except DescriptorError as error:
             raise DriverError(f"its report descriptor cannot be read: {error}") from error
         config = config or PidConfig()
-        self._inputs = Inputs(known)
+        self._inputs, self._actuators = Inputs(known), ActuatorReports(known)
+        self._actuators_begun = ActuatorState()
         self._layout = layout = lay_out(known, self._inputs)
-        self._on = _commands(layout.control, U.DEVICE_RESET, U.DEVICE_CONTINUE, U.ENABLE_ACTUATORS)
+        self._on = _commands(
+            layout.control,
+            U.DEVICE_RESET,
+            U.STOP_ALL_EFFECTS,  # SideWinder firmware centres from a reset until this
+            U.DEVICE_CONTINUE,
+            U.ENABLE_ACTUATORS,
+        )
         self._off = _commands(layout.control, U.STOP_ALL_EFFECTS, U.DISABLE_ACTUATORS)
         wanted = {U.SPRING: config.spring, U.DAMPER: config.damper}
         self._conditions = {usage: share for usage, share in wanted.items() if share}
@@ -79,15 +94,17 @@ class PidDriver:
             pid_effects.conditions(layout, 1, share)
         self._magnitude = layout.constant_force.need(U.MAGNITUDE)
         self.axes = self._inputs.axes
-        self.forces = layout.forces
+        self.forces = layout.forces if pushed is None else _chosen(layout.forces, pushed)
         self.buttons = self._inputs.buttons
         self._forget()
 
     def begin(self, device: Features) -> None:
         """Reset the device, enable it, and make the effects, none of them started.
 
-        With the Arduino library a reset does not end an earlier pause, and reading the pool frees
-        all effects.
+        Firmware of the SideWinder family starts a centring spring at a reset, which only Stop All
+        Effects ends (tloimu/adapt-ffb-joy, ffb-pro.c). OpenFFBoard is off after that until it is
+        enabled. With the Arduino library a reset does not end an earlier pause, and reading the
+        pool frees all effects.
         """
         self._forget()
         for report in self._on:
@@ -97,11 +114,18 @@ class PidDriver:
             device.write(part.packed([Choice(gain, limits(gain)[1])]))
         for axis in self.forces:
             self._add_force(device, axis)
-        for usage, share in self._conditions.items():
+        for usage, share in self._conditions.items() if self.forces else ():
             self._add_condition(device, usage, share)
+        self._actuators_begun = self._actuators.ask(device)
 
     def decode(self, controls: Controls, report: bytes) -> Controls:
         """Return `controls` updated with `report`."""
+        before = controls.actuators
+        actuators = self._actuators.decode(
+            self._actuators_begun if before is None else before, report
+        )
+        if actuators is not before:
+            controls = controls._replace(actuators=actuators)
         return self._inputs.decode(controls, report)
 
     def encode(self, force: tuple[Share, ...], arm: bool) -> tuple[bytes, ...]:
@@ -164,11 +188,17 @@ class PidDriver:
         block = self._create(device, usage)
         self._condition_starts.append(pid_effects.start(self._layout, block))
         self._condition_stops.append(pid_effects.stop(self._layout, block))
-        effect = pid_effects.described(self._layout, usage, block, self.forces[0])
+        effect = pid_effects.described(self._layout, usage, block, self._layout.forces[0])
         device.write(effect)
         for report in pid_effects.conditions(self._layout, block, share):
             device.write(report)
         device.write(effect)
+
+
+def _chosen(forces: tuple[str, ...], pushed: tuple[str, ...]) -> tuple[str, ...]:
+    if lacking := [axis for axis in pushed if axis not in forces]:
+        raise DriverError(f"it cannot push {', '.join(lacking)}, only {', '.join(forces)}")
+    return tuple(axis for axis in forces if axis in pushed)
 
 
 def _commands(control: Part, *usages: int) -> tuple[bytes, ...]:

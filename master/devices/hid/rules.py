@@ -5,7 +5,7 @@ They belong into a file that comes before 73-seat-late.rules, which reads the ta
 
 from collections.abc import Iterable
 
-from master.devices.hid import spacemouse
+from master.devices.hid import logitech, spacemouse
 
 # vendor, product (None = every one), and what it is
 KNOWN: tuple[tuple[int, int | None, str], ...] = (
@@ -41,12 +41,8 @@ KNOWN: tuple[tuple[int, int | None, str], ...] = (
     (0x045E, 0x001B, "Microsoft SideWinder Force Feedback 2"),
     (0x054C, 0x0CE6, "Sony DualSense"),
     (0x054C, 0x0DF2, "Sony DualSense Edge"),
-    (0x046D, 0xC24F, "Logitech G29"),
-    (0x046D, 0xC29A, "Logitech Driving Force GT"),
-    (0x046D, 0xC299, "Logitech G25"),
-    (0x046D, 0xC29B, "Logitech G27"),
-    (0x046D, 0xC298, "Logitech Driving Force Pro"),
-    (0x046D, 0xC267, "Logitech G923 (PlayStation)"),
+    *((logitech.VENDOR, one, f"Logitech {name}") for one, name in logitech.PRODUCTS.items()),
+    (logitech.VENDOR, logitech.G923_CONSOLE, "Logitech G923 (PlayStation) in console mode"),
     (spacemouse.VENDOR, None, "3Dconnexion SpaceMouse, every model"),
     *((spacemouse.LOGITECH, one, "SpaceMouse of Logitech") for one in spacemouse.LOGITECH_PRODUCTS),
 )

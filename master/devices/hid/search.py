@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from master.device import DeviceFault
+from master.devices.hid import missing_driver
 from master.devices.hid.drivers import DRIVERS, INPUTS_ONLY, AttachedNode
 from master.devices.hid.node import REMEDY, Node, backend
 from master.devices.hid.signs import Pusher
@@ -42,6 +43,11 @@ class ExaminedNode(NamedTuple):
     not_ready_reason: str  # why this user cannot open it, with the remedy; empty if it can
 
     @property
+    def advice(self) -> str:
+        """What to do about force feedback that no driver can use; empty if there is none."""
+        return missing_driver.advise(self.item, self.descriptor, self.misfits)
+
+    @property
     def fits(self) -> list[str]:
         """The drivers that fit, the best first."""
         return [name for name, why_not in self.misfits.items() if not why_not]
@@ -70,6 +76,7 @@ def attached() -> tuple[AttachedNode, ...]:
             entry.get("interface_number", -1),
             entry.get("bus_type") == _BLUETOOTH,
             (usage,) if any(usage) else (),
+            entry.get("release_number", 0),
         )
     return tuple(nodes[path] for path in sorted(nodes))
 
@@ -107,10 +114,11 @@ def examine(item: AttachedNode) -> ExaminedNode:
         why = str(fault).removeprefix(f"{item}: ")
         return ExaminedNode(item, b"", dict.fromkeys(DRIVERS, why), why)
     misfits = {name: kind.misfit(item, data) for name, kind in DRIVERS.items()}
-    return ExaminedNode(item, data, misfits, _barred(item))
+    return ExaminedNode(item, data, misfits, not_ready_reason(item))
 
 
-def _barred(item: AttachedNode) -> str:
+def not_ready_reason(item: AttachedNode) -> str:
+    """Return why this user cannot open a device, with the remedy; empty if it can."""
     path = Path(item.path)
     if path.exists() and not os.access(path, os.R_OK | os.W_OK):
         return f"no permission to open {item.path}; {REMEDY}"
@@ -147,7 +155,7 @@ def choose(find: str, driver: str) -> FoundDevice:
     if len(fitting) > 1:
         names = _listed(found.item for found in fitting)
         raise DeviceFault(f"several devices fit; set find to a serial number or path: {names}")
-    why = _barred(fitting[0].item)
+    why = not_ready_reason(fitting[0].item)
     if why:
         raise DeviceFault(f"{fitting[0].item}: {why}")
     return fitting[0]
@@ -182,7 +190,7 @@ def again(
         raise DeviceFault(
             f"{known}: several devices of this identity are attached: {_listed(same)}"
         )
-    why = _barred(same[0])
+    why = not_ready_reason(same[0])
     if why:
         raise DeviceFault(f"{same[0]}: {why}")
     return found._replace(item=same[0])
@@ -192,7 +200,7 @@ def matches(item: AttachedNode, find: str) -> bool:
     """Return whether `find` matches this device."""
     if not find:
         return True
-    return find.lower() in (item.model, item.serial.lower(), item.path.lower())
+    return find.lower() in (*item.models, item.serial.lower(), item.path.lower())
 
 
 def _one_of_each(all_found: Iterable[FoundDevice]) -> list[FoundDevice]:
@@ -233,6 +241,8 @@ def _missing(
             del reasons[1:]  # only the first reason, to keep the line short
         whys.setdefault("; ".join(dict.fromkeys(reasons)), []).append(one.item)
     listed = "; ".join(f"{_listed(items)}: {why}" for why, items in whys.items())
+    advice = [f"; {one.item}: {one.advice}" for one in meant if one.advice]
+    listed += "".join(advice[:1])
     wanted = "no driver fits" if driver == "auto" else f"driver {driver!r} does not fit"
     return f"{wanted}: {listed}" if find else f"{wanted} any attached device: {listed}"
 

@@ -40,6 +40,7 @@ POSITIVE_SATURATION, NEGATIVE_SATURATION = 0x0F0063, 0x0F0064
 OP_START, OP_STOP = 0x0F0079, 0x0F007B
 ENABLE_ACTUATORS, DISABLE_ACTUATORS = 0x0F0097, 0x0F0098
 STOP_ALL_EFFECTS, DEVICE_RESET, DEVICE_CONTINUE = 0x0F0099, 0x0F009A, 0x0F009C
+PAUSED, ACTUATORS_ENABLED, SAFETY_SWITCH, ACTUATOR_POWER = 0x0F009F, 0x0F00A0, 0x0F00A4, 0x0F00A6
 LOAD_SUCCESS, LOAD_FULL = 0x0F008C, 0x0F008D
 
 _PAGES = {
@@ -133,11 +134,11 @@ _NAMES = {
     DEVICE_RESET: "device reset",
     0x0F009B: "device pause",
     DEVICE_CONTINUE: "device continue",
-    0x0F009F: "paused",
-    0x0F00A0: "actuators enabled",
-    0x0F00A4: "safety switch",
+    PAUSED: "paused",
+    ACTUATORS_ENABLED: "actuators enabled",
+    SAFETY_SWITCH: "safety switch",
     0x0F00A5: "actuator override switch",
-    0x0F00A6: "actuator power",
+    ACTUATOR_POWER: "actuator power",
     0x0F00A7: "start delay",
     0x0F00A9: "device managed pool",
     0x0F00AA: "shared parameter blocks",

@@ -10,12 +10,14 @@ from tests.hid.virtual.ffbeast import FFBeast
 from tests.hid.virtual.logitech import Logitech
 from tests.hid.virtual.openffboard import OpenFFBoard, OpenFFBoardWheel
 from tests.hid.virtual.rhino import Rhino
+from tests.hid.virtual.sidewinder import SideWinder
 from tests.hid.virtual.spacemouse import SpaceMouse
 
 DEVICES: dict[str, Callable[[], VirtualDevice]] = {
     "openffboard": lambda: OpenFFBoard(descriptors.openffboard(2)),
     "openffboard-wheel": lambda: OpenFFBoardWheel(descriptors.openffboard(1)),
     "arduino": lambda: Arduino(descriptors.arduino()),
+    "sidewinder": lambda: SideWinder(descriptors.arduino()),
     "rhino": lambda: Rhino(descriptors.rhino()),
     "ffbeast": lambda: FFBeast(descriptors.ffbeast_vendor()),
     "logitech": lambda: Logitech(descriptors.logitech_g29()),

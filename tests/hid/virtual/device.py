@@ -52,3 +52,6 @@ class VirtualDevice(Protocol):
 
     def get_feature(self, now: float, number: int) -> bytes | None:
         """Return feature report `number`; None if there is none."""
+
+    def get_input(self, now: float, number: int) -> bytes | None:
+        """Return input report `number` as it is now; None if that cannot be asked for."""

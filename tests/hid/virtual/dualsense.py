@@ -77,6 +77,10 @@ class DualSense:
         """Nothing is set this way."""
         self.refused.append(report)
 
+    def get_input(self, _now: float, _number: int) -> bytes | None:
+        """Nothing is asked for this way."""
+        return None
+
     def get_feature(self, _now: float, number: int) -> bytes | None:
         """Calibration, pairing and firmware."""
         if number == 0x05:  # gyro: bias 0, +-8192 at 540 deg/s; accelerometer: +-8192 at 1 g

@@ -46,6 +46,10 @@ class FFBeast:
         """Nothing is set this way here."""
         self.refused.append(report)
 
+    def get_input(self, _now: float, _number: int) -> bytes | None:
+        """Nothing is asked for this way."""
+        return None
+
     def get_feature(self, _now: float, _number: int) -> bytes | None:
         """There is none."""
         return None

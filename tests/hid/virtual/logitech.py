@@ -49,6 +49,10 @@ class Logitech:
         """Nothing is set this way."""
         self.refused.append(report)
 
+    def get_input(self, _now: float, _number: int) -> bytes | None:
+        """Nothing is asked for this way."""
+        return None
+
     def get_feature(self, _now: float, _number: int) -> bytes | None:
         """There is none."""
         return None

@@ -2,7 +2,8 @@
 
 Facts read from its source (github.com/Ultrawipf/OpenFFBoard: HidFFB.cpp, EffectsCalculator.cpp,
 ffb_defs.h): no watchdog; Set Effect switches the motors on; duration 0 is for ever, too; any of
-disable, stop, reset and pause switches them off.
+disable, stop, reset and pause switches them off. The state is sent after each control and cannot
+be asked for: paused unless the motors are on, always with power, never with a safety switch.
 """
 
 import math
@@ -12,6 +13,7 @@ from typing import ClassVar
 from tests.hid.virtual.pid import INFINITE_MS, PidFirmware, seconds
 
 _ENABLE, _DISABLE, _STOP, _RESET, _PAUSE, _CONTINUE = (1 << bit for bit in range(6))
+_PAUSED, _ON, _POWER = 0x01, 0x02, 0x08
 
 
 class OpenFFBoard(PidFirmware):
@@ -30,12 +32,17 @@ class OpenFFBoard(PidFirmware):
     }
     creation, loading, pooling = 0x11, 0x12, 0x13
     slots = 40
+    answers_state = False
     full_scale = 32767
 
     def report(self) -> bytes:
         """64 buttons, 8 axes."""
         counts = [round(share * 32767) for share in self.axes]
         return struct.pack("<BQ8h", 0x01, self.buttons, *counts, *[0] * (8 - len(counts)))
+
+    def state(self) -> bytes:
+        """Tell whether the motors are on."""
+        return bytes((0x02, (_ON if self.active else _PAUSED) | (_POWER if self.powered else 0)))
 
     def set_effect(self, report: bytes) -> None:
         """Take duration, gain and direction, and switch the motors on."""

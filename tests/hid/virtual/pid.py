@@ -41,6 +41,8 @@ class PidFirmware:
     ----------
     active : bool
         Whether the motors are on.
+    safety, powered : bool
+        Whether the safety switch is closed, and the motors have power; set them as you like.
     effects : dict
         The pool, by block number.
     """
@@ -58,6 +60,7 @@ class PidFirmware:
     pooling: int  # id of Pool
     slots: int
     full_scale: int  # of a constant force
+    answers_state = True  # or only sends it when it changes
 
     def __init__(self, descriptor: bytes, axes: int = 2) -> None:
         self.descriptor = descriptor
@@ -65,16 +68,19 @@ class PidFirmware:
         self.buttons = 0
         self.now = -math.inf
         self.active = False
+        self.safety = self.powered = True
         self.gain = 1.0
         self.effects: dict[int, Effect] = {}
         self.loaded = (0, 0)  # block and status of the last creation
         self.pushes = [Push(-math.inf, (0.0,) * axes)]
         self.refused: list[bytes] = []
+        self._told = b""
 
     def inputs(self, now: float) -> list[bytes]:
-        """Return the newest position, and note a force that has run out."""
+        """Return the newest position, and the state if it changed; note a force that ran out."""
         self._at(now)
-        return [self.report()]
+        state, self._told = self._told, self.state()
+        return [self.report()] if self._told == state else [self._told, self.report()]
 
     def output(self, now: float, report: bytes) -> None:
         """Take an output report."""
@@ -106,10 +112,15 @@ class PidFirmware:
             return struct.pack("<BHBB", number, self.slots, *self.pool())
         return None
 
+    def get_input(self, _now: float, number: int) -> bytes | None:
+        """Return the state, if this firmware can be asked for it."""
+        state = self.state() if self.answers_state else b""
+        return state if state[:1] == bytes((number,)) else None
+
     def force(self, now: float) -> tuple[float, ...]:
         """Return what the motors do at `now`, shares of full scale."""
         total = [0.0] * len(self.axes)
-        if self.active:
+        if self.active and self.powered and self.safety:
             for effect in self.effects.values():
                 if effect.kind == _CONSTANT and effect.plays(now):
                     for axis in range(len(total)):
@@ -119,6 +130,10 @@ class PidFirmware:
     def report(self) -> bytes:
         """Return the input report of `axes` and `buttons`."""
         raise NotImplementedError
+
+    def state(self) -> bytes:
+        """Return the PID State report; empty if the firmware sends none."""
+        return b""
 
     def load(self) -> tuple[int, int]:
         """Return block and status of the last creation."""

@@ -13,6 +13,7 @@ from typing import ClassVar
 from tests.hid.virtual.pid import PidFirmware, seconds
 
 _DISABLE, _ENABLE, _STOP_ALL, _RESET, _PAUSE, _CONTINUE = 1, 2, 3, 4, 5, 6
+_ENABLED, _SAFETY, _POWER = 0x04, 0x08, 0x10
 _HATS_AT_REST = 0xFFFF
 
 
@@ -40,6 +41,15 @@ class Rhino(PidFirmware):
         first, more = self.buttons & (1 << 48) - 1, self.buttons >> 48
         head = struct.pack("<B3h4x", 0x01, x, y, 0)
         return head + first.to_bytes(6, "little") + struct.pack("<HH13x", _HATS_AT_REST, more)
+
+    def state(self) -> bytes:
+        """Tell of the motors, as its descriptor has it; what the firmware does is not known."""
+        flags = (
+            (_ENABLED if self.active else 0)
+            | (_SAFETY if self.safety else 0)
+            | (_POWER if self.powered else 0)
+        )
+        return bytes((0x02, 0, flags))
 
     def set_effect(self, report: bytes) -> None:
         """Take duration, gain and direction."""

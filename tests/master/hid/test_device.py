@@ -302,6 +302,40 @@ def test_a_write_that_hangs_is_a_fault_and_stops_neither_the_loop_nor_the_end(hi
     assert wait_for(lambda: not node.handles, 5.0)
 
 
+def test_a_config_of_one_axis_needs_one_effect(hidraw, open_):
+    node = hidraw.plug(board())
+    node.device.slots = 1
+    know_signs(x=1, y=1)
+    with pytest.raises(DeviceFault, match="its memory for effects is full"):
+        HidDevice(CONFIG, lambda _: None)
+    loop = open_(replace(CONFIG, axes=CONFIG.axes[1:]))
+    loop.force = (2.0,)
+    loop.until(lambda: node.force() == pytest.approx((0.0, 0.5), abs=1e-3))
+
+
+def test_force_feedback_that_no_driver_can_use_is_said_with_what_to_do(hidraw, open_):
+    unknown, said = board(), []
+    unknown.descriptor = unknown.descriptor.replace(descriptors.operation(0x0A), b"")
+    hidraw.plug(unknown)
+    with pytest.raises(DeviceFault, match=r"no Effect Operation.*teleop devices dump 1209:ffb0"):
+        HidDevice(CONFIG, lambda _: None)
+    unpushed = tuple(replace(axis, force=0.0) for axis in CONFIG.axes)
+    open_(replace(CONFIG, axes=unpushed), said)  # as a joystick
+    assert any("WARNING: it has force feedback, but no driver" in line for line in said)
+
+
+@pytest.mark.parametrize(("product", "told"), [(0xC262, True), (0xC26E, True), (0xC24D, False)])
+def test_a_wheel_of_another_protocol_is_known_to_have_a_force(hidraw, product, told):
+    wheel = DEVICES["logitech"]()
+    wheel.product = product
+    node = hidraw.plug(wheel)
+    assert ("HID++" in search.examine(search.attached()[0]).advice) is told
+    with pytest.raises(DeviceFault) as caught:
+        HidDevice(CONFIG, lambda _: None)
+    assert ("teleop devices dump" in str(caught.value)) is told
+    assert node.written == []
+
+
 def test_closing_takes_the_force_away_and_frees_the_effects(hidraw):
     node = hidraw.plug(board())
     know_signs(x=1)

@@ -71,6 +71,10 @@ class Whatever:
         assert report
         self._perhaps_gone()
 
+    def get_input(self, _number, length):
+        self._perhaps_gone()
+        return self._data.draw(st.binary(max_size=length))
+
     def get_feature(self, number, length):
         self._perhaps_gone()
         if self._data.draw(st.integers(0, 3)):

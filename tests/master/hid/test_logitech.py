@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 
 from master.devices.hid.descriptor import parse
 from master.devices.hid.driver import DriverError, unknown
-from master.devices.hid.logitech import LogitechDriver
+from master.devices.hid.drivers import DRIVERS, AttachedNode
+from master.devices.hid.logitech import PRODUCTS, LogitechDriver
+from master.devices.hid.pid import PidConfig
 from tests.hid.descriptors import logitech_g29, spacemouse
 
 DRIVER = LogitechDriver(parse(logitech_g29()))
@@ -40,6 +42,62 @@ def test_setting_up_turns_centring_off_and_silence_stops_the_slot():
     stop = bytes((0, 0x13, 0, 0, 0, 0, 0, 0))
     assert written == [bytes((0, 0xF5, 0, 0, 0, 0, 0, 0)), stop]
     assert DRIVER.silence() == (stop,)
+
+
+# the table of hid-lg4ff.c and hid-ids.h of Linux; C24F and C266 of berarma/new-lg4ff
+CLASSIC = [
+    (0xC293, "WINGMAN_FFG"),
+    (0xC294, "WHEEL"),
+    (0xC295, "MOMO_WHEEL"),
+    (0xC298, "DFP_WHEEL"),
+    (0xC299, "G25_WHEEL"),
+    (0xC29A, "DFGT_WHEEL"),
+    (0xC29B, "G27_WHEEL"),
+    (0xC29C, "WII_WHEEL"),
+    (0xCA03, "MOMO_WHEEL2"),
+    (0xC24F, "G29_WHEEL"),
+    (0xC266, "G923_WHEEL"),
+]
+
+
+def written_by(product, release=0x0100):
+    """Return what is written to a wheel at the beginning."""
+    item = AttachedNode("p", 0x046D, product, release=release)
+    data, written = logitech_g29(), []
+    assert DRIVERS["logitech"].misfit(item, data) == ""
+    device = type("Device", (), {"write": staticmethod(written.append)})
+    DRIVERS["logitech"].make(item, data, PidConfig(), None).begin(device)
+    return [report.hex() for report in written]
+
+
+@pytest.mark.parametrize(("product", "_name"), CLASSIC)
+def test_every_wheel_of_the_kernel_gets_the_classic_commands(product, _name):
+    assert written_by(product) == ["00f5000000000000", "0013000000000000"]
+
+
+def test_the_driver_fits_those_wheels_and_no_others():
+    assert set(PRODUCTS) == {product for product, _ in CLASSIC}
+
+
+def test_formula_force_ex_has_a_centring_command_of_its_own():
+    """The kernel tells it by its release, 21.00; others of this product take the usual one."""
+    assert written_by(0xC294, 0x2100) == ["00fe030000000000", "0013000000000000"]
+    assert written_by(0xC294, 0x1350)[0] == "00f5000000000000"
+    assert written_by(0xC29B, 0x2100)[0] == "00f5000000000000"
+
+
+@pytest.mark.parametrize(
+    ("product", "interface", "why"),
+    [
+        (0xC267, 0, "a G923 in console mode"),
+        (0xC266, 1, "another interface"),
+        (0xC262, 0, "not a classic Logitech wheel"),  # G920, HID++
+        (0xC26E, 0, "not a classic Logitech wheel"),  # G923 for Xbox, HID++
+    ],
+)
+def test_what_does_not_speak_them_is_refused(product, interface, why):
+    item = AttachedNode("p", 0x046D, product, interface=interface)
+    assert why in DRIVERS["logitech"].misfit(item, logitech_g29())
 
 
 @pytest.mark.parametrize(

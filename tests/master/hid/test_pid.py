@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from master.devices.hid.driver import Controls, DriverError, unknown
+from master.device import DeviceFault
+from master.devices.hid.driver import DriverError, unknown
 from master.devices.hid.pid import PidConfig, PidDriver
 from tests.hid import descriptors as d
 from tests.hid.descriptors import LAYOUTS, arduino, ffbeast_pid, openffboard, rhino
@@ -34,6 +35,9 @@ class Memory:
         self._next += 1
         self._ready = True
 
+    def get_input(self, _number, _length):
+        raise DeviceFault("it answers no such request")
+
     def get_feature(self, number, length):
         assert length == 5
         self.reads += 1
@@ -55,6 +59,7 @@ def test_openffboard_is_begun_by_its_table():
     _, reported = begun(openffboard())
     assert reported == [
         "0c08",  # reset
+        "0c04",  # stop all
         "0c20",  # continue
         "0c01",  # enable
         "0dff",  # gain
@@ -70,13 +75,14 @@ def test_openffboard_is_begun_by_its_table():
 def test_openffboard_with_one_axis_has_its_direction_bit_elsewhere():
     driver, reported = begun(openffboard(1))
     assert driver.forces == ("x",)
-    assert reported[5] == "010101c800000000000000ff000228230000"
+    assert reported[6] == "010101c800000000000000ff000228230000"
 
 
 def test_arduino_is_begun_by_its_table():
     _, reported = begun(arduino())
     assert reported == [
         "0c04",
+        "0c03",
         "0c06",
         "0c01",
         "0dff",
@@ -91,8 +97,8 @@ def test_arduino_is_begun_by_its_table():
 
 def test_rhino_is_begun_by_its_table():
     _, reported = begun(rhino())
-    assert reported[:4] == ["7004", "7006", "7002", "71ff"]
-    assert reported[4:7] == [
+    assert reported[:5] == ["7004", "7003", "7006", "7002", "71ff"]
+    assert reported[5:8] == [
         "create 05010000",
         "65" "01" "01" "c800" "0000" "0000" "0010" "00" "04" "40" "00" "0000",
         "69010000",
@@ -249,15 +255,15 @@ def test_a_number_that_other_reports_cannot_hold_is_said():
 def test_a_spring_and_a_damper_are_left_to_the_device():
     _, reported = begun(openffboard(), PidConfig(spring=0.2, damper=1.0))
     spring = "010308c800000000000000ff00042823000000000000"
-    assert reported[10:15] == [
+    assert reported[11:16] == [
         "create 11080000",
         spring,
         "03" "03" "00" "0000" "9919" "9919" "9919" "9919" "0000",
         "03" "03" "01" "0000" "9919" "9919" "9919" "9919" "0000",
         spring,  # again, now that the device knows the parameters
     ]  # fmt: skip
-    assert reported[15] == "create 11090000"
-    assert reported[17] == "0304000000ff7fff7fff7fff7f0000"
+    assert reported[16] == "create 11090000"
+    assert reported[18] == "0304000000ff7fff7fff7fff7f0000"
 
 
 def test_one_axis_has_one_condition():
@@ -297,7 +303,7 @@ def test_a_direction_bit_that_is_declared_as_filling_is_set():
     named = d.usage(0x56) + d.logical(0, 1) + d.shape(1) + d.main(d.OUTPUT, d.CONSTANT)
     data = arduino().replace(d.field(d.OUTPUT, 1, 0, 1, 0x56), named)
     _, reported = begun(data)
-    assert reported[5] == begun(arduino())[1][5]
+    assert reported[6] == begun(arduino())[1][6]
 
 
 def test_time_is_counted_as_the_device_says():
@@ -308,7 +314,7 @@ def test_time_is_counted_as_the_device_says():
 
     for exponent, ticks in ((0xFC, 2000), (0x0E, 20), (0x0F, 2)):
         _, reported = begun(with_clock(exponent))
-        assert bytes.fromhex(reported[5])[3:5] == struct.pack("<H", ticks)
+        assert bytes.fromhex(reported[6])[3:5] == struct.pack("<H", ticks)
     for exponent in (0x00, 0x03, 0x09, 0xF0):
         with pytest.raises(DriverError, match="cannot have a duration of"):
             PidDriver(with_clock(exponent))
@@ -333,7 +339,8 @@ def test_inputs_are_read_too():
     driver, _ = begun(ffbeast_pid())
     assert (driver.axes, driver.buttons) == (("x",), 32)
     report = struct.pack("<BIH", 1, 5, 0)
-    assert driver.decode(unknown(1), report) == Controls((-1.0,), 5, (1 << 32) - 1)
+    controls = driver.decode(unknown(1), report)
+    assert (controls.axes, controls.buttons, controls.known) == ((-1.0,), 5, (1 << 32) - 1)
 
 
 @given(

@@ -2,11 +2,13 @@
 
 import pytest
 
+from master.device import DeviceFault
+from master.devices.hid.driver import DriverError
 from master.devices.hid.pid import PidConfig, PidDriver
 from tests.hid.virtual.catalogue import DEVICES
 
 # whether a device pushes where the driver, by the standard, believes it does
-SIGNS = {"openffboard": 1, "openffboard-wheel": 1, "arduino": -1, "rhino": 1}
+SIGNS = {"openffboard": 1, "openffboard-wheel": 1, "arduino": -1, "sidewinder": -1, "rhino": 1}
 NEARLY = 0.01  # by which gain bytes and a direction of 8 bits miss the share asked for
 
 
@@ -25,6 +27,12 @@ class Cable:
 
     def get_feature(self, number, length):
         return self.device.get_feature(self.now, number)[:length]
+
+    def get_input(self, number, length):
+        report = self.device.get_input(self.now, number)
+        if report is None:
+            raise DeviceFault("it does not answer")
+        return report[:length]
 
     def push(self, driver, force, arm=True):
         for report in driver.encode(force, arm):
@@ -110,6 +118,39 @@ def test_silence_leaves_nothing(plugged):
     assert not cable.device.effects
     driver.begin(cable)
     assert any(cable.push(driver, (1.0, 1.0)[: len(driver.forces)]))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_device_with_one_effect_pushes_the_one_axis_that_is_used(axis):
+    device = DEVICES["arduino"]()
+    device.slots = 1
+    cable = Cable(device)
+    with pytest.raises(DriverError, match="memory for effects is full"):
+        PidDriver(device.descriptor).begin(cable)
+    driver = PidDriver(device.descriptor, pushed=("xy"[axis],))
+    driver.begin(cable)
+    assert (driver.axes, driver.forces) == (("x", "y"), ("xy"[axis],))
+    felt = cable.push(driver, (0.5,))
+    assert felt[axis] == pytest.approx(-0.5, abs=NEARLY)
+    assert felt[1 - axis] == pytest.approx(0.0, abs=NEARLY)
+    assert len(device.effects) == 1
+    for report in driver.silence():
+        cable.write(report)
+    assert not device.effects
+
+
+def test_without_an_axis_to_push_no_effect_is_made():
+    device = DEVICES["openffboard"]()
+    driver = PidDriver(device.descriptor, PidConfig(spring=0.5), pushed=())
+    driver.begin(Cable(device))
+    assert driver.forces == ()
+    assert driver.encode((), arm=True) == ()
+    assert not device.effects
+
+
+def test_an_axis_that_it_cannot_push_is_named():
+    with pytest.raises(DriverError, match="cannot push z, only x, y"):
+        PidDriver(DEVICES["rhino"]().descriptor, pushed=("x", "z"))
 
 
 def test_a_pool_that_another_program_filled_is_emptied(plugged):
