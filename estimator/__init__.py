@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from estimator.calibration.sheath_fit import FitError as FitError
     from estimator.calibration.sheath_fit import SheathFit as SheathFit
     from estimator.calibration.sheath_fit import fit_sheath as fit_sheath
+    from estimator.diagnosis.api import CauseError as CauseError
     from estimator.diagnosis.api import RecordError as RecordError
     from estimator.diagnosis.api import diagnose as diagnose
     from estimator.diagnosis.outcome import Diagnosis as Diagnosis
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
     from estimator.online.estimator import Estimator as Estimator
     from estimator.online.online import Estimates as Estimates
     from estimator.online.tendon_model import TendonModel as TendonModel
+    from estimator.pair.pair import PairRecord as PairRecord
+    from estimator.pair.pair_fit import PairError as PairError
+    from estimator.pair.pair_study import PairStudy as PairStudy
+    from estimator.pair.pair_study import study_pair as study_pair
     from estimator.units import FORCE as FORCE
     from estimator.units import LINEAR as LINEAR
     from estimator.units import ROTARY as ROTARY
@@ -38,6 +43,7 @@ _PLACES = {
     "FitError": "calibration.sheath_fit",
     "SheathFit": "calibration.sheath_fit",
     "fit_sheath": "calibration.sheath_fit",
+    "CauseError": "diagnosis.api",
     "RecordError": "diagnosis.api",
     "diagnose": "diagnosis.api",
     "Diagnosis": "diagnosis.outcome",
@@ -55,6 +61,10 @@ _PLACES = {
     "LINEAR": "units",
     "ROTARY": "units",
     "Units": "units",
+    "PairRecord": "pair.pair",
+    "PairError": "pair.pair_fit",
+    "PairStudy": "pair.pair_study",
+    "study_pair": "pair.pair_study",
 }
 
 __all__ = [
@@ -63,11 +73,15 @@ __all__ = [
     "LINEAR",
     "ROTARY",
     "Calibration",
+    "CauseError",
     "Diagnosis",
     "Estimates",
     "Estimator",
     "FitError",
     "MeasuredData",
+    "PairError",
+    "PairRecord",
+    "PairStudy",
     "RecordError",
     "Samples",
     "Section",
@@ -80,6 +94,7 @@ __all__ = [
     "diagnose",
     "fit_sheath",
     "simulate",
+    "study_pair",
 ]
 
 

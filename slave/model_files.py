@@ -6,8 +6,13 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from estimator import signals
+from estimator.array_types import Array
+from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.spikes import LEAST
 from estimator.online.extension import Use, why_left_out
 from slave.calibration.file import JointTendons
 from slave.tendon_config import TendonConfig
@@ -80,7 +85,8 @@ def apply(
 def with_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
     """Return a tendon with the sheath of a model file; noise and other settings are kept."""
     if tendon is None:
-        return TendonConfig(model_file=file)
+        tendon = TendonConfig(model_file=file)
+        return of_length(tendon, tendon.length)
     return TendonConfig(
         model_file=file,
         length=sum(section.length for section in tendon.sections) or tendon.length,
@@ -91,6 +97,34 @@ def with_model(tendon: TendonConfig | None, file: Path) -> TendonConfig:
         friction_error=tendon.friction_error,
         elongation_error=tendon.elongation_error,
         tip_tension_rate=tendon.tip_tension_rate,
+    )
+
+
+def of_length(tendon: TendonConfig, length: float) -> TendonConfig:
+    """Return a tendon that is known from a model file alone, with a length [m] of its sheath.
+
+    Where the model's data did not tell its elasticity, it has the L/EA that the diagnosis assumed:
+    with another one the model's effects would give another force.
+    """
+    return replace(tendon, length=length, axial_stiffness=length / SETTINGS.assumed_compliance)
+
+
+def with_noise_of(tendon: TendonConfig, tension: Array, travel: Array | None) -> TendonConfig:
+    """Return a tendon of a model file, its noise taken from data where none is configured.
+
+    Parameters
+    ----------
+    tendon : TendonConfig
+    tension, travel : ndarray
+        At the housing [N] and [m], shape (n,); None where no travel was measured.
+    """
+    known = tendon.tension_noise > 0.0 or tendon.displacement_noise > 0.0
+    if tendon.model_file is None or known or len(tension) < LEAST:
+        return tendon
+    return replace(
+        tendon,
+        tension_noise=signals.noise_sigma(tension),
+        displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
     )
 
 

@@ -33,6 +33,7 @@ from slave.gate import GateFlags
 from slave.loop import RigModel, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample
 from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
+from slave.rigs.replayed import ReplayedRig
 from slave.rigs.simulated.effect_text import late
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.score import Score
@@ -111,7 +112,7 @@ class SlaveProcess(LoopProcess):
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
         self._answer_ns = self._state.records["answer_ns"]
         self._telemetry = Telemetry(link, model, self._slave)
-        self._score = Score(max(model.tension_noise for model in model.models))
+        self._score = Score(model.models)
         self._timeout_ns = round(config.command_timeout * 1e9)
         self._start_ns = past.start_ns
 
@@ -321,6 +322,11 @@ def model_of(
     past = Past(now_ns(), ())
     if not config.initialise.at_start:
         tendons = tendon_configs(config, rig.tendons, rig.joints, files)
+        if isinstance(rig, ReplayedRig):
+            tendons = tuple(
+                model_files.with_noise_of(tendon, *rig.housing[k])
+                for k, tendon in enumerate(tendons)
+            )
         said = introduced(tendons)
         if files and (config.tendons or config.calibration):
             said += model_files.friction_warnings(

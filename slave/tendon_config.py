@@ -106,4 +106,5 @@ class TendonConfig:
             elongation_error=self.elongation_error,
             tip_tension_rate=self.tip_tension_rate,
             extension=None if extended is None else extended.extension,
+            tip_effects=() if extended is None else extended.tip_effects,
         )

@@ -5,14 +5,17 @@ from types import MappingProxyType
 
 from estimator.array_types import Array
 from estimator.diagnosis import engine
+from estimator.diagnosis.force import file_force, rival_force
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.diagnosis.progress import quiet
 from estimator.diagnosis.record import Record, RecordError, efforts_of, is_loop, prepare
+from estimator.diagnosis.rivals import CauseError
+from estimator.diagnosis.transmission_law import Law
 from estimator.effects import CATALOGUE, CHANNELS, Effect
 from estimator.measured_data import MeasuredData
 from estimator.units import LINEAR, Units
 
-__all__ = ["RecordError", "diagnose"]
+__all__ = ["CauseError", "RecordError", "diagnose"]
 
 
 def diagnose(
@@ -21,6 +24,10 @@ def diagnose(
     *,
     validate: Sequence[MeasuredData | Record] = (),
     noise: Mapping[str, float] = MappingProxyType({}),
+    cause: str = "",
+    fit_all: bool = False,
+    leave_one_file_out: bool = False,
+    loop: bool | None = None,
     progress: Callable[[str, float], None] = quiet,
     workers: int = 1,
 ) -> Diagnosis:
@@ -40,6 +47,15 @@ def diagnose(
     noise : mapping
         Standard deviation of the noise of channels in the data's units, where it is known better
         than `MeasuredData` tell it.
+    cause : str
+        Name of the effect to be taken where several explain the data equally well.
+    fit_all : bool
+        Fit and judge all samples; none is held out.
+    leave_one_file_out : bool
+        Also predict each record by the fit of the others.
+    loop : bool, optional
+        Whether the data are of a closed loop of two cables; by default, whether effort changes its
+        sign in one of them.
     progress : callable
         Called with what is being done and which share of it (0 to 1) is.
     workers : int
@@ -48,31 +64,69 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        With `verdict`, `causes`, `parameters`, `gain` and `summary()`.
+        With `verdict`, `causes`, `parameters`, `gain`, `summary()` and `plot()`; in a notebook it
+        draws itself.
 
     Raises
     ------
     RecordError
         If the data cannot be diagnosed; the message says why.
+    CauseError
+        If `cause` is not among the effects that explain the data equally well.
     ValueError
         If an effect is not in the catalogue.
     """
     one = isinstance(data, Record) or hasattr(data, "proximal_tension")
-    several = [data] if one else [*data]  # type: ignore[misc]
-    records = records_of([*several, *validate], noise)  # type: ignore[list-item]
-    return engine.diagnose(
+    several: list[MeasuredData | Record] = [data] if one else list(data)  # type: ignore[list-item, arg-type]
+    records = records_of([*several, *validate], noise, loop=loop)
+    found = engine.diagnose(
         records[: len(several)],
         tuple(map(_effect, effects)) if effects is not CATALOGUE else CATALOGUE,
         validate=records[len(several) :],
+        cause=cause,
+        fit_all=fit_all,
+        leave_one_file_out=leave_one_file_out,
         report=progress,
         workers=workers,
+    )
+    progress("estimating the force", 1.0)
+    return _with_forces(found, several, validate)
+
+
+def _with_forces(
+    found: Diagnosis,
+    data: Sequence[MeasuredData | Record],
+    validate: Sequence[MeasuredData | Record],
+) -> Diagnosis:
+    """Return a diagnosis with the forces that its models would estimate in data that are given.
+
+    The estimator runs the capstan law of one tendon only.
+    """
+    if found.units.rotary or found.dataset.records[0].loop:
+        return found
+    if found.dataset.base.law is not Law.CAPSTAN:
+        return found
+    plain, model = found.baseline.model, found.extended.model
+    fitted = [one for one in data if not isinstance(one, Record)]
+    further = [one for one in validate if not isinstance(one, Record)]
+    places = [(one, False) for one in fitted] + [(one, True) for one in further]
+    forces = [
+        file_force(plain, model, found.duration, one, validation=apart) for one, apart in places
+    ]
+    names = [(rival.replaces, rival.effect.label) for rival in found.rivals]
+    return found._replace(
+        forces=tuple(one for one in forces if one is not None),
+        rival_forces=tuple(
+            rival_force(model, rival.fit.model, name, found.duration, fitted)
+            for rival, name in zip(found.rivals, names, strict=True)
+            if fitted
+        ),
     )
 
 
 def records_of(
     data: Sequence[MeasuredData | Record],
     noise: Mapping[str, float] = MappingProxyType({}),
-    names: Sequence[str] = (),
     *,
     loop: bool | None = None,
 ) -> list[Record]:
@@ -84,8 +138,6 @@ def records_of(
         A `Record` is taken as it is.
     noise : mapping
         As for `diagnose`.
-    names : sequence of str
-        What errors call the data.
     loop : bool, optional
         Whether they are of a closed loop of two cables; by default, whether effort changes its sign
         in one of them.
@@ -105,14 +157,15 @@ def records_of(
     units = units.scaled_to(effort for one in signals for effort in efforts_of(one))
     loop = is_loop(units, signals) if loop is None else loop
     records = []
-    for i, one in enumerate(data):
+    for one in data:
         if isinstance(one, Record):
             records.append(one)
             continue
         try:
             records.append(prepare(one.time, signals_of(one), noise=noise, units=units, loop=loop))
         except RecordError as error:
-            raise RecordError(f"{names[i]}: {error}" if names else str(error)) from error
+            path = getattr(one, "path", None)
+            raise RecordError(f"{path}: {error}" if path else str(error)) from error
     return records
 
 

@@ -3,12 +3,10 @@
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from estimator.diagnosis import experiments
+from estimator.diagnosis import equal_causes, experiments, rivals
 from estimator.diagnosis.baseline import again, baseline
 from estimator.diagnosis.dataset import (
     Dataset,
@@ -23,7 +21,8 @@ from estimator.diagnosis.dataset import (
     with_records,
 )
 from estimator.diagnosis.detection_limit import detection_limits
-from estimator.diagnosis.fit import improved, own_only, refitted
+from estimator.diagnosis.fit import improved
+from estimator.diagnosis.folds import fitnesses, two_folds
 from estimator.diagnosis.free_friction import wanders
 from estimator.diagnosis.hidden_motion import with_hidden_motion
 from estimator.diagnosis.intervals import Named, parameters
@@ -31,16 +30,21 @@ from estimator.diagnosis.law_choice import Choice, applicable, choose_law, choos
 from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
-    Fitness,
-    Fitnesses,
     Gain,
     Number,
     Ranked,
     Step,
     Verdict,
 )
+from estimator.diagnosis.prediction import as_driven, left_out, predicted
 from estimator.diagnosis.progress import Report, part, quiet
-from estimator.diagnosis.record import Record, RecordError, in_short_blocks, with_driver_noise
+from estimator.diagnosis.record import (
+    Record,
+    RecordError,
+    in_full,
+    in_short_blocks,
+    with_driver_noise,
+)
 from estimator.diagnosis.record_units import in_record_units
 from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (
@@ -68,6 +72,9 @@ def diagnose(
     effects: Sequence[Effect] = CATALOGUE,
     *,
     validate: Sequence[Record] = (),
+    cause: str = "",
+    fit_all: bool = False,
+    leave_one_file_out: bool = False,
     report: Report = quiet,
     workers: int = 1,
 ) -> Diagnosis:
@@ -81,6 +88,12 @@ def diagnose(
         That may be the cause.
     validate : sequence of Record
         To be predicted with what was found; only where each record starts is fitted to them.
+    cause : str
+        Name of the effect to be taken where several explain the data equally well.
+    fit_all : bool
+        Fit and judge all samples; none is held out.
+    leave_one_file_out : bool
+        Also predict each record by what the others give.
     report : callable
         Told what is being done and which share of it is.
     workers : int
@@ -89,21 +102,26 @@ def diagnose(
     Raises
     ------
     RecordError
-        If the records have different channels.
+        If the records have different channels, or one is to be left out of one.
+    CauseError
+        If `cause` is not among the effects that explain the data equally well.
     """
+    if leave_one_file_out and len(records) < 2:
+        raise RecordError("one file: to leave one out, at least two are needed")
     if len({tuple(sorted(record.signals)) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different channels: give those of one dataset")
     if len({(record.units, record.loop) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different units: give those of one dataset")
-    dataset = dataset_of(records)
+    dataset = dataset_of([in_full(record) for record in records] if fit_all else records)
     report("fitting the base law", 0.0)
     plain = baseline(dataset)
-    noisy = [with_driver_noise(record, simulated_by(plain, dataset, record)) for record in records]
-    if any(new is not old for new, old in zip(noisy, records, strict=True)):
+    before = dataset.records
+    noisy = [with_driver_noise(record, simulated_by(plain, dataset, record)) for record in before]
+    if any(new is not old for new, old in zip(noisy, before, strict=True)):
         dataset = dataset_of(noisy)
         plain = again(dataset, plain)
         moved = [
-            with_hidden_motion(record, plain.model.shared, own)
+            with_hidden_motion(record, dataset.base, plain.model.shared, own)
             for record, own in zip(noisy, plain.model.own, strict=True)
         ]
         dataset = dataset_of(moved)
@@ -114,7 +132,7 @@ def diagnose(
         law = choose_law(dataset, plain)
     loads = choose_loads(law.dataset, law.fit)
     dataset, plain = loads.dataset, loads.fit
-    if _brief(dataset, plain):
+    if not fit_all and _brief(dataset, plain):
         dataset = with_records(dataset, [in_short_blocks(one) for one in dataset.records])
         plain = again(dataset, plain)
     plain = again(rescaled(dataset, plain), plain)  # weighed as its rivals will be
@@ -147,7 +165,13 @@ def diagnose(
     report("fitting again and testing", SEARCHES[-1])
     steps, fit = _needed(dataset, steps, fit)
     steps, fit = _distinct(dataset, plain, steps, fit)
+    if cause:
+        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause)
     outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
+    if leave_one_file_out:
+        report("leaving one file out", 1.0)
+        others = left_out(dataset, outcome.baseline, outcome.extended)
+        outcome = outcome._replace(left_out=others)
     return in_record_units(outcome._replace(laws=law, loads=loads))
 
 
@@ -360,7 +384,10 @@ def _outcome(
 ) -> Diagnosis:
     full = rescaled(whole(dataset), fit)
     last = improved(full, contexts(dataset, plain), fit.model, LAST)
-    folds = _folds(dataset, plain, last)
+    first_law = improved(
+        rescaled(whole(dataset), plain), contexts(dataset, plain), plain.model, LAST
+    )
+    folds = two_folds(dataset, plain, last)
     before, after = (joined([errors(one.dataset, one.fits[k]) for one in folds]) for k in (0, 1))
     left = left_of(after, before)
     astray = not _is_noise(dataset, after) and wanders(dataset, fit)
@@ -376,6 +403,8 @@ def _outcome(
         one.name: Number(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
         for one in parameters(full, contexts(dataset, plain), last)
     }
+    known = as_driven(dataset, validate, first_law)
+    further = predicted(dataset, first_law, last if steps else first_law, known)
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
     return Diagnosis(
         verdict=verdict,
@@ -383,10 +412,10 @@ def _outcome(
         ranking=first,
         parameters=numbers,
         dataset=dataset,
-        baseline=plain,
-        extended=last if steps else plain,
-        before=_fitnesses(folds, 0, validate),
-        after=_fitnesses(folds, 1, validate),
+        baseline=first_law,
+        extended=last if steps else first_law,
+        before=fitnesses(folds, 0, further),
+        after=fitnesses(folds, 1, further),
         gain={
             channel: Gain(*bootstrapped_gain(after[channel], before[channel])) for channel in before
         },
@@ -402,59 +431,7 @@ def _outcome(
         loads=Choice(dataset, plain, ()),
         experiments=experiments.settling(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
+        fit_all=all(record.train.all() for record in dataset.records),
+        rivals=rivals.fitted(dataset, plain, last, equal_causes.equals(steps, usable)),
+        validation=further,
     )
-
-
-class Fold(NamedTuple):
-    """A dataset of which one half is fitted, and the plain and the extended model fitted to it."""
-
-    dataset: Dataset
-    fits: tuple[Fit, Fit]
-
-
-def _folds(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Fold, Fold]:
-    """Return both ways to fit one half of the samples and to be judged by the other."""
-    about = contexts(dataset, plain)
-    full = whole(dataset)
-
-    def fold(half: Dataset) -> Fold:
-        before, after = (
-            refitted(rescaled(half, one), rescaled(full, one), about, one, LAST)
-            for one in (plain, fit)
-        )
-        return Fold(half, (before, after))
-
-    swapped = tuple(replace(record, train=~record.train) for record in dataset.records)
-    return fold(dataset), fold(dataset._replace(records=swapped))
-
-
-def _fitnesses(folds: tuple[Fold, ...], which: int, validate: Sequence[Record]) -> Fitnesses:
-    return Fitnesses(
-        _fitness(folds, which, fitted=True),
-        _fitness(folds, which, fitted=False),
-        _validated(folds[0].dataset, folds[0].fits[which], validate) if validate else {},
-    )
-
-
-def _fitness(folds: Sequence[Fold], which: int, *, fitted: bool) -> dict[str, Fitness]:
-    found = {}
-    for channel in folds[0].dataset.records[0].compared:
-        off, full = [], 0.0
-        for fold in folds:
-            for record, one in zip(fold.dataset.records, fold.fits[which].simulated, strict=True):
-                rows = record.good[channel] & (record.train == fitted)
-                off.append((record.signals[channel] - one.signals[channel])[rows])
-                full = max(full, float(np.ptp(record.signals[channel])))
-        error = np.concatenate(off)
-        share = np.abs(error) / max(full, 1e-12)
-        found[channel] = Fitness(
-            float(np.sqrt(np.mean(error**2))), float(share.max()), float(share.mean())
-        )
-    return found
-
-
-def _validated(fitted: Dataset, fit: Fit, validate: Sequence[Record]) -> dict[str, Fitness]:
-    """Return how far a model is off in records it was not fitted to, but for where they start."""
-    dataset = whole(with_records(fitted, validate))
-    start = own_only(dataset, fit)
-    return _fitness([Fold(dataset, (start, start))], 0, fitted=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.drive import rate, tension_drive
-from estimator.diagnosis.model import base_of, plain_physics
+from estimator.diagnosis.model import Base, plain_physics
 from estimator.diagnosis.record import Record, Trouble
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
@@ -36,7 +36,9 @@ class _Stretch(NamedTuple):
     travel: Array  # shape (end - begin,)
 
 
-def with_hidden_motion(record: Record, shared: tuple[float, ...], own: tuple[float, ...]) -> Record:
+def with_hidden_motion(
+    record: Record, base: Base, shared: tuple[float, ...], own: tuple[float, ...]
+) -> Record:
     """Return a record whose drive has the motion that its travel hides.
 
     Where the tension was taken to find it, it is not compared any more.
@@ -45,13 +47,14 @@ def with_hidden_motion(record: Record, shared: tuple[float, ...], own: tuple[flo
     ----------
     record : Record
         Of which `sigma` tells what the noise of the travel makes of the tension.
+    base : Base
+        The base law.
     shared, own : tuple of float
-        Numbers of the plain law, fitted to it (`estimator.diagnosis.model.base_of`).
+        Its numbers, fitted to the record.
     """
     sigma = record.noise[PROXIMAL_DISPLACEMENT] if record.driver == PROXIMAL_DISPLACEMENT else 0.0
     if record.loop or not sigma > 0.0:
         return record
-    base = base_of(record)
     physics = plain_physics(record, base, base.values(shared, own))
     drive, driven = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
     for noise in (record.sigma[PROXIMAL_TENSION], record.noise[PROXIMAL_TENSION]):
@@ -69,7 +72,7 @@ def with_hidden_motion(record: Record, shared: tuple[float, ...], own: tuple[flo
     if not driven.any():
         return record
     good = record.good | {PROXIMAL_TENSION: record.good[PROXIMAL_TENSION] & ~driven}
-    first = float(record.time[int(np.argmax(driven))])
+    first = record.start + float(record.time[int(np.argmax(driven))])
     return replace(
         record,
         drive=drive + own[0],

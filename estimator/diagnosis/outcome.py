@@ -1,14 +1,20 @@
 """What a diagnosis says."""
 
 from enum import StrEnum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from estimator.diagnosis.dataset import Dataset, Fit
+from estimator.diagnosis.force import FileForce, RivalForce
 from estimator.diagnosis.law_choice import Choice
+from estimator.diagnosis.prediction import Fitness, Predicted
 from estimator.diagnosis.record import Trouble
+from estimator.diagnosis.rivals import Rival
 from estimator.diagnosis.simple_models import SimpleFit
 from estimator.effects.effect import Effect
 from estimator.units import Units
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Verdict(StrEnum):
@@ -28,14 +34,6 @@ class Number(NamedTuple):
     high: float
     unit: str
     at_bound: bool = False  # the value is as far as the parameter may go: it may be further
-
-
-class Fitness(NamedTuple):
-    """How far a model is off in one channel, on one set of samples."""
-
-    rmse: float  # in the channel's unit
-    largest: float  # share of full scale
-    mean: float  # share of full scale
 
 
 class Fitnesses(NamedTuple):
@@ -101,7 +99,7 @@ class Diagnosis(NamedTuple):
     ranking: tuple[Ranked, ...]  # of the first search
     parameters: dict[str, Number]
     dataset: Dataset
-    baseline: Fit
+    baseline: Fit  # the plain law, fitted to all samples
     extended: Fit  # the baseline again where nothing was found
     before: Fitnesses
     after: Fitnesses
@@ -116,6 +114,12 @@ class Diagnosis(NamedTuple):
     detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset
     experiments: tuple[str, ...]  # that would settle what is ambiguous
     troubles: tuple[Trouble, ...]
+    fit_all: bool = False  # no sample was held out: all errors are of fitted samples
+    rivals: tuple[Rival, ...] = ()  # models with one of the equally good causes
+    validation: tuple[Predicted, ...] = ()  # records that were not fitted
+    left_out: tuple[Predicted, ...] = ()  # each record, by the fit of the others
+    forces: tuple[FileForce, ...] = ()  # error of the force that the loop would estimate
+    rival_forces: tuple[RivalForce, ...] = ()  # what each rival would do to that force
 
     @property
     def units(self) -> Units:
@@ -128,6 +132,11 @@ class Diagnosis(NamedTuple):
         return tuple(step.effect.name for step in self.steps)
 
     @property
+    def duration(self) -> float:
+        """Of the longest record [s]."""
+        return max(float(record.time[-1]) for record in self.dataset.records)
+
+    @property
     def ambiguous_with(self) -> tuple[str, ...]:
         """Names that cannot be told from one of the causes."""
         names = [name for step in self.steps for name in step.rivals]
@@ -138,3 +147,19 @@ class Diagnosis(NamedTuple):
         from estimator.diagnosis import report_text  # which imports this module
 
         return report_text.summary(self)
+
+    def plot(self, record: int = 0) -> "Figure":
+        """Return a figure of one fitted record: measured, simulated, and residuals."""
+        from estimator.diagnosis import figures  # which imports this module
+        from estimator.drawing import styled
+
+        with styled():
+            return figures.over_time(self, record)
+
+    def _repr_html_(self) -> str:
+        """Return the verdict, tables and figures for a notebook."""
+        from estimator.diagnosis import figures, report_text  # which import this module
+        from estimator.drawing import html_report
+
+        drawn = [(one.figure, one.caption) for one in figures.figures(self)]
+        return html_report(report_text.sentence(self), report_text.tables(self), drawn)

@@ -25,6 +25,7 @@ from estimator.diagnosis.drive import (
     turns_between_samples,
 )
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.spikes import single_spikes
 from estimator.effects.effect import (
     CHANNELS,
     DISTAL_TENSION,
@@ -59,7 +60,7 @@ class Trouble(NamedTuple):
     what: str
     channel: str
     samples: int
-    first: float  # [s]
+    first: float  # [s], as in the data
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,8 @@ class Record:
         Of the measured data; all here is in newtons and metres (`Units.inward`).
     loop
         Whether it is of a closed loop of two cables, with effort of either sign, not of one tendon.
+    start
+        Time of the first sample in the data [s].
     """
 
     time: Array
@@ -116,6 +119,7 @@ class Record:
     thinned: int
     units: Units = LINEAR
     loop: bool = False
+    start: float = 0.0
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -173,7 +177,8 @@ def prepare(
         units = units.scaled_to(efforts_of(signals))
     signals = {name: units.inward(name, signal) for name, signal in signals.items()}
     noise = {name: float(units.inward(name, np.array(s))) for name, s in noise.items()}
-    time = time - time[0]
+    start = float(time[0])
+    time = time - start
     good, troubles = {}, list(_repeated(time, signals))
     for name, signal in signals.items():
         good[name], spikes = _without_spikes(time, name, signal)
@@ -208,10 +213,11 @@ def prepare(
         measured=measured,
         train=block % 2 == 0,
         block=block,
-        troubles=tuple(troubles),
+        troubles=tuple(one._replace(first=one.first + start) for one in troubles),
         thinned=thinned,
         units=units,
         loop=loop,
+        start=start,
     )
 
 
@@ -356,19 +362,7 @@ def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Tr
 
 def _without_spikes(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:
     """Return which samples are no single-sample spikes, and what is said of those that are."""
-    from scipy.ndimage import median_filter  # here: the control processes import this module
-
-    off = np.zeros_like(signal)
-    off[1:-1] = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
-    across = np.zeros_like(signal)
-    across[1:-1] = np.abs(signal[2:] - signal[:-2])
-    usual = 1.4826 * median_filter(np.abs(off), 101, mode="nearest")
-    least = max(noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
-    spike = (np.abs(off) > SETTINGS.spike * np.maximum(usual, least)) & (across < 0.5 * np.abs(off))
-    # beside a spike both neighbours are off by half of it, the other way; beside a sharp turn not
-    for beside in (np.roll(off, 1), np.roll(off, -1)):
-        spike &= (off * beside < 0.0) & (np.abs(beside) > 0.25 * np.abs(off))
-        spike &= np.abs(beside) < 0.8 * np.abs(off)
+    spike = single_spikes(signal)
     if not spike.any():
         return np.ones(len(signal), dtype=np.bool_), []
     first = float(time[int(np.argmax(spike))])

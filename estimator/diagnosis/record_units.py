@@ -1,7 +1,8 @@
 """What a diagnosis says, in the units of its records."""
 
 from estimator.diagnosis.law_choice import Choice
-from estimator.diagnosis.outcome import Diagnosis, Fitness, Fitnesses, Number, Ranked
+from estimator.diagnosis.outcome import Diagnosis, Fitnesses, Number, Ranked
+from estimator.diagnosis.prediction import Fitness
 from estimator.units import Units
 
 Errors = dict[str, float]

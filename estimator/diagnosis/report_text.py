@@ -58,7 +58,10 @@ def sentence(found: Diagnosis) -> str:
 
 
 def summary(
-    found: Diagnosis, files: Sequence[str] | None = None, compared: Table | None = None
+    found: Diagnosis,
+    files: Sequence[str] = (),
+    compared: Table | None = None,
+    further: Sequence[str] = (),
 ) -> str:
     """Return all that is said of a diagnosis: the verdict, tables, residuals, next steps.
 
@@ -70,27 +73,52 @@ def summary(
         What the records are called; "record 1" and so on by default.
     compared : Table, optional
         A calibration beside what the data say.
+    further : sequence of str, optional
+        What the records for validation are called.
     """
-    named = files or [f"record {k + 1}" for k in range(len(found.dataset.records))]
-    tables = [candidates(found)] if found.ranking else []
-    tables.append(parameters(found))
-    tables += [one for one in (laws(found), loads(found)) if one is not None]
-    if compared is not None:
-        tables.append(compared)
-    if found.steps:
-        tables.append(gains(found))
-    tables.append(models(found))
-    if found.after.validation:
-        tables.append(validated(found))
-    if found.detection_limits:
-        tables.append(detection_limits(found))
-    parts = [sentence(found), *(table.markdown() for table in tables)]
+    from estimator.diagnosis import file_tables  # which imports this module
+
+    named = file_tables.names_of(found, files, further)
+    parts = [sentence(found)]
+    parts += [table.markdown() for table in tables(found, files, compared, further)]
     residuals = [*remains(found), *better_models(found)]
     parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in residuals))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in next_steps(found)))
-    if said := remarks(found, named):
+    if said := remarks(found, named[: len(found.dataset.records)]):
         parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in said))
     return "\n\n".join(parts)
+
+
+def tables(
+    found: Diagnosis,
+    files: Sequence[str] = (),
+    compared: Table | None = None,
+    further: Sequence[str] = (),
+) -> list[Table]:
+    """Return the tables of a diagnosis; for the parameters see `summary`."""
+    from estimator.diagnosis import file_tables  # which imports this module
+
+    names = file_tables.names_of(found, files, further)
+    named = names[: len(found.dataset.records)]
+    shown = [candidates(found)] if found.ranking else []
+    shown.append(parameters(found))
+    if compared is not None:
+        shown.append(compared)
+    if found.steps:
+        shown.append(gains(found))
+    shown.append(models(found))
+    if found.validation:
+        shown.append(file_tables.predicted(found.validation, names[len(named) :]))
+    if found.left_out:
+        left_out = [f"{name}, left out" for name in named]
+        shown.append(file_tables.predicted(found.left_out, left_out))
+    if found.forces:
+        shown.append(file_tables.forces(found, names))
+    if found.rival_forces:
+        shown.append(file_tables.rivals(found))
+    if found.detection_limits:
+        shown.append(detection_limits(found))
+    return shown
 
 
 def candidates(found: Diagnosis) -> Table:
@@ -158,12 +186,12 @@ def _chosen(found: Diagnosis, choice: Choice, what: str, chosen: str) -> Table |
 
 
 def gains(found: Diagnosis) -> Table:
-    """Return by how much held-out errors fell."""
+    """Return by how much errors fell, of held-out samples if any are."""
     rows = [
         (found.units.word(channel), f"{gain.value:.1%}", f"{gain.low:.1%} to {gain.high:.1%}")
         for channel, gain in found.gain.items()
     ]
-    return Table(("channel", "held-out RMSE falls by", "95 % interval"), tuple(rows))
+    return Table(("channel", f"{judged(found)} RMSE falls by", "95 % interval"), tuple(rows))
 
 
 def models(found: Diagnosis) -> Table:
@@ -177,7 +205,8 @@ def models(found: Diagnosis) -> Table:
         (name, *(quantity(rmse[channel], found.units.of(channel), 3) for channel in channels))
         for name, rmse in errors.items()
     ]
-    return Table(("held-out RMSE of", *(found.units.word(c) for c in channels)), tuple(rows))
+    words = (found.units.word(channel) for channel in channels)
+    return Table((f"{judged(found)} RMSE of", *words), tuple(rows))
 
 
 def better_models(found: Diagnosis) -> list[str]:
@@ -193,28 +222,17 @@ def better_models(found: Diagnosis) -> list[str]:
             said.append(
                 f"{found.units.word(channel)}: {best.name} fits better than the law, "
                 f"{quantity(best.rmse[channel], unit, 3)} against {quantity(one.rmse, unit, 3)} "
-                "RMSE held out."
+                f"{judged(found)} RMSE."
             )
     return said
-
-
-def validated(found: Diagnosis) -> Table:
-    """Return the errors of both models in data that were not fitted, by channel."""
-    rows = [
-        (
-            found.units.word(channel),
-            quantity(before.rmse, found.units.of(channel), 3),
-            quantity(found.after.validation[channel].rmse, found.units.of(channel), 3),
-        )
-        for channel, before in found.before.validation.items()
-    ]
-    return Table(("in the data of --validate", "RMSE before", "RMSE after"), tuple(rows))
 
 
 def fitness(found: Diagnosis) -> Table:
     """Return the errors of both models, by channel and by what they were judged on."""
     rows = []
     for name, words in SETS.items():
+        if found.fit_all and name == "held_out":
+            continue
         for channel in getattr(found.before, name):
             pair = [_fitness(found, model, name, channel) for model in (found.before, found.after)]
             cells = [cell for both in zip(*pair, strict=True) for cell in both]
@@ -284,8 +302,8 @@ def remains(found: Diagnosis) -> list[str]:
         else:
             what = "it depends on no tension, speed, direction, travel or time"
         said.append(
-            f"{found.units.word(channel)}: {quantity(one.rmse, unit, 3)} RMSE held out, noise is "
-            f"{quantity(noise, unit, 2)}; {what}."
+            f"{found.units.word(channel)}: {quantity(one.rmse, unit, 3)} {judged(found)} RMSE, "
+            f"noise is {quantity(noise, unit, 2)}; {what}."
         )
     return said
 
@@ -297,6 +315,11 @@ def detection_limits(found: Diagnosis) -> Table:
         for name, least in found.detection_limits.items()
     ]
     return Table(("effect", "parameter", "would have been seen from"), tuple(rows))
+
+
+def judged(found: Diagnosis) -> str:
+    """Return which errors are stated: of samples that were held out, or of fitted ones."""
+    return "in-sample" if found.fit_all else "held-out"
 
 
 def best(ranking: Iterable[Ranked], most: int) -> list[Ranked]:
@@ -379,8 +402,9 @@ def _gain(found: Diagnosis) -> str:
     most = found.gain[channel]
     causes = "that" if len(found.steps) == 1 else "them"
     return (
-        f"with {causes} in the model the held-out error of the {found.units.word(channel)} falls "
-        f"by {most.value:.0%} ({most.low:.0%} to {most.high:.0%})"
+        f"with {causes} in the model the {judged(found)} error of the "
+        f"{found.units.word(channel)} falls by {most.value:.0%} "
+        f"({most.low:.0%} to {most.high:.0%})"
     )
 
 

@@ -33,13 +33,17 @@ class Errors(NamedTuple):
 
 
 def errors(dataset: Dataset, fit: Fit, *, held_out: bool = True) -> dict[str, Errors]:
-    """Return the errors of a model by channel, all records together."""
+    """Return the errors of a model by channel, all records together.
+
+    Where all samples are fitted and none is held out, the fitted ones are judged.
+    """
     parts: dict[str, list[Errors]] = {}
     for record, one in zip(dataset.records, fit.simulated, strict=True):
         # no bin goes beyond its block: both numbers rise with time
         bins = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + record.block
+        judged = record.train if record.train.all() else record.train != held_out
         for channel in record.compared:
-            rows = record.good[channel] & (record.train != held_out)
+            rows = record.good[channel] & judged
             error = (record.signals[channel] - one.signals[channel])[rows]
             off = error / record.sigma[channel][rows]
             squares = np.bincount(bins[rows], off**2, bins[-1] + 1).astype(np.float64)

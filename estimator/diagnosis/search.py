@@ -125,11 +125,11 @@ def candidates(
         )
 
     finishing = part(report, FITTING[-1], 1.0)
-    done = list(_each(finished, models, finishing, "finishing the best", workers))
+    refined = list(_each(finished, models, finishing, "finishing the best", workers))
     rest = [
         _scored(dataset, simulated(dataset, about, one.fit.model)) for one in best[len(models) :]
     ]
-    return sorted(done + rest, key=lambda one: one.cost)
+    return sorted(refined + rest, key=lambda one: one.cost)
 
 
 def _begun(

@@ -47,10 +47,11 @@ def simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
 
 
 def _held_out(dataset: Dataset, channel: str, name: str) -> float:
-    """Return the rms error of both halves, each fitted to the other."""
+    """Return the rms error of both halves, each fitted to the other; of all where all is fitted."""
     squares, count = 0.0, 0
     candidates = list(_MODELS[name](dataset))
-    for fitted_half in (True, False):
+    all_fitted = all(record.train.all() for record in dataset.records)
+    for fitted_half in (True,) if all_fitted else (True, False):
         best, off = np.inf, np.zeros(0)
         for features in candidates:
             error, other = _fit(dataset, channel, features, fitted_half, name != "LuGre")
@@ -64,7 +65,7 @@ def _held_out(dataset: Dataset, channel: str, name: str) -> float:
 def _fit(
     dataset: Dataset, channel: str, features: list[Array], fitted_half: bool, positive: bool
 ) -> tuple[float, Array]:
-    """Return the squared error of the fitted half, and the errors of the other."""
+    """Return the squared error of the fitted half, and the errors of the other, if there is one."""
     rows, values, fitted = [], [], []
     offsets = np.eye(len(dataset.records))
     for k, (record, columns) in enumerate(zip(dataset.records, features, strict=True)):
@@ -76,7 +77,7 @@ def _fit(
     A, y, mask = np.concatenate(rows), np.concatenate(values), np.concatenate(fitted)
     weights = _weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
     off = y - A @ weights
-    return float(off[mask] @ off[mask]), off[~mask]
+    return float(off[mask] @ off[mask]), off if mask.all() else off[~mask]
 
 
 def _weights(A: Array, y: Array, positive: int) -> Array:

@@ -83,7 +83,7 @@ class Use(Enum):
     LAW = "in the friction and shape of the sheath"
     BESIDE = "run beside the law"
     READING = "taken out of what the housing reads"
-    REFERENCE = "taken out of what is measured at the tip"
+    REFERENCE = "in what the sensor at the tip reads; the force at the tip is free of it"
     NOTHING = "left out"
 
 
@@ -100,6 +100,11 @@ class Extended(NamedTuple):
     sheath: Sheath
     extension: Extension | None  # None where the sheath has all of it
     uses: tuple[tuple[Effect, Values, Use], ...]  # what becomes of each effect
+
+    @property
+    def tip_effects(self) -> tuple[tuple[Effect, Values], ...]:
+        """Effects of the sensors at the tip, which only a bench has."""
+        return tuple((effect, values) for effect, values, use in self.uses if use is Use.REFERENCE)
 
 
 def extended(
@@ -160,15 +165,6 @@ def why_left_out(effect: Effect) -> str:
     return LEFT_OUT.get(effect.name, _NOTHING)
 
 
-def true_at_tip(model: Extended, time: Array, channel: str, signal: Array) -> Array:
-    """Return what a sensor at the tip would have read without its effects, shape (n,)."""
-    context = _context(time, channel, 0.0)
-    for effect, values, use in reversed(model.uses):
-        if use is Use.REFERENCE:
-            signal = effect.invert(signal, values, context)
-    return signal
-
-
 def sheath_of(physics: Physics, length: float) -> Sheath:
     """Return the sheath whose law is that of `physics`, for a `length` [m].
 
@@ -197,7 +193,7 @@ def _differ(one: Physics, other: Physics, fields: Sequence[str]) -> bool:
 
 def _is_of_tip_sensor(effect: Effect) -> bool:
     at_tip = bool(effect.needs & {DISTAL_TENSION, DISTAL_DISPLACEMENT})
-    return at_tip and effect.invert is not Effect.invert and effect.name not in LEFT_OUT
+    return at_tip and effect.measure is not Effect.measure and effect.name not in LEFT_OUT
 
 
 def _context(time: Array, driver: str, elongation_per_newton: float) -> EffectContext:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from estimator import signals
+from estimator.effects.effect import Effect, Values
 from estimator.law.sheath import Sheath
 from estimator.law.tables import MAX_SECTIONS
 from estimator.online.extension import Extension
@@ -39,6 +40,8 @@ class TendonModel:
     extension
         What a diagnosis found beyond the law of the sheath, if anything; of its corrections of
         readings, at most `reading_correction.MAX_CORRECTIONS`.
+    tip_effects
+        Effects, with their values, of a bench's load cell at the tip; only errors go by them.
     """
 
     sheath: Sheath
@@ -50,6 +53,7 @@ class TendonModel:
     elongation_error: float = 0.1
     tip_tension_rate: float = 100.0  # [N/s]
     extension: Extension | None = None
+    tip_effects: tuple[tuple[Effect, Values], ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""

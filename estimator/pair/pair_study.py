@@ -1,7 +1,7 @@
 """Friction of a pair against the bend of its sheath, and how well other bends are predicted."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.stats import t as student
@@ -9,6 +9,9 @@ from scipy.stats import t as student
 from estimator.array_types import Array
 from estimator.pair.pair import PairModel, PairRecord
 from estimator.pair.pair_fit import PairError, PairFit, PairVariant, angle_of, check, fit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LEAST_BENDS = 3
 CONFIDENCE = 0.95
@@ -53,9 +56,65 @@ class PairStudy(NamedTuple):
     growth: Number  # mu [1/rad]
     left_out: dict[str, tuple[HeldOutError, ...]]  # by method, for each record
     predicted: tuple[Array, ...]  # angle of each record [rad], by the model of the others
+    validation: tuple[Validation, ...] = ()  # errors of records that were kept apart
+
+    def summary(self) -> str:
+        """Return the result, tables and what is wrong as Markdown text."""
+        from estimator.pair import report_text  # which imports this module
+
+        return report_text.format_report(self)
+
+    def plot(self) -> "Figure":
+        """Return a figure of the measured and the predicted angle over the command."""
+        from estimator.drawing import styled
+        from estimator.pair import figures  # which imports this module
+
+        with styled():
+            return figures.loops(self)
+
+    def _repr_html_(self) -> str:
+        """Return the result, tables and figures for a notebook."""
+        from estimator.drawing import html_report
+        from estimator.pair import figures, report_text  # which import this module
+
+        drawn = [(one.figure, one.caption) for one in figures.figures(self)]
+        return html_report(report_text.sentence(self), report_text.tables(self), drawn)
 
 
-def study(records: Sequence[PairRecord], report: Report = lambda _what, _share: None) -> PairStudy:
+def quiet(_what: str, _share: float) -> None:
+    """Report nothing."""
+
+
+def study_pair(
+    records: Sequence[PairRecord],
+    *,
+    validate: Sequence[PairRecord] = (),
+    progress: Report = quiet,
+) -> PairStudy:
+    """Measure how the friction of an antagonistic pair grows with the bend of its sheath.
+
+    One model is fitted to all records; then each record is predicted by the fit of the others.
+
+    Parameters
+    ----------
+    records : sequence of PairRecord
+        Of one pair at three or more bends.
+    validate : sequence of PairRecord
+        At further bends, to be predicted and not fitted.
+    progress : callable
+        Called with what is being done and which share of it (0 to 1) is.
+
+    Raises
+    ------
+    PairError
+        There are fewer than three bends, or a record cannot be fitted.
+    """
+    check(validate)
+    found = study(sorted(records, key=lambda one: one.bend), progress)
+    return found._replace(validation=_validated(found, validate))
+
+
+def study(records: Sequence[PairRecord], report: Report = quiet) -> PairStudy:
     """Study a pair at several bends; `report` is told what is done, and which share of all.
 
     Raises
@@ -119,9 +178,8 @@ def baselines(records: Sequence[PairRecord]) -> dict[str, tuple[HeldOutError, ..
     }
 
 
-def validate(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
+def _validated(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
     """Return the errors of further records, predicted from their command and bend."""
-    check(records)
     share = _share(found.records)
     return tuple(
         Validation(

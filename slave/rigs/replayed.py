@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from estimator.array_types import Array
+from estimator.diagnosis.spikes import without_spikes
 from slave.rig import RigFinished, RigSample
 from teleop.data.table import Columns, read_tables
 from teleop.messages import MAX_JOINTS
@@ -32,26 +33,34 @@ class ReplayedRigConfig:
 
 
 class ReplayedRig:
-    """A `slave.rig.Rig` that returns every row of a file once, unchanged and in order.
+    """A `slave.rig.Rig` that returns every row of a file once, in order.
 
     A row is due when its time since the first row has passed since the start. A sample has the time
     of its row, so the live estimator computes exactly what one that reads the file does. There are
-    no motors; writes have no effect.
+    no motors; writes have no effect. Rows are unchanged, but for single-sample spikes, which are
+    missing (NaN) as in `teleop estimate` and `teleop diagnose`, so that all three give one error.
     """
 
     starts_at_zero = True  # there are no motors, so any start is correct
 
     def __init__(self, config: ReplayedRigConfig) -> None:
-        tables = read_tables(config.file, config.tendons, config.drop_nonfinite)
+        tables = read_tables(
+            config.file, config.tendons, config.drop_nonfinite, zero_errors=("distal_tension",)
+        )
         self.name = config.name or config.file.name
         self.tendons = len(tables)
         self.joints: tuple[tuple[int, ...], ...] = tuple((k,) for k in range(self.tendons))
         self._loop = config.loop
         self._time = tables[0].time
-        self._tension = np.column_stack([table.proximal_tension for table in tables])
-        self._displacement = _beside([table.proximal_displacement for table in tables])
-        self._bench_tension = _beside([table.distal_tension for table in tables])
-        self._bench_displacement = _beside([table.distal_displacement for table in tables])
+        clean = [without_spikes(table) for table in tables]
+        self.housing = tuple((one.proximal_tension, one.proximal_displacement) for one in tables)
+        self._tension = np.column_stack([one.proximal_tension for one in clean])
+        self._displacement = _beside([one.proximal_displacement for one in clean])
+        self._bench_tension = _beside([one.distal_tension for one in clean])
+        self._bench_displacement = _beside([one.distal_displacement for one in clean])
+        self._spikes = sum(
+            int(np.isnan(signal).sum()) for one in clean for signal in one[1:] if signal is not None
+        )
         self._next = self._played = 0
         self._lap = 0.0  # [s] added to the rows' times, in a loop
         gaps = np.diff(self._time)
@@ -84,7 +93,7 @@ class ReplayedRig:
 
     def summary(self) -> dict[str, int | float | str]:
         """Return the amount of data played."""
-        return {"rows": len(self._time), "played": self._played}
+        return {"rows": len(self._time), "played": self._played, "spikes": self._spikes}
 
     def close(self) -> None:
         """Do nothing: the file was read when the rig was opened."""

@@ -3,6 +3,7 @@
 import argparse
 import importlib
 import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
@@ -109,6 +110,7 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
         if command in COMPILED:
             compile_cache.choose()
         args = build_parser(command).parse_args(words)
+        args.command_line = shlex.join(["teleop", *words])
         begin()
         return int(args.main(args))
     except TeleopError as error:

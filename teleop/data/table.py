@@ -5,7 +5,7 @@ The format is described in docs/data-format.md. Nothing is repaired silently: in
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
@@ -38,7 +38,7 @@ NAMES_SHOWN = 12  # of a file's columns in an error message
 PERIOD = 1.5  # [s] above this the unit is wrong: milliseconds
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
 NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
-ZERO_SHARE = 0.25  # of its peak, for a diagnosis, which identifies zero errors
+ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only scored
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +113,7 @@ def read_table(
     columns: Columns | None = None,
     drop_nonfinite: bool = False,
     *,
+    zero_errors: Collection[str] = (),
     diagnosed: bool = False,
     units: Units | None = None,
 ) -> MeasuredTable:
@@ -126,9 +127,11 @@ def read_table(
         The columns' names; the standard ones by default.
     drop_nonfinite : bool
         Omit rows with non-finite values instead of raising.
+    zero_errors : collection of str
+        Tensions that may be below zero by more than noise, as far as a load cell's wrong zero
+        takes them, and single samples by any amount: "proximal_tension", "distal_tension".
     diagnosed : bool
-        For a diagnosis: readings may be below zero by more than noise, single samples by any
-        amount; the record may be of torques and angles, or of forces of either sign.
+        For a diagnosis: the record may be of torques and angles, or of forces of either sign.
     units : Units, optional
         Of the columns that are named; by default as the file's column names tell.
 
@@ -138,7 +141,8 @@ def read_table(
         The file or its content is invalid.
     """
     tendons = (columns or Columns(),)
-    return read_tables(Path(path), tendons, drop_nonfinite, diagnosed=diagnosed, units=units)[0]
+    how: dict[str, Any] = {"zero_errors": zero_errors, "diagnosed": diagnosed, "units": units}
+    return read_tables(Path(path), tendons, drop_nonfinite, **how)[0]
 
 
 def read_tables(
@@ -146,6 +150,7 @@ def read_tables(
     tendons: Sequence[Columns],
     drop_nonfinite: bool = False,
     *,
+    zero_errors: Collection[str] = (),
     diagnosed: bool = False,
     units: Units | None = None,
 ) -> tuple[MeasuredTable, ...]:
@@ -171,7 +176,7 @@ def read_tables(
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
     for names in found:
-        _check(path, raw, names, numbers, diagnosed, units)
+        _check(path, raw, names, numbers, zero_errors, diagnosed, units)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
         tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped, units=units))
@@ -282,6 +287,7 @@ def _check(
     raw: RawTable,
     names: Mapping[str, str],
     numbers: Mapping[str, Array],
+    zero_errors: Collection[str],
     diagnosed: bool,
     units: Units,
 ) -> None:
@@ -302,7 +308,8 @@ def _check(
             continue
         tension = numbers[names[item]]
         row = int(np.abs(tension).argmax())
-        low = int((_without_dips(tension) if diagnosed else tension).argmin())
+        may_err = item in zero_errors
+        low = int((_without_dips(tension) if may_err else tension).argmin())
         peak = float(tension[row])
         if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
             what = "torque in newton metres; check the unit (N mm?)"
@@ -311,11 +318,11 @@ def _check(
             raise wrong(item, row, f"{peak:.6g} is too large for a {what}")
         if units.signed:
             continue
-        share = ZERO_SHARE if diagnosed else NOISE_SHARE
+        share = ZERO_SHARE if may_err else NOISE_SHARE
         floor = NOISE_FLOOR + share * float(tension.max(initial=0.0))
         if tension[low] < -floor:
             what = f"{float(tension[low]):.6g} N: a tendon cannot push"
-            below = "a zero offset" if diagnosed else "noise"
+            below = "a zero offset" if may_err else "noise"
             limit = f"{below} is taken to end at {-floor:.3g} N"
             loop = f"; a closed loop's forces are named {item.replace('tension', 'force')}_N"
             raise wrong(

@@ -19,17 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from estimator import signals
 from estimator.calibration.sheath_fit import LONGEST, FitError, SheathFit, fit_sheath
-from estimator.effects.effect import DISTAL_TENSION
-from estimator.online import extension, online
+from estimator.diagnosis.api import signals_of
+from estimator.diagnosis.spikes import without_spikes
+from estimator.measured_data import Samples
+from estimator.online import online
 from estimator.online.estimator import Estimator
+from estimator.online.score import Score
 from slave import model_files
 from slave.calibration import file
 from slave.calibration.file import Calibration, JointTendons
 from slave.config import SlaveConfig, tendon_configs
 from slave.rigs.simulated.simulated import SimulatedRigConfig, joint_tendons
-from slave.score import Score
 from slave.tendon_config import TendonConfig
 from teleop.config import as_tree, load
 from teleop.data.table import Columns, MeasuredTable, check_destination, read_table, write_table
@@ -93,7 +94,12 @@ def main(args: argparse.Namespace) -> int:
     files = model_files.parse(args.model)
     known, joints = ((), ()) if args.fit else load_models(args)
     k = select_tendon(args.tendon, joints, len(known))
-    table = read_table(args.data, column_names(args.column, k), args.drop_nonfinite)
+    table = read_table(
+        args.data,
+        column_names(args.column, k),
+        args.drop_nonfinite,
+        zero_errors=() if args.fit else ("distal_tension",),
+    )
     summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
     if args.tendon is not None or len(known) > 1:
         summary["tendon"] = tendon_name(k, joints)
@@ -115,14 +121,17 @@ def main(args: argparse.Namespace) -> int:
     else:
         tendon = of_tendon(k, known, joints, files) if files else known[k if len(known) > 1 else 0]
         if not known:
-            tendon = with_noise(tendon, table, args.length)
-    estimates = Estimator(tendon.model()).run(table)
+            tendon = of_data(tendon, table, args.length)
+    clean = without_spikes(table)
+    estimates = Estimator(tendon.model()).run(clean)
     summary["model"] = as_tree(tendon)
     if tendon.model_file is not None:
         summary["effects"] = model_files.describe(tendon)
-    true = with_true_tip(table, tendon)
-    summary["force_error"] = compare_with_bench(estimates, true, tendon.tension_noise)
-    summary["travel_contradicts"] = travel_contradicts(tendon, true, summary["force_error"])
+    summary["spikes"] = {
+        name: int(np.isnan(signal).sum()) for name, signal in signals_of(clean).items()
+    }
+    summary["force_error"] = compare_with_bench(estimates, clean, tendon)
+    summary["travel_contradicts"] = travel_contradicts(tendon, clean, summary["force_error"])
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
         for flag in online.Status
@@ -183,37 +192,21 @@ def of_tendon(
     return tendon
 
 
-def with_noise(tendon: TendonConfig, table: MeasuredTable, length: float) -> TendonConfig:
-    """Return a tendon from a model file alone, with the noise of a record."""
-    travel = table.proximal_displacement
+def of_data(tendon: TendonConfig, table: MeasuredTable, length: float) -> TendonConfig:
+    """Return a tendon from a model file alone, with a length [m] and the noise of a record."""
     try:
-        return dataclasses.replace(
-            tendon,
-            length=length,
-            tension_noise=signals.noise_sigma(table.proximal_tension),
-            displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
-        )
+        known = model_files.of_length(tendon, length)
+        return model_files.with_noise_of(known, table.proximal_tension, table.proximal_displacement)
     except ValueError as error:
         raise UsageError(f"{table.path}, --length {length:g}: {error}") from error
 
 
-def with_true_tip(table: MeasuredTable, tendon: TendonConfig) -> MeasuredTable:
-    """Return data with the tip tension corrected by a model file."""
-    extended = tendon.extended()
-    if extended is None or table.distal_tension is None:
-        return table
-    true = extension.true_at_tip(extended, table.time, DISTAL_TENSION, table.distal_tension)
-    return dataclasses.replace(table, distal_tension=true)
-
-
-def travel_contradicts(
-    tendon: TendonConfig, table: MeasuredTable, error: dict[str, Any] | None
-) -> bool:
+def travel_contradicts(tendon: TendonConfig, table: Samples, error: dict[str, Any] | None) -> bool:
     """Return whether the estimate without travel would be far better."""
     if error is None or table.proximal_displacement is None:
         return False
-    alone = Estimator(tendon.model()).run(dataclasses.replace(table, proximal_displacement=None))
-    without = compare_with_bench(alone, table, tendon.tension_noise)
+    alone = Estimator(tendon.model()).run(table._replace(proximal_displacement=None))
+    without = compare_with_bench(alone, table, tendon)
     return (
         without is not None
         and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
@@ -264,15 +257,12 @@ def tendon_name(k: int, joints: JointTendons) -> str:
 
 
 def compare_with_bench(
-    estimates: online.Estimates, table: MeasuredTable, noise: float
+    estimates: online.Estimates, table: Samples, tendon: TendonConfig
 ) -> dict[str, Any] | None:
-    """Return the error against the measured distal tension, None without one.
-
-    `noise` [N] is that of the load cell at the housing.
-    """
+    """Return the error against the measured distal tension, None without one."""
     if table.distal_tension is None:
         return None
-    score = Score(noise)
+    score = Score([tendon.model()])
     score.add_columns(estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
     return score.summary()
 
@@ -341,6 +331,11 @@ def format_report(summary: dict[str, Any]) -> list[str]:
         )
     lines += [f"model     {sentence}" for sentence in summary.get("effects", ())]
     lines.append(f"force     {force_line(summary['force_error'])}")
+    lines += [
+        f"          {count} single-sample spikes of {name.replace('_', ' ')} left out"
+        for name, count in summary["spikes"].items()
+        if count
+    ]
     if summary["travel_contradicts"]:
         lines.append(
             "WARNING   the displacement contradicts the tension: without it the estimate is far "

@@ -56,6 +56,21 @@ def test_the_effect_that_was_put_in_is_found(tmp_path):
     assert float(gain) == pytest.approx(0.15, abs=0.02)
 
 
+def test_a_diagnosis_is_a_page_of_its_own(tmp_path):
+    said = run(tmp_path, "notebook_report.py", tmp_path / "report.html")
+    before, after = re.search(r"validation: .* by ([\d.]+) N before, ([\d.]+) N", said).groups()
+    assert float(after) < 0.5 * float(before)
+    page = (tmp_path / "report.html").read_text()
+    assert page.startswith("<div>")
+    assert page.count("<svg") >= 4
+
+
+def test_a_pair_s_friction_grows_as_it_was_put_in(tmp_path):
+    said = run(tmp_path, "pair_study.py")
+    assert float(re.search(r"grows by ([\d.]+)", said)[1]) == pytest.approx(0.2, rel=0.1)
+    assert float(re.search(r"apart: ([\d.]+)%", said)[1]) < 3.0
+
+
 def test_the_snippet_of_the_readme_runs_as_it_is(tmp_path):
     (snippet,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     words = "simulate --out bench.csv --duration 12 --rate 100 --profile nested"

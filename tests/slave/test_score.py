@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from estimator.law.sheath import Sheath
+from estimator.online.tendon_model import TendonModel
 from slave.score import Score
 
 
@@ -32,6 +34,6 @@ def test_without_a_bench_sensor_there_is_nothing_to_say():
 
 @pytest.mark.parametrize(("noise", "pulled"), [(0.0, True), (0.004, True), (0.01, False)])
 def test_a_force_that_hardly_stands_out_of_the_noise_is_no_full_scale(noise, pulled):
-    score = Score(noise)
+    score = Score([TendonModel(Sheath.uniform(1.0, 1.5, 9000.0), tension_noise=noise)])
     score.add(1.2, 0.0, 2.0, 1.1)
     assert score.summary()["pulled"] is pulled

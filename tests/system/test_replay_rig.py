@@ -60,8 +60,9 @@ def test_live_equals_offline_whatever_the_rate_of_the_data(rate, demo_config, tm
     words = ["simulate", str(demo_config), "--out", str(data), "--profile", "nested"]
     words += ["--duration", "4", "--rate", rate, "--set", "slave.rig.period=0.0004"]
     assert cli.main(words) == 0
-    offline, recording, _, _ = live_and_offline(data, tmp_path, demo_config)
+    offline, recording, estimate, live = live_and_offline(data, tmp_path, demo_config)
     assert_same(offline, recording)
+    assert live["slave"]["force_error"] == pytest.approx(estimate["force_error"])
 
 
 @pytest.mark.measured

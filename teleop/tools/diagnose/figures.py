@@ -1,259 +1,28 @@
-"""The figures of a diagnosis.
+"""Write the figures of a diagnosis."""
 
-Colours are Okabe and Ito's, safe for any colour vision; measured is black, and line styles differ
-with the colours.
-"""
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import matplotlib as mpl
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
-from estimator.array_types import Array
-from estimator.diagnosis import report_text
+from estimator.diagnosis.figures import figures
 from estimator.diagnosis.outcome import Diagnosis
-from estimator.diagnosis.record import Record
-from estimator.effects.effect import (
-    DISTAL_TENSION,
-    PROXIMAL_DISPLACEMENT,
-    PROXIMAL_TENSION,
-)
-from estimator.units import Units
-from teleop.tools.report.style import BLACK, BLUE, GREY, STYLE, VERMILION
-
-PALE, OTHER, SHADE = "#9dc7e6", "#cccccc", "#eaf3f9"
-MOST_RECORDS = 4  # that are drawn
-MOST_BARS = 14
-POINTS = 4000  # of a line, at most
-BINS = 24  # of medians
-MIN_SAMPLES = 15  # samples in one
-SCATTERED = 1500  # points
+from estimator.drawing import STYLE
 
 
-class DrawnFigure(NamedTuple):
-    """A figure."""
-
-    name: str
-    figure: Figure
-    caption: str
-
-
-def draw(found: Diagnosis, files: Sequence[str], folder: Path) -> dict[str, str]:
-    """Write all figures into `folder`; return their captions by file name."""
+def draw(
+    found: Diagnosis,
+    files: Sequence[str],
+    folder: Path,
+    further: Sequence[str] = (),
+    kind: str = "png",
+) -> dict[str, str]:
+    """Write all figures into `folder` as PNG or SVG; return their captions by file name."""
     captions = {}
-    with mpl.rc_context(STYLE):
-        for drawn in _figures(found, files):
-            file = f"diagnosis-{drawn.name}.png"
-            drawn.figure.savefig(folder / file)
+    with mpl.rc_context(STYLE | {"svg.hashsalt": "tendon-teleop"}):
+        for drawn in figures(found, files, further):
+            file = f"diagnosis-{drawn.name}.{kind}"
+            metadata = {"Date": None} if kind == "svg" else None
+            drawn.figure.savefig(folder / file, metadata=metadata)
             captions[file] = drawn.caption
     return captions
-
-
-def _figures(found: Diagnosis, files: Sequence[str]) -> Iterator[DrawnFigure]:
-    for k, file in enumerate(files[:MOST_RECORDS]):
-        number = f"-{k + 1}" if len(files) > 1 else ""
-        yield DrawnFigure(
-            f"over-time{number}",
-            over_time(found, k),
-            f"{file}: measured, and simulated before and after; below each channel the residual "
-            "(measured less simulated). Held-out blocks are shaded.",
-        )
-        if _loop_axes(found.dataset.records[k]) is not None:
-            yield DrawnFigure(f"loop{number}", loop(found, k), f"{file}: the hysteresis loop.")
-    yield DrawnFigure(
-        "structure",
-        structure(found),
-        "Residuals (measured less simulated) before and after, against tension, speed and time: "
-        "points and their medians. A correct model leaves noise around zero.",
-    )
-    if found.ranking:
-        yield DrawnFigure(
-            "ranking",
-            ranking(found),
-            "Log-likelihood ratio of held-out data with and without a cause, with a penalty for "
-            "its parameters. Blue are the causes found, pale blue those that the data do not "
-            "distinguish from them.",
-        )
-
-
-def over_time(found: Diagnosis, k: int) -> Figure:
-    """Draw one record: each channel, and below it the residuals of both models."""
-    record = found.dataset.records[k]
-    channels = record.compared
-    figure = Figure(figsize=(8.2, 0.4 + 3.0 * len(channels)))
-    grid = figure.subplots(
-        2 * len(channels), 1, sharex=True, squeeze=False, height_ratios=[2, 1] * len(channels)
-    )[:, 0]
-    keep = _spread(np.flatnonzero(record.measured), POINTS)
-    time = record.time[keep]
-    for channel, above, below in zip(channels, grid[::2], grid[1::2], strict=True):
-        measured, (before, after), unit = _of(found, k, channel)
-        above.plot(time, measured[keep], color=BLACK, label="measured")
-        above.plot(time, before[keep], color=VERMILION, linestyle=(0, (4, 2)), label="before")
-        above.plot(time, after[keep], color=BLUE, linestyle=(0, (1, 1)), label="after")
-        above.set(ylabel=f"[{unit}]", title=found.units.word(channel))
-        good = keep[record.good[channel][keep]]
-        below.plot(record.time[good], (measured - before)[good], color=VERMILION, linewidth=0.8)
-        below.plot(record.time[good], (measured - after)[good], color=BLUE, linewidth=0.8)
-        below.set(ylabel=f"left [{unit}]")
-        for axes in (above, below):
-            _shade(axes, record)
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
-    grid[-1].set(xlabel="time [s]", xlim=(time[0], time[-1]))
-    return figure
-
-
-def loop(found: Diagnosis, k: int) -> Figure:
-    """Draw T_out over T_in, or T_in over the travel without a load cell at the tip."""
-    record = found.dataset.records[k]
-    axes_of = _loop_axes(record)
-    if axes_of is None:
-        raise ValueError("record: has no loop to draw")
-    across, up = axes_of
-    x, x_factor, x_unit = _scaled(found.units, across, record.signals[across])
-    y, y_factor, y_unit = _scaled(found.units, up, record.signals[up])
-    figure = Figure(figsize=(8.2, 3.8))
-    pair = figure.subplots(1, 2, sharex=True, sharey=True)
-    titles = (("before", found.baseline, VERMILION), ("after", found.extended, BLUE))
-    keep = _spread(np.flatnonzero(record.measured), POINTS)
-    for axes, (title, fit, colour) in zip(pair, titles, strict=True):
-        signals = fit.simulated[k].signals
-        simulated_x = x_factor * signals[across] if across in signals else x
-        axes.plot(x[keep], y[keep], color=GREY, linewidth=0.9, label="measured")
-        axes.plot(
-            simulated_x[keep],
-            y_factor * signals[up][keep],
-            color=colour,
-            linewidth=1.0,
-            label="simulated",
-        )
-        axes.set(xlabel=f"{found.units.word(across)} [{x_unit}]", title=title)
-        axes.legend(loc="lower right")
-    pair[0].set_ylabel(f"{found.units.word(up)} [{y_unit}]")
-    return figure
-
-
-def structure(found: Diagnosis) -> Figure:
-    """Draw the residuals of both models against tension, speed and time."""
-    channels = report_text.compared(found)
-    figure = Figure(figsize=(8.2, 0.4 + 2.1 * len(channels)))
-    grid = figure.subplots(len(channels), 3, sharey="row", squeeze=False)
-    for row, channel in zip(grid, channels, strict=True):
-        for axes, (label, values) in zip(row, _against(found, channel).items(), strict=True):
-            for when, colour in ((0, VERMILION), (1, BLUE)):
-                off = _left(found, channel, when)
-                some = _spread(np.arange(len(off)), SCATTERED)
-                axes.plot(values[some], off[some], ".", color=colour, markersize=1.2, alpha=0.35)
-                axes.plot(*_medians(values, off), color=colour, marker="o", markersize=2.5)
-            axes.axhline(0.0, color=BLACK, linewidth=0.6)
-            if channel == channels[-1]:
-                axes.set_xlabel(label)
-        unit = _scaled(found.units, channel, np.zeros(1))[2]
-        row[0].set_ylabel(f"{found.units.word(channel)},\nleft [{unit}]")
-    figure.legend(
-        [Line2D([], [], color=VERMILION), Line2D([], [], color=BLUE)],
-        ["before", "after"],
-        loc="outside upper right",
-        ncols=2,
-    )
-    return figure
-
-
-def ranking(found: Diagnosis) -> Figure:
-    """Draw the scores of the candidates."""
-    shown = report_text.best(found.ranking, MOST_BARS)[::-1]
-    figure = Figure(figsize=(8.2, 0.8 + 0.27 * len(shown)))
-    axes = figure.add_subplot()
-    colours = dict.fromkeys(found.ambiguous_with, PALE) | dict.fromkeys(found.causes, BLUE)
-    bars = axes.barh(
-        range(len(shown)),
-        [ranked.score for ranked in shown],
-        color=[colours.get(ranked.name, OTHER) for ranked in shown],
-    )
-    axes.bar_label(bars, fmt="%.0f", padding=3, fontsize=8)
-    axes.set_yticks(range(len(shown)), [ranked.label for ranked in shown])
-    axes.set_xlabel("score")
-    axes.axvline(0.0, color=BLACK, linewidth=0.6)
-    axes.grid(visible=False, axis="y")
-    axes.margins(x=0.12)
-    return figure
-
-
-def _loop_axes(record: Record) -> tuple[str, str] | None:
-    if DISTAL_TENSION in record.signals:
-        return PROXIMAL_TENSION, DISTAL_TENSION
-    if PROXIMAL_DISPLACEMENT in record.signals:
-        return PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
-    return None
-
-
-def _of(found: Diagnosis, k: int, channel: str) -> tuple[Array, tuple[Array, Array], str]:
-    """Return a channel measured and from both models, and its unit."""
-    measured, factor, unit = _scaled(
-        found.units, channel, found.dataset.records[k].signals[channel]
-    )
-    both = (found.baseline, found.extended)
-    before, after = (factor * fit.simulated[k].signals[channel] for fit in both)
-    return measured, (before, after), unit
-
-
-def _scaled(units: Units, channel: str, signal: Array) -> tuple[Array, float, str]:
-    """Return a signal in newtons or metres scaled for drawing, the factor, and its unit."""
-    unit = units.of(channel)
-    factor, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
-    factor *= units.size(units.base(channel))
-    return factor * signal, factor, shown
-
-
-def _left(found: Diagnosis, channel: str, when: int) -> Array:
-    """Return the concatenated residuals of the model before (0) or after (1)."""
-    parts = []
-    for k, record in enumerate(found.dataset.records):
-        measured, models, _ = _of(found, k, channel)
-        parts.append((measured - models[when])[record.good[channel]])
-    return np.concatenate(parts)
-
-
-def _against(found: Diagnosis, channel: str) -> dict[str, Array]:
-    """Return the variables of the residual plots by axis label."""
-    records = found.dataset.records
-    units = found.units
-    _, effort, unit = _scaled(units, PROXIMAL_TENSION, np.zeros(1))
-    _, factor, drive = _scaled(units, records[0].driver, np.zeros(1))
-    columns = {
-        f"{units.word(PROXIMAL_TENSION)} [{unit}]": [
-            effort * r.signals[PROXIMAL_TENSION] for r in records
-        ],
-        f"speed [{drive}/s]": [factor * r.speed for r in records],
-        "time [s]": [r.time for r in records],
-    }
-    return {
-        label: np.concatenate([v[r.good[channel]] for v, r in zip(parts, records, strict=True)])
-        for label, parts in columns.items()
-    }
-
-
-def _medians(values: Array, off: Array) -> tuple[Array, Array]:
-    """Return the medians of `off` in bins of `values`; NaN with too few samples."""
-    edges = np.linspace(values.min(), values.max(), BINS + 1)
-    places = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
-    groups = [off[places == i] for i in range(BINS)]
-    medians = [np.median(group) if len(group) >= MIN_SAMPLES else np.nan for group in groups]
-    return 0.5 * (edges[:-1] + edges[1:]), np.array(medians)
-
-
-def _shade(axes: Axes, record: Record) -> None:
-    for block in np.unique(record.block[~record.train]):
-        times = record.time[record.block == block]
-        axes.axvspan(times[0], times[-1], color=SHADE, linewidth=0.0)
-
-
-def _spread(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return at most about `most` of the rows, evenly spread."""
-    return rows[:: max(1, -(-len(rows) // most))]

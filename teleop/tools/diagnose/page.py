@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from estimator.diagnosis import report_text
+from estimator.diagnosis import file_tables, report_text
+from estimator.diagnosis.figures import MOST_RECORDS
 from estimator.diagnosis.outcome import Diagnosis
 from teleop.tools.diagnose import acceptance, figures
 from teleop.tools.diagnose.acceptance import ComparedParameter
@@ -12,9 +13,16 @@ from teleop.tools.report.page import Page
 
 
 def render(
-    found: Diagnosis, files: Sequence[str], calibrated: Mapping[str, ComparedParameter]
+    found: Diagnosis,
+    files: Sequence[str],
+    calibrated: Mapping[str, ComparedParameter],
+    further: Sequence[str] = (),
 ) -> str:
-    """Return the page; `calibrated` is the comparison with a calibration, by parameter."""
+    """Return the page; `calibrated` is the comparison with a calibration, by parameter.
+
+    `files` and `further` are the names of the fitted files and of those for validation.
+    """
+    names = file_tables.names_of(found, files, further)
     page = Page(report_text.sentence(found))
     page.text(f"Data: {', '.join(files)}.")
     page.heading("Next steps")
@@ -29,11 +37,12 @@ def render(
             page.table(table, mark="chosen")
     if calibrated:
         page.table(acceptance.table(calibrated), mark="NO")
+    _add_files(page, found, names)
     with TemporaryDirectory() as folder:
-        captions = figures.draw(found, files, Path(folder))
+        captions = figures.draw(found, files, Path(folder), further)
         page.heading("Before and after")
-        if len(files) > figures.MOST_RECORDS:
-            page.text(f"The first {figures.MOST_RECORDS} of {len(files)} files are drawn.")
+        if len(files) > MOST_RECORDS:
+            page.text(f"The first {MOST_RECORDS} of {len(files)} files are drawn.")
         for file, caption in captions.items():
             page.figure(Path(folder) / file, caption)
     page.heading("Residuals")
@@ -54,3 +63,28 @@ def render(
         page.heading("Samples")
         page.points(remarks)
     return page.render()
+
+
+def _add_files(page: Page, found: Diagnosis, names: Sequence[str]) -> None:
+    """Add the tables by file: validation, leave-one-file-out, the force, and its rivals."""
+    fitted = len(found.dataset.records)
+    if found.validation:
+        page.heading("Validation")
+        page.table(file_tables.predicted(found.validation, names[fitted:]), mark="")
+    if found.left_out:
+        page.heading("Leave-one-file-out")
+        page.text("Each file is predicted with parameters fitted to the other files.")
+        page.table(file_tables.predicted(found.left_out, names[:fitted]), mark="")
+    if found.forces:
+        page.heading("Force at the tip")
+        page.text(
+            "Estimated from the housing alone, as by teleop estimate and teleop run --replay with "
+            "this model, and compared with what the load cell at the tip reads."
+        )
+        page.table(file_tables.forces(found, names), mark="")
+    if found.rivals:
+        page.heading("Rivals")
+        page.text("Causes that fit as well, and what each would do to the estimated force.")
+        page.table(file_tables.rival_parameters(found), mark="")
+    if found.rival_forces:
+        page.table(file_tables.rivals(found), mark="")

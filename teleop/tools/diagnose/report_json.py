@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
-from estimator.diagnosis import report_text
+from estimator.diagnosis import file_tables, report_text
 from estimator.diagnosis.law_choice import Choice
-from estimator.diagnosis.outcome import Diagnosis, Fitness, Fitnesses, Ranked
+from estimator.diagnosis.outcome import Diagnosis, Fitnesses, Ranked
+from estimator.diagnosis.prediction import Fitness, Predicted
 from teleop.tools.diagnose.acceptance import ComparedParameter
 from teleop.tools.report.json_values import json_values
 
@@ -16,6 +17,7 @@ def tree(
     files: Sequence[str],
     seconds: float,
     accepted: Mapping[str, ComparedParameter],
+    further: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the report; non-finite numbers are None.
 
@@ -28,7 +30,10 @@ def tree(
         Duration of the diagnosis.
     accepted : mapping
         Comparison with a calibration, by parameter.
+    further : sequence of str
+        Names of the files for validation.
     """
+    names = file_tables.names_of(found, files, further)
     report = {
         "verdict": found.verdict.value,
         "sentence": report_text.sentence(found),
@@ -52,6 +57,15 @@ def tree(
         "baseline": _fitnesses(found.before),
         "extended": _fitnesses(found.after),
         "simple_models": {one.name: one.rmse for one in found.simple_models},
+        "fit_all": found.fit_all,
+        "validation": _predicted(found.validation, names[len(files) :]),
+        "left_out": _predicted(found.left_out, files),
+        "forces": [
+            {"file": name, "validation": one.validation}
+            | {"before": one.before._asdict(), "after": one.after._asdict()}
+            for name, one in zip(names, found.forces, strict=False)
+        ],
+        "rivals": _rivals(found),
         "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
         "noise": dict(found.noise),
         "driver": {
@@ -81,6 +95,54 @@ def tree(
     }
     plain: dict[str, Any] = json_values(report)
     return plain
+
+
+def _predicted(records: Sequence[Predicted], names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the errors of files that were not fitted."""
+    return [
+        {
+            "file": name,
+            "start": one.record.start,
+            "end": one.record.start + float(one.record.time[-1]),
+            "channels": {
+                channel: {
+                    "samples": int(one.record.good[channel].sum()),
+                    "spikes": one.spikes[channel],
+                    "baseline": _fitness(before),
+                    "extended": _fitness(one.fitness(one.after)[channel]),
+                }
+                for channel, before in one.fitness(one.before).items()
+            },
+        }
+        for name, one in zip(names, records, strict=False)
+    ]
+
+
+def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
+    """Return the models of equally good causes, and what they would do to the force."""
+    forces = {(one.replaces, one.label): one for one in found.rival_forces}
+    tree = []
+    for one in found.rivals:
+        force = forces.get((one.replaces, one.effect.label))
+        model = one.fit.model
+        tree.append(
+            {
+                "name": one.effect.name,
+                "label": one.effect.label,
+                "replaces": one.replaces,
+                "base": dict(
+                    zip((p.name for p in found.dataset.base.shared), model.shared, strict=True)
+                ),
+                "effects": {
+                    effect.name: {
+                        p.name: value for p, value in zip(effect.parameters, values, strict=True)
+                    }
+                    for effect, values in model.effects
+                },
+                "force_change": None if force is None else force._asdict(),
+            }
+        )
+    return tree
 
 
 def _candidates(ranking: Sequence[Ranked]) -> list[dict[str, Any]]:

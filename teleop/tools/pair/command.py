@@ -14,13 +14,13 @@ import argparse
 import time
 from pathlib import Path
 
-from estimator.pair.pair_fit import PairError, check
-from estimator.pair.pair_study import study, validate
+from estimator.pair.pair_fit import PairError
+from estimator.pair.pair_study import study_pair
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.options import add_options
 from teleop.process import make_folder, write_summary, write_whole
-from teleop.tools.pair import report_json, report_text
+from teleop.tools.pair import report_json
 from teleop.tools.pair.config import PairConfig
 from teleop.tools.pair.read import read
 from teleop.tools.report.progress import Progress
@@ -48,20 +48,18 @@ def main(args: argparse.Namespace) -> int:
         make_folder(args.out, "report.html")
     progress, begun = Progress(), time.monotonic()
     try:
-        check(further)
-        found = study(records, progress)
+        found = study_pair(records, validate=further, progress=progress)
     except PairError as error:
         raise UsageError(f"{', '.join(map(str, args.data + args.validate))}: {error}") from error
     finally:
         progress.end()
-    kept = validate(found, further)
-    tree = report_json.tree(found, kept, time.monotonic() - begun)
+    tree = report_json.tree(found, time.monotonic() - begun)
     write_summary(args.json, tree)
-    print(report_text.format_report(found, kept), flush=True)
+    print(found.summary(), flush=True)
     if args.out is not None:
         from teleop.tools.pair import page
 
         write_summary(args.out / "report.json", tree)
-        write_whole(args.out / "report.html", page.render(found, kept), "the page")
+        write_whole(args.out / "report.html", page.render(found), "the page")
         print(f"\nwritten: {args.out / 'report.html'}")
     return 0

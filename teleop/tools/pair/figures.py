@@ -1,88 +1,18 @@
-"""The figures of a study of a pair; measured is black."""
+"""Write the figures of a study of a pair."""
 
-from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib as mpl
-import numpy as np
-from matplotlib.figure import Figure
-
+from estimator.drawing import styled
+from estimator.pair.figures import figures
 from estimator.pair.pair_study import PairStudy
-from teleop.tools.pair.report_text import degrees
-from teleop.tools.report.style import BLACK, BLUE, STYLE, VERMILION
-
-ACROSS = 3  # loops in a row
 
 
 def draw(found: PairStudy, folder: Path) -> dict[str, str]:
     """Write all figures into `folder`; return their captions by file name."""
-    makers: dict[str, tuple[Callable[[PairStudy], Figure], str]] = {
-        "friction": (
-            frictions,
-            "K of each record with its interval of 95 %, and the line of the model for all.",
-        ),
-        "loops": (
-            loops,
-            "Angle over command: measured, and predicted by the model of the other records.",
-        ),
-        "left": (left, "Residuals over time (predicted less measured), each record held out."),
-    }
     captions = {}
-    with mpl.rc_context(STYLE):
-        for name, (make, caption) in makers.items():
-            file = f"pair-{name}.png"
-            make(found).savefig(folder / file)
-            captions[file] = caption
+    with styled():
+        for drawn in figures(found):
+            file = f"pair-{drawn.name}.png"
+            drawn.figure.savefig(folder / file)
+            captions[file] = drawn.caption
     return captions
-
-
-def frictions(found: PairStudy) -> Figure:
-    """Draw K over the bend."""
-    figure = Figure(figsize=(6.0, 3.6))
-    axes = figure.add_subplot()
-    bends = np.degrees([record.bend for record in found.records])
-    values = np.array(found.each)
-    spread = np.abs(values[:, 1:].T - values[:, 0])
-    axes.errorbar(bends, values[:, 0], spread, fmt="o", color=BLACK, capsize=3, label="each record")
-    line = np.array([0.0, bends.max()])
-    model = found.fit.model
-    K = [model.friction_at(float(bend)) for bend in np.radians(line)]
-    axes.plot(line, K, color=BLUE, label="K0 + mu bend")
-    axes.set(xlabel="bend of the sheath [deg]", ylabel="K", ylim=(0.0, None))
-    axes.legend(loc="upper left")
-    return figure
-
-
-def loops(found: PairStudy) -> Figure:
-    """Draw the angle over the command, a record each."""
-    rows = -(-len(found.records) // ACROSS)
-    figure = Figure(figsize=(8.2, 0.5 + 2.6 * rows))
-    grid = figure.subplots(rows, ACROSS, sharex=True, squeeze=False).ravel()
-    for axes in grid[len(found.records) :]:
-        axes.set_visible(False)
-    for axes, record, angle in zip(grid, found.records, found.predicted, strict=False):
-        command = np.degrees(record.command)
-        axes.plot(command, np.degrees(record.angle), color=BLACK, label="measured")
-        axes.plot(
-            command,
-            np.degrees(angle),
-            color=VERMILION,
-            linestyle=(0, (4, 2)),
-            label="predicted",
-        )
-        axes.set(title=f"bend {degrees(record.bend, 0)}", xlabel="command [deg]")
-    grid[0].set_ylabel("angle [deg]")
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    return figure
-
-
-def left(found: PairStudy) -> Figure:
-    """Draw the residuals over time, one panel per record."""
-    figure = Figure(figsize=(8.2, 0.4 + 1.2 * len(found.records)))
-    grid = figure.subplots(len(found.records), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for axes, record, angle in zip(grid, found.records, found.predicted, strict=True):
-        axes.plot(record.time, np.degrees(angle - record.angle), color=BLUE, linewidth=0.9)
-        axes.axhline(0.0, color=BLACK, linewidth=0.6)
-        axes.set_ylabel(f"{degrees(record.bend, 0)}: left [deg]", fontsize=7.5)
-    grid[-1].set_xlabel("time [s]")
-    return figure

@@ -3,13 +3,14 @@
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from estimator.pair.pair_study import PairStudy, Validation
-from teleop.tools.pair import figures, report_text
+from estimator.pair import report_text
+from estimator.pair.pair_study import PairStudy
+from teleop.tools.pair import figures
 from teleop.tools.report.page import Page
 
 
-def render(found: PairStudy, kept: tuple[Validation, ...]) -> str:
-    """Return the page; `kept` are the errors of validation records."""
+def render(found: PairStudy) -> str:
+    """Return the page."""
     page = Page(report_text.sentence(found))
     page.heading("Friction against bend")
     page.table(report_text.frictions(found), mark="")
@@ -23,9 +24,9 @@ def render(found: PairStudy, kept: tuple[Validation, ...]) -> str:
         page.text("Root mean square of the angle's error, and its share of the span.")
         page.table(report_text.left_out(found), mark=report_text.OURS)
         page.figure(paths["pair-loops.png"], captions["pair-loops.png"])
-        if kept:
+        if found.validation:
             page.heading("Bends kept apart")
-            page.table(report_text.validation(kept), mark="")
+            page.table(report_text.validation(found.validation), mark="")
         page.heading("What is wrong")
         page.points(report_text.wrong(found))
         page.table(report_text.parts(found), mark="")

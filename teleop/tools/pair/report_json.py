@@ -3,13 +3,13 @@
 from importlib.metadata import version
 from typing import Any
 
+from estimator.pair import report_text
 from estimator.pair.pair_structure import offset_share, structure
-from estimator.pair.pair_study import PairStudy, Validation
-from teleop.tools.pair import report_text
+from estimator.pair.pair_study import PairStudy
 
 
-def tree(found: PairStudy, kept: tuple[Validation, ...], seconds: float) -> dict[str, Any]:
-    """Return the report; `kept` are records kept apart, `seconds` what the study took."""
+def tree(found: PairStudy, seconds: float) -> dict[str, Any]:
+    """Return the report; `seconds` is what the study took."""
     return {
         "sentence": report_text.sentence(found),
         "bends": [float(record.bend) for record in found.records],
@@ -28,7 +28,7 @@ def tree(found: PairStudy, kept: tuple[Validation, ...], seconds: float) -> dict
                 "ours": one.ours._asdict(),
                 "baseline": one.baseline._asdict(),
             }
-            for one in kept
+            for one in found.validation
         ],
         "structure": [part._asdict() for part in structure(found.records, found.predicted)],
         "offset_share": offset_share(found.records, found.predicted),

@@ -12,13 +12,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from estimator.drawing import BLACK, BLUE, GREEN, GREY, STYLE, VERMILION
 from teleop.tools.paper import scoring
 from teleop.tools.paper.demonstration import Demonstration
 from teleop.tools.paper.methods import METHODS, OURS, PAPER, PAPER_AT_BEST
 from teleop.tools.paper.outcome import PUBLISHED, TARGETS, Outcome, values
 from teleop.tools.paper.scoring import PHASES
 from teleop.tools.paper.study import NESTED, PROFILE
-from teleop.tools.report.style import BLACK, BLUE, GREEN, GREY, STYLE, VERMILION
 
 COLOURS = {PAPER: VERMILION, PAPER_AT_BEST: GREEN, OURS: BLUE}
 LINES = {PAPER: (0, (4, 2)), PAPER_AT_BEST: (0, (1, 1)), OURS: "solid"}

@@ -5,6 +5,7 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 
+from estimator.drawing import html_table
 from estimator.text_table import Table
 
 STYLE = """
@@ -18,7 +19,7 @@ th, td { padding: 0.25rem 0.6rem; text-align: left; border-bottom: 1px solid #dd
   white-space: nowrap; }
 th { background: #f4f7fa; }
 tr.ours td { background: #eaf3f9; }
-figure { margin: 1.5rem 0; } img { max-width: 100%; height: auto; }
+figure { margin: 1.5rem 0; } img, svg { max-width: 100%; height: auto; }
 figcaption { font-size: 0.9rem; color: #444; max-width: 48rem; }
 """
 
@@ -45,17 +46,7 @@ class Page:
 
     def table(self, table: Table, mark: str) -> None:
         """Add a table; rows with a cell `mark` stand out."""
-        head = "".join(f"<th>{html.escape(cell)}</th>" for cell in table.head)
-        rows = "".join(
-            ('<tr class="ours">' if mark in row else "<tr>")
-            + "".join(f"<td>{html.escape(cell)}</td>" for cell in row)
-            + "</tr>"
-            for row in table.rows
-        )
-        self._parts.append(
-            f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
-            f"<tbody>{rows}</tbody></table></div>"
-        )
+        self._parts.append(f'<div class="scroll">{html_table(table, mark)}</div>')
 
     def figure(self, path: Path, caption: str) -> None:
         """Add a PNG file, its bytes in the page."""
@@ -65,6 +56,11 @@ class Page:
             f'<figure><img src="data:image/png;base64,{data}" alt="{words}">'
             f"<figcaption>{words}</figcaption></figure>"
         )
+
+    def drawing(self, svg: str, caption: str) -> None:
+        """Add an SVG element."""
+        words = html.escape(caption)
+        self._parts.append(f"<figure>{svg}<figcaption>{words}</figcaption></figure>")
 
     def render(self) -> str:
         """Return the page."""

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from teleop.tools.report.style import STYLE
+from estimator.drawing import STYLE
 from teleop.tools.transparency import llewellyn
 from teleop.tools.transparency.report import PARAMETERS, RIPPLE, TRUSTED, milliseconds, worst
 from teleop.tools.transparency.study import HANDS, Case, Study

@@ -34,7 +34,8 @@ def records():
 
 @pytest.fixture(scope="module")
 def found(records):
-    return pair_study.study(records)
+    further = [bench.record(math.radians(300.0))]
+    return pair_study.study_pair(records, validate=further)
 
 
 @pytest.mark.parametrize("bend", BENDS)
@@ -85,9 +86,17 @@ def test_a_bend_that_was_left_out_is_predicted_but_for_its_zero(found):
 
 
 def test_a_further_bend_is_predicted(found):
-    (error,) = pair_study.validate(found, [bench.record(math.radians(300.0))])
+    (error,) = found.validation
     assert error.ours.zeroed < 0.06
     assert error.ours.share < 0.12 < error.baseline.share
+
+
+def test_a_notebook_shows_a_study_with_its_figures(found):
+    page = found._repr_html_()
+    assert page.count("<svg") == 3
+    assert "bend kept apart" in page
+    assert "bend kept apart" in found.summary()
+    assert len(found.plot().axes) >= len(BENDS)
 
 
 def test_friction_is_not_made_up_where_the_tensions_alone_are_known(records):

@@ -323,4 +323,4 @@ def test_measured_data_without_travel_can_be_played_and_tells_how_far(tmp_path):
     (first, second) = rig.read(0.015)
     assert first.proximal_displacement is second.proximal_displacement is None
     assert rig.starts_at_zero
-    assert rig.summary() == {"rows": 5, "played": 2}
+    assert rig.summary() == {"rows": 5, "played": 2, "spikes": 0}

@@ -5,11 +5,16 @@ import math
 import re
 
 import pytest
+from matplotlib.mathtext import MathTextParser
 
+from estimator.drawing import svg
+from estimator.effects import CATALOGUE
 from teleop.app import cli
 from teleop.data import model_file
 from teleop.data.table import write_table
+from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
+from teleop.tools.diagnose import formulas
 from teleop.tools.diagnose.effect_choice import parse_effects
 from tests import hidden
 
@@ -64,6 +69,7 @@ def report(data, csv, folder):
     third = write(folder / "third.csv", data, slice(0, 500))
     words = ["diagnose", csv, second, "--validate", third, "--effects", f"{FAULT},creep"]
     words += ["--out", folder / "out", "--json", folder / "numbers.json"]
+    words += ["--supplement", folder / "supplement", "--leave-one-file-out"]
     assert cli.main([*map(str, words)]) == 0
     return json.loads((folder / "numbers.json").read_text(), parse_constant=pytest.fail)
 
@@ -141,7 +147,56 @@ def test_the_page_needs_nothing_but_itself(report, folder):
     assert f"<h1>{report['sentence']}</h1>" in page
     assert not re.search(r"http|<script|<link|@import|url\(", page)
     assert all(source.startswith("data:image/") for source in re.findall(r'src="([^"]+)"', page))
-    assert page.count("<img") == 6  # time and loop of either file, structure, ranking
+    assert page.count("<img") == 9  # time, loop, left out of either; validation, structure, ranking
+
+
+def test_the_report_has_validation_and_each_file_left_out(report, folder, csv):
+    (kept,) = report["validation"]
+    assert kept["file"] == str(folder / "third.csv")
+    assert (kept["start"], kept["end"]) == (0.0, pytest.approx(9.98))
+    assert kept["channels"]["distal_tension"]["samples"] == 500
+    assert [one["file"] for one in report["left_out"]] == [str(csv), str(folder / "second.parquet")]
+    assert [one["validation"] for one in report["forces"]] == [False, False, True]
+    assert report["rivals"] == []
+
+
+def test_a_supplement_has_what_a_paper_needs(report, folder):
+    out = folder / "supplement"
+    page = (out / "supplement.html").read_text()
+    assert "<h1>Model of bench.csv and 1 more: distal_tension_gain</h1>" in page
+    assert f"tendon-teleop {report['version']}" in page
+    assert re.search(r"Date: \d{4}-\d\d-\d\d", page)
+    assert "teleop diagnose" in page
+    assert "--leave-one-file-out" in page
+    assert "50 Hz" in page
+    assert "Phee, S. J." in page
+    assert not re.search(r"<script|<link|@import", page)
+    assert page.count("<svg") == len(list(out.glob("*.svg"))) >= 4 + 7
+    with (out / "parameters.csv").open() as file:
+        assert file.readline().strip() == "parameter,value,95 % interval"
+    for name in ("errors", "validation", "left-out", "forces", "models"):
+        assert (out / f"{name}.csv").stat().st_size > 50
+    residuals = read_columns(out / "residuals-1.csv").columns
+    off = residuals["distal_tension_N"] - residuals["distal_tension_extended_N"]
+    assert residuals["distal_tension_residual_N"] == pytest.approx(off)
+    correlation = read_columns(out / "autocorrelation-distal_tension.csv").columns
+    assert correlation["autocorrelation"][0] == 1.0
+    assert abs(correlation["autocorrelation"][1:]).max() < 0.5  # white noise is left
+
+
+def test_every_formula_is_of_an_effect_and_can_be_drawn():
+    labels = [effect.label for effect in CATALOGUE]
+    assert set(formulas.FORMULAS) <= set(labels)
+    parser = MathTextParser("path")
+    for line in (*formulas.law(elastic=True), *formulas.extension(CATALOGUE)):
+        assert parser.parse(f"${line}$").width > 10.0
+    assert "<svg" in svg(formulas.drawn(formulas.LAW), cut=True)
+
+
+def test_options_that_contradict_the_data_are_refused(csv, capsys):
+    words = [csv, "--effects", f"{FAULT},creep"]
+    assert "give at least two files" in refusal(capsys, *words, "--leave-one-file-out")
+    assert "did you mean 'creep'" in refusal(capsys, *words, "--cause", "crep")
 
 
 def test_the_residuals_are_a_file_for_rerun(report, folder):

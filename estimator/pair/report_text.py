@@ -129,12 +129,17 @@ def wrong(found: PairStudy) -> list[str]:
     return lines
 
 
-def format_report(found: PairStudy, kept: tuple[Validation, ...]) -> str:
+def tables(found: PairStudy) -> list[Table]:
+    """Return the tables of a study."""
+    shown = [frictions(found), parameters(found), left_out(found), parts(found)]
+    if found.validation:
+        shown.insert(3, validation(found.validation))
+    return shown
+
+
+def format_report(found: PairStudy) -> str:
     """Return the report for a terminal."""
-    tables = [frictions(found), parameters(found), left_out(found), parts(found)]
-    if kept:
-        tables.insert(3, validation(kept))
-    pieces = [sentence(found), *(table.markdown() for table in tables)]
+    pieces = [sentence(found), *(table.markdown() for table in tables(found))]
     pieces.append("What is wrong:\n" + "\n".join(f"- {line}" for line in wrong(found)))
     return "\n\n".join(pieces)
 

@@ -1,0 +1,127 @@
+"""The force at the tip that a loop would estimate with a model, and how far off it is.
+
+The numbers are those of `teleop estimate` and `teleop run --replay` with the model's file: the same
+estimator (estimator.online), the same noise, the same spikes excluded, and the same comparison with
+what the load cell at the tip reads (estimator.online.score).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator import signals
+from estimator.array_types import Array
+from estimator.diagnosis.dataset import Model
+from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.spikes import without_spikes
+from estimator.measured_data import MeasuredData
+from estimator.online.estimator import Estimator
+from estimator.online.extension import extended
+from estimator.online.score import Score
+from estimator.online.tendon_model import TendonModel
+
+LENGTH = 1.0  # [m] of the sheath: elongation and force go by L/EA
+
+
+class ForceError(NamedTuple):
+    """How far the estimated force is off what the load cell at the tip reads."""
+
+    rmse: float  # [N]
+    mean: float  # [N]
+    largest: float  # [N]
+    full_scale: float  # [N] largest reading
+    samples: int
+    spikes: int  # single-sample spikes of that cell, excluded
+
+
+class FileForce(NamedTuple):
+    """The force in one record, estimated with both models."""
+
+    validation: bool  # not fitted
+    before: ForceError
+    after: ForceError
+
+
+class RivalForce(NamedTuple):
+    """What another cause in the model would do to the estimated force."""
+
+    replaces: str
+    label: str
+    mean: float  # [N] mean of the absolute difference
+    largest: float  # [N]
+    full_scale: float  # [N] largest force estimated with the cause itself
+
+
+def tendon_model(model: Model, duration: float, data: MeasuredData) -> TendonModel:
+    """Return the estimator's model of a diagnosis's, with the noise of a record.
+
+    Parameters
+    ----------
+    model : Model
+    duration : float
+        Of the longest fitted record [s]; friction is taken as at its end.
+    data : MeasuredData
+        The record.
+    """
+    stiffness = LENGTH / SETTINGS.assumed_compliance
+    found = extended(model.shared, model.effects, duration, LENGTH, stiffness)
+    travel = data.proximal_displacement
+    return TendonModel(
+        found.sheath,
+        tension_noise=signals.noise_sigma(data.proximal_tension),
+        displacement_noise=0.0 if travel is None else signals.noise_sigma(travel),
+        extension=found.extension,
+        tip_effects=found.tip_effects,
+    )
+
+
+def force_of(model: Model, duration: float, data: MeasuredData) -> Array:
+    """Return the force that is estimated in a record [N], shape (n,)."""
+    return Estimator(tendon_model(model, duration, data)).run(without_spikes(data)).tension
+
+
+def force_error(model: Model, duration: float, data: MeasuredData) -> ForceError | None:
+    """Return how far the estimated force is off in a record; None without a cell at the tip."""
+    clean = without_spikes(data)
+    reading = clean.distal_tension
+    if reading is None:
+        return None
+    known = tendon_model(model, duration, data)
+    estimates = Estimator(known).run(clean)
+    score = Score([known])
+    score.add_columns(estimates.distal_tension, estimates.low, estimates.high, reading)
+    found = score.summary()
+    if found is None:
+        return None
+    return ForceError(
+        found["rmse_N"],
+        found["mean_N"],
+        found["max_N"],
+        found["full_scale_N"],
+        found["samples"],
+        int(np.isnan(reading).sum()),
+    )
+
+
+def file_force(
+    plain: Model, model: Model, duration: float, data: MeasuredData, *, validation: bool
+) -> FileForce | None:
+    """Return the errors of the force in a record; None without a cell at the tip."""
+    before, after = (force_error(one, duration, data) for one in (plain, model))
+    return None if before is None or after is None else FileForce(validation, before, after)
+
+
+def rival_force(
+    model: Model,
+    rival: Model,
+    names: tuple[str, str],
+    duration: float,
+    records: Sequence[MeasuredData],
+) -> RivalForce:
+    """Return what a rival would do to the force; `names` are the cause it replaces and its own."""
+    forces = [force_of(model, duration, data) for data in records]
+    others = [force_of(rival, duration, data) for data in records]
+    change = np.abs(np.concatenate(others) - np.concatenate(forces))
+    full_scale = max(float(force.max()) for force in forces)
+    return RivalForce(*names, float(change.mean()), float(change.max()), full_scale)

@@ -1,0 +1,51 @@
+"""Single-sample spikes of a channel: found the same way wherever an error is counted."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.array_types import Array
+from estimator.diagnosis.settings import SETTINGS
+from estimator.measured_data import MeasuredData, Samples
+from estimator.signals import noise_sigma
+
+WINDOW = 101  # samples of the local scatter
+LEAST = 8  # samples that tell a scatter
+
+
+def single_spikes(signal: Array) -> NDArray[np.bool_]:
+    """Return which samples are single-sample spikes, shape (n,).
+
+    A spike is off the mean of its neighbours by `Settings.spike` times the local scatter, while
+    its neighbours are near each other.
+    """
+    if len(signal) < LEAST:
+        return np.zeros(len(signal), dtype=np.bool_)
+    from scipy.ndimage import median_filter  # here: the control processes import this module
+
+    off = np.zeros_like(signal)
+    off[1:-1] = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
+    across = np.zeros_like(signal)
+    across[1:-1] = np.abs(signal[2:] - signal[:-2])
+    usual = 1.4826 * median_filter(np.abs(off), WINDOW, mode="nearest")
+    least = max(noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
+    spike: NDArray[np.bool_] = np.abs(off) > SETTINGS.spike * np.maximum(usual, least)
+    spike &= across < 0.5 * np.abs(off)
+    # beside a spike both neighbours are off by half of it, the other way; beside a sharp turn not
+    for beside in (np.roll(off, 1), np.roll(off, -1)):
+        spike &= (off * beside < 0.0) & (np.abs(beside) > 0.25 * np.abs(off))
+        spike &= np.abs(beside) < 0.8 * np.abs(off)
+    return spike
+
+
+def without_spikes(data: MeasuredData) -> Samples:
+    """Return data whose single-sample spikes are missing (NaN), each channel by itself."""
+    q_p, T_out, q_d = (
+        None if channel is None else missing_at_spikes(channel)
+        for channel in (data.proximal_displacement, data.distal_tension, data.distal_displacement)
+    )
+    return Samples(data.time, missing_at_spikes(data.proximal_tension), q_p, T_out, q_d)
+
+
+def missing_at_spikes(signal: Array) -> Array:
+    """Return a signal with NaN for its single-sample spikes, shape (n,)."""
+    return np.where(single_spikes(signal), np.nan, signal)
