@@ -7,7 +7,7 @@ from typing import Protocol
 from teleop.clock import Grid
 from teleop.link import Listener
 from teleop.messages import MessageError
-from teleop.process import Stop
+from teleop.process import Stop, beat
 from teleop.recording.reader import read_messages
 from teleop.recording.scan import RecordingError
 from teleop.topics import TOPICS
@@ -25,8 +25,12 @@ class Show(Protocol):
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Extend the curves."""
 
+    def silence(self, silent_ns: int) -> None:
+        """Show that nothing has arrived for so long [ns]."""
 
-_PROBE_EVERY_NS = 5_000_000_000
+
+_SILENT_NS = 1_000_000_000  # [ns] without a message after which what is shown is called old
+_PROBE_EVERY_NS = 500_000_000
 _BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
@@ -94,22 +98,24 @@ def from_link(
             if block:
                 fed.shown += draw(decode(block))
 
-    probe_ns = 0
+    probe_ns = heard_ns = 0
     for tick in Grid(drain_hz, stop):
         messages = [(h.topic, h.data) for h in listener.drain()]
         fed.received += len(messages)
+        heard_ns = tick.stamp_ns if messages or not heard_ns else heard_ns
+        if tick.stamp_ns - heard_ns > _SILENT_NS:
+            show.silence(tick.stamp_ns - heard_ns)
         curves.add(m for m in messages if m[0] in CURVES)
         pictures.add(messages)
         pass_on(tick.stamp_ns, all_of_it=False)
         if not sink.alive():
-            fed.fault = (
-                "" if sink.window else "the web viewer ended by itself; start the view again"
-            )
+            fed.fault = "" if sink.window else "the viewer program ended"
             stop.request("the viewer has ended")
         elif tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
+            beat()
             if sink.stuck():
-                fed.fault = "the viewer accepts no more data; start the view again"
+                fed.fault = "the viewer program accepts no more data"
                 stop.request("the viewer is stuck")
     pass_on(0, all_of_it=True)
     return fed
@@ -140,6 +146,9 @@ class Discard:
         return 0
 
     curves = pictures
+
+    def silence(self, silent_ns: int) -> None:
+        """Show nothing."""
 
 
 def _blocks(path: str, period_ns: int) -> Iterator[list[tuple[AnyTopic, bytes]]]:

@@ -7,16 +7,16 @@ from estimator.array_types import Array
 from teleop.messages import PROFILE_POINTS
 from teleop.view.band import tension_band
 from teleop.view.batch import Rows
-from teleop.view.colours import ESTIMATE, FRONT, SECOND, rgba
+from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, rgba
 from teleop.view.config import ViewConfig
-from teleop.view.plane import Plane
+from teleop.view.plane import Plane, axis_end
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
 
 WIDTH = 1.8
 _APART_NS = 50_000_000  # [ns] between a profile and the tip's interval, at most
 _TAIL_NS = 200_000_000
-_BANDS = (0x1D3C4CFF, 0x3B3A1EFF)  # dim, so that the curve stands out: tendon a, tendon b
+_BANDS = (BAND, 0x45431EFF)  # dim, so that the curve stands out: tendon a, tendon b
 _CURVES = ((ESTIMATE, 0x3C7DA2FF), (SECOND, 0x97904CFF))  # slides, sticks: tendon a, tendon b
 _SCALE_STEPS = 64
 
@@ -48,9 +48,8 @@ class ProfileView:
         if not longest > 0:
             return
         if self._plane is None or longest > self._plane.right:
-            self._plane = Plane(
-                longest, self._config.tension_scale_N, WIDTH, "x [m] from the housing", "T [N]"
-            )
+            ends = axis_end(longest), axis_end(self._config.tension_scale_N)
+            self._plane = Plane(*ends, WIDTH, "x [m] from the housing", "T [N]")
             self._plane.draw_axes(self._sender, "profile")
             self._scale(self._plane)
         x = length[:, None] * np.linspace(0.0, 1.0, PROFILE_POINTS)
@@ -66,8 +65,9 @@ class ProfileView:
         mark = rr.Points2D.from_fields(colors=FRONT, radii=0.022)
         self._sender.once(f"{path}/front", mark)
         name = rr.Points2D(
-            [[WIDTH - 0.3 + 0.2 * side, -1.12]],
-            labels=self._sheaths.name(tendon), colors=slides, radii=1e-4, show_labels=True,
+            [[WIDTH - 0.95 + 0.75 * side, -1.12]],
+            labels=f"estimated {self._sheaths.name(tendon)}",
+            colors=slides, radii=1e-4, show_labels=True,
         )  # fmt: skip
         self._sender.once(f"{path}/name", name)
         front = np.clip(np.nan_to_num(rows["front"]), 0.0, rows["length"])
@@ -137,7 +137,7 @@ class ProfileView:
         edge = plane.points(np.zeros_like(rungs), rungs)
         scale = rr.LineStrips2D(
             np.stack([edge[:-1], edge[1:]], axis=1),
-            colors=rgba((rungs[1:] + rungs[:-1]) / 2, plane.top),
+            colors=rgba((rungs[1:] + rungs[:-1]) / 2, self._config.tension_scale_N),
             radii=0.015,
         )
         self._sender.static("profile/scale", scale)

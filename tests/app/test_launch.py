@@ -3,6 +3,7 @@
 import io
 import json
 import sys
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -235,7 +236,43 @@ def test_a_session_goes_on_without_a_viewer_or_recorder_and_says_so_once(family,
     ended(family, name, COMPLAIN.format(1))
     assert family.casualty() is None
     assert family.casualty() is None
-    assert family.said == [(name, "no room; the session goes on")]
+    ((who, line),) = family.said
+    assert who == name
+    assert line.startswith("no room; the session goes on")
+    assert ("teleop view" in line) == (name == "view")  # how to start it again
+
+
+ANNOUNCE = "print('Web view: http://127.0.0.1:1/', flush=True)\nprint(chr(6), flush=True)\n"
+
+
+@pytest.mark.parametrize(
+    ("then", "why"),
+    [("raise SystemExit(1)", "ended with exit code 1"), ("__import__('signal').pause()", "hung")],
+)
+def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, then, why):
+    monkeypatch.setattr("teleop.app.launch.supervisor._HUNG_S", 1.0)
+    first = family.start("view", [ANNOUNCE + then])
+
+    def again():
+        assert family.casualty() is None
+        return any("started again" in line for _, line in family.said)
+
+    assert wait_for(again, 30.0)
+    assert family.children["view"].process.pid != first.process.pid
+    assert family.children["view"].arguments == first.arguments
+    (_, announced), (who, line) = family.said[:2]
+    assert announced == "Web view: http://127.0.0.1:1/"
+    assert who == "view"
+    assert why in line
+    assert line.endswith("xdg-open http://127.0.0.1:1/")
+
+
+def test_a_window_that_was_closed_stays_closed(family):
+    ended(family, "view", ANNOUNCE)
+    assert wait_for(lambda: family.casualty() is None and len(family.said) == 2, 20.0)
+    time.sleep(0.2)
+    assert family.casualty() is None
+    assert [line for _, line in family.said if "started again" in line] == []
 
 
 @pytest.mark.parametrize(("name", "code"), [("view", 2), ("slave", 1), ("master", 0), ("slave", 2)])

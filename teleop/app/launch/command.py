@@ -36,6 +36,8 @@ from teleop.realtime import RealtimeConfig
 from teleop.run_config import RateChecked, RunConfig
 from teleop.status_line import StatusLine
 from teleop.topics import EVENT, LATENCY, REPORT, Role
+from teleop.view.config import ViewConfig
+from teleop.view.ports import free_port
 
 # the sections of a config file and who checks them; imported by name, as the command line does
 SECTIONS = {
@@ -96,7 +98,7 @@ def main(args: argparse.Namespace) -> int:
             family.start("impair", shared)
         family.start("slave", [*shared, *(f"--model={word}" for word in args.model)])
         if view != "none":
-            family.start("view", [*shared, "--view", view])
+            family.start("view", [*shared, *_view_ports(args, overrides), "--view", str(view)])
         stack.enter_context(compiling_beside(_compile_master))
         keys = stack.enter_context(Keys())
         keyboard = watch.Keyboard(keys, link)
@@ -114,6 +116,13 @@ def main(args: argparse.Namespace) -> int:
             family.stop(ENDING)
         summary = _summary(family, ended, stop.reason)
     return _conclude(summary, args.json, config.realtime)
+
+
+def _view_ports(args: argparse.Namespace, overrides: list[str]) -> list[str]:
+    """Choose the view's ports, so that it comes back on the same ones if it is started again."""
+    view = load(args.config, ViewConfig, "view", overrides)
+    chosen = {"web_port": free_port(view.web_port), "grpc_port": free_port(view.grpc_port)}
+    return [f"--set=view.{key}={port}" for key, port in chosen.items()]
 
 
 def _compile_master() -> None:
