@@ -63,15 +63,18 @@ def trouble(summary: Mapping[str, Any]) -> str:
 ORDINARY = ("PASSED", "HELD", "NOT_ENGAGED", "STALE", "NOT_ENGAGED|STALE")
 
 
-def lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return the summary as lines of text; none of a loop that never ran."""
+def lines(summary: Mapping[str, Any], with_loops: bool = True) -> list[str]:
+    """Return the summary as lines of text; none of a loop that never ran.
+
+    Without `with_loops` what a table of the loops' figures shows is left out.
+    """
     out = []
     for role in ("slave", "master"):
         loop = summary.get(role)
         if role in summary and loop is None:
             out.append(f"{role:9} left no summary (killed?)")
         if loop is not None and ran(loop):
-            out += loop_lines(loop)
+            out += loop_lines(loop) if with_loops else loop_lines(loop)[2:]
     ping = summary.get("ping_pong")
     if ping:
         out.append(

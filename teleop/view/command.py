@@ -70,7 +70,6 @@ def main(args: argparse.Namespace) -> int:
         require_viewer(args.file, mode, out)
     elif args.file is not None:
         require_playable(open_recording(args.file))
-    let_loops_first()
     if not wait_in_standby():
         return 0
     stop = Stop(args.duration)
@@ -160,6 +159,7 @@ def _feed(
     if sink.stream is not None:
         show = Scene(config, sink.stream, sink.lay_out)
     _say(sink)
+    let_loops_first()  # not before: after a failure the view must be back soon
     if file is not None:
         return _show_recording(file, config, show, sink, stop)
     with Link(run.link, run.session, Role.VIEWER) as link:

@@ -107,17 +107,19 @@ def from_link(
             show.silence(tick.stamp_ns - heard_ns)
         curves.add(m for m in messages if m[0] in CURVES)
         pictures.add(messages)
-        pass_on(tick.stamp_ns, all_of_it=False)
         if not sink.alive():
             fed.fault = "" if sink.window else "the viewer program ended"
             stop.request("the viewer has ended")
-        elif tick.stamp_ns >= probe_ns:
+            continue
+        pass_on(tick.stamp_ns, all_of_it=False)
+        if tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
             beat()
             if sink.stuck():
                 fed.fault = "the viewer program accepts no more data"
                 stop.request("the viewer is stuck")
-    pass_on(0, all_of_it=True)
+    if sink.alive() and not fed.fault:
+        pass_on(0, all_of_it=True)
     return fed
 
 

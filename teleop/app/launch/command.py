@@ -21,6 +21,7 @@ from typing import Any
 
 from teleop import summary as summaries
 from teleop.app.launch import watch
+from teleop.app.launch.console import Console
 from teleop.app.launch.keys import HELP, Keys
 from teleop.app.launch.supervisor import Child, Supervisor
 from teleop.compile_cache import compiling_beside
@@ -84,10 +85,10 @@ def main(args: argparse.Namespace) -> int:
     to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
     view = args.view or ("native" if has_display() else "web")
 
-    status = StatusLine()
+    console = Console(StatusLine())
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="teleop-")))
-        family = Supervisor(scratch, lambda name, line: status.say(f"[{name}] {line}"))
+        family = Supervisor(scratch, console.say)
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free(link)  # before anything is started
@@ -103,19 +104,20 @@ def main(args: argparse.Namespace) -> int:
         keys = stack.enter_context(Keys())
         keyboard = watch.Keyboard(keys, link)
         if keys.there:
-            status.say(HELP)
+            console.status.say(HELP)
         try:
-            ended = watch.wait_for_slave(link, listener, hearing, family, status, stop, keyboard)
+            ended = watch.wait_for_slave(link, listener, hearing, family, console, stop, keyboard)
             if not ended and not stop():
                 family.start("master", [*shared, *to_slave])
                 ended = watch.watch(
-                    link, listener, hearing, family, status, stop, args.duration, keyboard
+                    link, listener, hearing, family, console, stop, args.duration, keyboard
                 )
         finally:
-            status.clear()
+            console.status.clear()
             family.stop(ENDING)
+            console.finish()
         summary = _summary(family, ended, stop.reason)
-    return _conclude(summary, args.json, config.realtime)
+    return _conclude(summary, args.json, config.realtime, console)
 
 
 def _view_ports(args: argparse.Namespace, overrides: list[str]) -> list[str]:
@@ -130,7 +132,10 @@ def _compile_master() -> None:
 
 
 def _conclude(
-    summary: dict[str, Any], path: Path | None, realtime: RealtimeConfig | None = None
+    summary: dict[str, Any],
+    path: Path | None,
+    realtime: RealtimeConfig | None = None,
+    console: Console | None = None,
 ) -> int:
     """Write and print the summary; return the exit code, or raise what ended the session."""
     began = summaries.ran(summary.get("master"))
@@ -138,8 +143,7 @@ def _conclude(
         sizes = Command.schema.size, SlaveState.schema.size
         summary["ping_pong"] = ping_pong(*sizes, realtime=realtime or RealtimeConfig())
     write_summary(path, summary)
-    for line in summaries.lines(summary):
-        print(line)
+    (console or Console(StatusLine())).summarise(summary)
     if summary["exit_code"]:
         raise TeleopError(summary["reason"])
     if not began and summary["reason"] in signal.Signals.__members__:
