@@ -12,6 +12,7 @@ It only listens: neither loop ever waits for it. See docs/viewing.md.
 """
 
 import argparse
+import math
 import os
 import sys
 import time
@@ -164,7 +165,8 @@ def _feed(
         return _show_recording(file, config, show, sink, stop)
     with Link(run.link, run.session, Role.VIEWER) as link:
         listener = link.listen(TOPICS)
-        fed = from_link(listener, show, sink, stop, config.drain_hz, periods(sink, config))
+        share = config.processor_share if sink.watched else math.inf
+        fed = from_link(listener, show, sink, stop, config.drain_hz, periods(sink, config), share)
         counts = {topic.name: listener.counts(topic) for topic in TOPICS}
         summary["lost"] = {topic: c.lost + c.overwritten for topic, c in counts.items()}
         summary["rejected"] = {topic: c.rejected for topic, c in counts.items()}

@@ -62,7 +62,7 @@ def _experiment(views: "_Views") -> Part:
     return rrb.Horizontal(
         rrb.Vertical(
             views.banner(),
-            views.scene(),
+            views.scene(distance=0.9),
             rrb.Horizontal(
                 views.joint_tabs("T(x) in its band", views.profile),
                 views.joint_tabs("T_out over T_in", views.loop),

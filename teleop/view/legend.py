@@ -12,7 +12,7 @@ from teleop.view.stage import Stage
 
 _STEPS = 65
 _HALF_WIDTH = 0.035  # of its height
-_TITLE_ABOVE = 1.1  # likewise
+_TITLE_ABOVE = 1.2  # likewise
 
 
 def draw_stage(sender: Sender, config: ViewConfig, stage: Stage) -> None:

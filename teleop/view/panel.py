@@ -15,6 +15,7 @@ from estimator.array_types import Array
 from teleop.topics import COMMAND, HAND, REPORT, STATE, Role
 from teleop.view.batch import AnyTopic, Rows, split, thinned
 from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
+from teleop.view.config import ViewConfig
 from teleop.view.panel_layout import (
     BANNER,
     LINK_HEIGHT,
@@ -39,8 +40,9 @@ _MARGIN = 0.4
 class Panel:
     """Draws the panel."""
 
-    def __init__(self, scale_N: float, sender: Sender, sheaths: Sheaths) -> None:
-        self._scale_N = scale_N  # [N] length of a bar without a known limit
+    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+        self._scale_N = config.tension_scale_N  # [N] length of a bar without a known limit
+        self._whole = config.layout == "surgeon"  # others show the banner only
         self._sender = sender
         self._sheaths = sheaths
         self._sides: dict[Role, tuple[int, int]] = {}
@@ -58,6 +60,8 @@ class Panel:
         if COMMAND in batches:
             self._limit_N = float(batches[COMMAND]["force_max"][-1])
         self._banners(batches)
+        if not self._whole:
+            return
         if STATE in batches and len(batches[STATE]):
             self._forces(batches[STATE])
         if REPORT in batches and len(batches[REPORT]):

@@ -38,12 +38,7 @@ class ProfileView:
 
     def draw(self, tendon: int, rows: Rows) -> None:
         """Draw some instants."""
-        tension, length = rows["tension"], rows["length"]
-        self._sender.columns(
-            f"profile/tendon_{tendon}/tension",
-            rows,
-            rr.AnyValues.columns(tension=tension.ravel()).partition([PROFILE_POINTS] * len(rows)),
-        )
+        length = rows["length"]
         longest = float(length.max(initial=0.0))
         if not longest > 0:
             return
@@ -55,6 +50,12 @@ class ProfileView:
         x = length[:, None] * np.linspace(0.0, 1.0, PROFILE_POINTS)
         self._band(tendon, rows, self._plane, x)
         self._curve(tendon, rows, self._plane, x)
+
+    def send_values(self, tendon: int, rows: Rows) -> None:
+        """Send T(x) as numbers, for Rerun's tools."""
+        tension = rr.AnyValues.columns(tension=rows["tension"].ravel())
+        points = [PROFILE_POINTS] * len(rows)
+        self._sender.columns(f"profile/tendon_{tendon}/tension", rows, tension.partition(points))
 
     def _curve(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
         """Draw T(x) in two pieces that meet at X'."""
@@ -93,8 +94,7 @@ class ProfileView:
             return
         path = f"profile/tendon_{tendon}/band"
         low, high = tension_band(self._sheaths.friction[tendon], rows["tension"][:, 0], *ends)
-        columns = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
-        self._sender.columns(path, rows, columns.partition([PROFILE_POINTS] * len(rows)))
+        values = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
         style = rr.LineStrips2D.from_fields(
             colors=_BANDS[self._side(tendon)],
             radii=0.9 * WIDTH / (PROFILE_POINTS - 1),  # more than half: no gaps
@@ -112,7 +112,8 @@ class ProfileView:
         )
         bars[:, 1::2] = bars[:, 1::2, ::-1]
         strips = rr.LineStrips2D.columns(strips=list(bars.reshape(-1, 2 * PROFILE_POINTS, 2)))
-        self._sender.columns(path, rows, strips.partition(known.astype(int)))
+        drawn = strips.partition(known.astype(int))
+        self._sender.columns(path, rows, [*drawn, *values.partition([PROFILE_POINTS] * len(rows))])
 
     def _ends(self, tendon: int, rows: Rows) -> tuple[Array, Array] | None:
         """Return the interval of T_out at each profile; NaN without one near it."""

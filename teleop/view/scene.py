@@ -66,7 +66,7 @@ class Scene:
         self._loops = LoopView(config, self._sender)
         self._plots = Plots(config, self._sender, self._sheaths)
         self._lanes = StateLanes(self._sender)
-        self._panel = Panel(config.tension_scale_N, self._sender, self._sheaths)
+        self._panel = Panel(config, self._sender, self._sheaths)
 
     def send(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Send one batch of each topic, all of it; returns the number of rows that were shown."""
@@ -97,7 +97,10 @@ class Scene:
         return shown
 
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw the curves over time; returns the number of rows shown."""
+        """Draw the curves over time, and send T(x) as numbers; returns the number of rows shown."""
+        for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
+            kept = thinned(rows, self._config.rate_hz.profile)
+            self._profiles.send_values(tendon, kept)
         return self._plots.draw(batches)
 
     def silence(self, silent_ns: int) -> None:

@@ -23,7 +23,7 @@ EYE = (0.0, -0.8, 0.78)  # where the scene is seen from, in spans from its centr
 RIGHT, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.78, 0.8]) / math.hypot(0.78, 0.8)
 _WIDE = 1.5  # the view's width over its height, a margin taken off
 _FIT_ITERATIONS = 12  # of fitting the scene into the view
-_SCALE_TALL, _SCALE_ASIDE = 0.5, 0.1  # the colour scale's height, and its place from the rest
+_SCALE_TALL, _SCALE_ASIDE = 0.5, 0.16  # the colour scale's height, and its place from the rest
 _TURN = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
 _LEVER = 0.16  # a joint's link and the hand's handle
 ARROW = 0.25  # of the force at the end of its scale
@@ -114,11 +114,11 @@ def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
         hands[joint] = replace(hands[joint], pivot=hands[joint].pivot + offset)
         for tendon in (t for t, shape in shapes.items() if shape.joint == joint):
             lines[tendon] = lines[tendon] + offset
-    everything = np.concatenate(list(drawn.values()))
+    still = np.concatenate([*lines.values(), *(h.pivot[None] for h in hands.values())])
     for each, sign in ((levers, -1.0), (hands, 1.0)):
         for joint, lever in each.items():
-            each[joint] = replace(lever, label=_clear_offset(lever, sign, everything, size))
-    centre, span, right, tall = _framed(everything)
+            each[joint] = replace(lever, label=_clear_offset(lever, sign, still, size))
+    centre, span, right, tall = _framed(np.concatenate(list(drawn.values())))
     return Stage(
         size,
         span,
@@ -158,8 +158,8 @@ def _reach(lever: Lever, sign: float) -> Array:
     return np.concatenate([lever.pivot[None], lever.tip(travel), lever.tip(travel) + arrows])
 
 
-def _clear_offset(lever: Lever, sign: float, drawn: Array, size: float) -> Array:
-    """Return where a number beside a lever's far end is clearest of everything drawn.
+def _clear_offset(lever: Lever, sign: float, still: Array, size: float) -> Array:
+    """Return where a number beside a lever's far end is clearest of what is drawn.
 
     Of places around the end, the one whose nearest drawn point, as seen from the eye and at any
     travel, is farthest. A number is wider than it is tall, so distances across count half.
@@ -169,8 +169,8 @@ def _clear_offset(lever: Lever, sign: float, drawn: Array, size: float) -> Array
     lever : Lever
     sign : float
         Of the arrow at its end, along its motion.
-    drawn : ndarray, shape (n, 3)
-        [m] all points drawn.
+    still : ndarray, shape (n, 3)
+        [m] points of what does not move; the link and its arrow move with the number.
     size : float
         [m] of a sheath.
     """
@@ -184,7 +184,7 @@ def _clear_offset(lever: Lever, sign: float, drawn: Array, size: float) -> Array
         end, onward = lever.tip(at)[0], sign * lever.onward(at)[0]
         link = lever.pivot + along * (end - lever.pivot)
         arrow = end + along * ARROW * size * onward
-        obstacles = np.concatenate([drawn, link, arrow]) @ flat.T
+        obstacles = np.concatenate([still, link, arrow]) @ flat.T
         gaps = (end + offsets) @ flat.T
         distance = np.linalg.norm(gaps[:, None] - obstacles[None], axis=-1).min(axis=1)
         clear = np.minimum(clear, distance)

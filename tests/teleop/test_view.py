@@ -105,6 +105,9 @@ class Seen:
         self.grown += sum(map(len, batches.values()))
         return 0
 
+    def silence(self, silent_ns):
+        pass
+
 
 def test_the_link_is_shown_until_the_end_and_what_waited_too(session):
     show = Seen()
