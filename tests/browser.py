@@ -49,9 +49,9 @@ def program() -> str | None:
 
 
 class Browser:
-    """One page of `width` by `height` pixels."""
+    """One page of `width` by `height` pixels, in a browser that prefers a light or dark theme."""
 
-    def __init__(self, width: int = 1280, height: int = 800) -> None:
+    def __init__(self, width: int = 1280, height: int = 800, theme: str = "light") -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="browser-", ignore_cleanup_errors=True)
         there, self._write = os.pipe()
         self._read, back = os.pipe()
@@ -91,8 +91,8 @@ class Browser:
             "Emulation.setDeviceMetricsOverride",
             width=width, height=height, deviceScaleFactor=1, mobile=False,
         )  # fmt: skip
-        dark = [{"name": "prefers-color-scheme", "value": "dark"}]
-        self.ask("Emulation.setEmulatedMedia", features=dark)
+        preferred = [{"name": "prefers-color-scheme", "value": theme}]
+        self.ask("Emulation.setEmulatedMedia", features=preferred)
 
     def __enter__(self) -> "Browser":
         return self

@@ -86,9 +86,12 @@ def ticks(top: float) -> list[float]:
 
 
 def axis_end(top: float) -> float:
-    """Return the first tick of an axis that is not below `top`: where the axis ends."""
-    step = _step(top)
-    return round(math.ceil(top / step * (1 - 1e-9)) * step, 12)
+    """Return where an axis for values up to `top` ends: on the last of its own `ticks`."""
+    end, step = top, 0.0
+    while step != _step(end):  # the longer axis may have another step
+        step = _step(end)
+        end = round(math.ceil(top / step * (1 - 1e-9)) * step, 12)
+    return end
 
 
 def ticks_to_end(top: float) -> list[float]:
