@@ -108,6 +108,11 @@ class Browser:
         os.close(self._read)
         self._folder.cleanup()
 
+    @property
+    def pid(self) -> int:
+        """Its process id, and that of its process group."""
+        return self._process.pid
+
     def open(self, address: str) -> None:
         """Go to an address, and wait until the page itself is there."""
         self._loaded = False
