@@ -9,7 +9,6 @@ processor time of the view, and the page's own address how long the view was awa
 software, at the lowest priority: what it takes from a small machine is no cost of the view.
 """
 
-import math
 import os
 import re
 import signal
@@ -79,15 +78,22 @@ class Run:
 
     def view(self) -> int:
         """Return the process id of the view: the one of `teleop view` that has a viewer program."""
+        end = time.monotonic() + AWAY_S
+        while (pid := self._view()) is None:
+            if time.monotonic() > end:
+                raise SystemExit(f"no view within {AWAY_S:g} s")
+            time.sleep(0.1)
+        return pid
+
+    def _view(self) -> int | None:
         text = subprocess.run(
             ["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True
         ).stdout
         rows = [line.split(None, 2) for line in text.splitlines()]
         views = {pid for pid, parent, words in rows if parent == str(self.process.pid)
                  and " view " in words}  # fmt: skip
-        return int(
-            next(parent for _, parent, words in rows if parent in views and "rerun" in words)
-        )
+        found = (int(parent) for _, parent, words in rows if parent in views and "rerun" in words)
+        return next(found, None)
 
     def processor_s(self) -> float:
         """Return the processor time [s] that the view has used."""
@@ -134,7 +140,7 @@ def states(run: Run, seconds: float) -> tuple[dict[str, Span], list[float]]:
         while time.monotonic() < end:
             time.sleep(min(EVERY_S, max(0.0, end - time.monotonic())))
             act()
-        spent = float("nan") if kills else run.processor_s() - used
+        spent = -1.0 if kills else run.processor_s() - used  # below 0: another process by then
         spans[state] = begin, now_ns(), spent
 
     measured("no page", lambda: None)
@@ -156,7 +162,7 @@ def report(recording: Path, spans: dict[str, Span]) -> None:
         "slave": read_columns(recording, "state", ["stamp_ns"])["stamp_ns"],
     }
     for state, (begin, end, spent) in spans.items():
-        share = f"{1e11 * spent / (end - begin):.1f} %" if math.isfinite(spent) else "-"
+        share = f"{1e11 * spent / (end - begin):.1f} %" if spent >= 0 else "-"
         for loop, all_stamps in stamps.items():
             inside = all_stamps[(all_stamps >= begin) & (all_stamps < end)]
             rate = (len(inside) - 1) / (inside[-1] - inside[0]) * 1e9

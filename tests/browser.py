@@ -126,16 +126,19 @@ class Browser:
         data = base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
-    def settle(self, patience_s: float) -> Picture:
-        """Wait until the page has appeared and changes no more, or for so long; return it."""
+    def settle(self, patience_s: float, still: int = _STILL) -> Picture:
+        """Wait until the page has appeared and changes no more, or for so long; return it.
+
+        It changes no more when `still` looks in a row are the same.
+        """
         end = time.monotonic() + patience_s
-        last, still = self.picture(), 0
-        while still < _STILL and time.monotonic() < end:
+        last, same = self.picture(), 0
+        while same < still and time.monotonic() < end:
             time.sleep(_LOOK_S)
             now = self.picture()
             changed = np.abs(now.astype(int) - last).mean() > _CHANGE
             appeared = len(np.unique(now[::4, ::4].reshape(-1, 3), axis=0)) > _COLOURS
-            still = 0 if changed or not appeared else still + 1
+            same = 0 if changed or not appeared else same + 1
             last = now
         return last
 

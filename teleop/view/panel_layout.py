@@ -12,7 +12,7 @@ STATE_HEIGHT, REASON_HEIGHT = 1.35, 0.45
 _FORCES = (3.0, 8.5)  # top and bottom of the rows of forces
 LINK_TOP, LINK_HEIGHT = 8.9, 0.42
 _BAR_LEFT, _BAR_RIGHT, _NUMBER_RIGHT = 7.2, 15.6, 5.4
-_FILL_LINES = 16
+_FILL_LINES, _OVERLAP = 16, 1.5  # lines that fill a box, and how much thicker than apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +56,12 @@ def filled(box: tuple[float, float, float, float]) -> tuple[list[Array], float]:
     A line has round ends, so the box is made of thin ones that are set in by their radius.
     """
     left, top, right, bottom = box
-    radius = (bottom - top) / (2 * _FILL_LINES)
+    radius = _OVERLAP * (bottom - top) / (2 * _FILL_LINES)
     if right - left < 2 * radius:
         return [], radius
-    heights = top + radius * (1.0 + 2.0 * np.arange(_FILL_LINES))
+    heights = np.linspace(top + radius, bottom - radius, _FILL_LINES)
     lines = [np.array([[left + radius, y], [right - radius, y]]) for y in heights]
-    return lines, 1.1 * radius  # no gaps
+    return lines, radius
 
 
 def force_rows(joints: int) -> list[ForceRow]:
