@@ -9,6 +9,7 @@ processor time of the view, and the page's own address how long the view was awa
 software, at the lowest priority: what it takes from a small machine is no cost of the view.
 """
 
+import math
 import os
 import re
 import signal
@@ -101,7 +102,7 @@ class Run:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def kill_view(self) -> float:
-        """Kill the view; return the time [s] until another answers at its address."""
+        """Kill the view; return the time [s] until another answers; infinite if none does."""
         before, begin = self.instance(), time.monotonic()
         os.kill(self.view(), signal.SIGKILL)
         while time.monotonic() - begin < AWAY_S:
@@ -109,7 +110,7 @@ class Run:
             if now and now != before:
                 return time.monotonic() - begin
             time.sleep(0.02)
-        raise SystemExit(f"the view was not back within {AWAY_S:g} s")
+        return math.inf
 
 
 def main(config: str = str(ROOT / "configs" / "demo.yaml"), seconds: str = "10") -> None:
