@@ -13,7 +13,7 @@ import pytest
 
 from teleop.app.launch.supervisor import wait_for
 from teleop.view.batch import decode
-from teleop.view.colours import ESTIMATE, HOUSING, PHASES, STATES, rgba
+from teleop.view.colours import ESTIMATE, HOUSING, PHASES, STATES, TRUTH, rgba
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from tests import browser
@@ -117,7 +117,7 @@ def test_the_scene_shows_tubes_beside_the_scale(page):
     [
         (PROFILE, ESTIMATE),
         (LOOP, PHASES[4]),
-        (TENSION, ESTIMATE),
+        (TENSION, TRUTH),  # drawn over the estimate
         (TENSION, HOUSING),
         (FORCE, ESTIMATE),
         (BANNER, STATES["engaged"]),
