@@ -35,9 +35,9 @@ from teleop.session import State
 from teleop.topics import STATE, TOPICS, Role
 from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.config import ViewConfig
+from teleop.view.ports import free_port
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from teleop.view.viewer_process import free_port
 
 CONFIG = Path(__file__).parents[1] / "configs" / "demo.yaml"
 ENGAGED_S = 180.0  # [s] in which both sides must have compiled and engaged

@@ -29,6 +29,7 @@ from teleop.session import State
 from teleop.topics import PROFILE, SHEATH, STATE, TENDONS, TOPICS
 from teleop.view.band import tension_band
 from teleop.view.batch import AnyTopic, Rows, decode
+from teleop.view.colours import TENSION_MAP
 from teleop.view.config import Layout, ViewConfig
 from teleop.view.feed import from_recording
 from teleop.view.scene import Scene
@@ -41,10 +42,12 @@ from tests.system.processes import free_ports
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
 SETTLED_S = 300.0  # [s] a page has to appear in
+STILL = 6  # looks at a page that must be the same: data arrive in bursts on a busy machine
 SLOWED = 4  # times slower than it was
 FRAMES_HZ = 15
 AROUND_S = (-0.35, 0.6)  # [s] from the moment, in the animation
 COLOURS = 128  # in its palette
+CMAP = mpl.colors.LinearSegmentedColormap.from_list("tension", TENSION_MAP / 255)
 DARK, RED, BLUE, ORANGE = "#121418", "#ff4b4b", "#56b4e9", "#e69f00"
 WORDS = (
     ("thick: slides", "white"),
@@ -130,8 +133,8 @@ def photograph(run: Recorded, shot: Shot, until_s: float, path: Path) -> None:
         scene = Scene(settings, sink.stream, sink.lay_out)
         from_recording(str(run.path), _Between(scene, until_s, shot.past_s), _never, 0.25)
         sink.stream.flush()
-        page.open(sink.lines[0].removeprefix("Web view: ") + "&renderer=webgl")
-        page.settle(SETTLED_S)
+        page.open(sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl")
+        page.settle(SETTLED_S, still=STILL)
         page.save(path)
     print(path.relative_to(ROOT))
 
@@ -222,7 +225,7 @@ class Film:
         below = self._figure.add_axes((0.08, 0.10, 0.89, 0.25), facecolor=DARK)
         step = (len(line) - 1) // (PROFILE_POINTS - 1)
         pieces = [line[k * step : (k + 1) * step + 1] for k in range(PROFILE_POINTS - 1)]
-        self._tube = LineCollection(pieces, cmap="viridis", norm=mpl.colors.Normalize(0, top))
+        self._tube = LineCollection(pieces, cmap=CMAP, norm=mpl.colors.Normalize(0, top))
         self._tube.set_capstyle("round")
         above.add_collection(self._tube)
         (self._ball,) = above.plot([], [], "o", color=RED, markersize=12, zorder=3)

@@ -2,11 +2,24 @@
 
 import argparse
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 from teleop.process import destination, seconds
 
 ViewMode = Literal["native", "web", "rrd", "none"]
+
+
+def view_mode(text: str) -> ViewMode | Path:
+    """Read a mode of the view, or the name of a Rerun file to be written: `type` of an argument."""
+    for mode in get_args(ViewMode):
+        if text == mode:
+            return cast(ViewMode, mode)
+    if Path(text).suffix == ".rrd":
+        return destination(text)
+    raise argparse.ArgumentTypeError(
+        f"{text!r} is none of {', '.join(get_args(ViewMode))}, nor a file name that ends in .rrd"
+    )
+
 
 _OPTIONS: dict[str, dict[str, Any]] = {
     "--calibration": {"type": Path, "metavar": "FILE", "help": "calibration of the sheaths"},
@@ -58,9 +71,10 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "help": "further data, to be predicted and not fitted",
     },
     "--view": {
-        "choices": get_args(ViewMode),
-        "help": "a window, a page for a browser on this machine, a Rerun file, or nothing at all "
-        "(default native with a screen, web without)",
+        "type": view_mode,
+        "metavar": "{native,web,rrd,none,FILE.rrd}",
+        "help": "a window, a page for a browser on this machine, a Rerun file (with a name of its "
+        "own, or FILE.rrd), or nothing at all (default native with a screen, web without)",
     },
 }
 

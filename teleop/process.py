@@ -20,11 +20,27 @@ _PR_SET_PDEATHSIG = 1
 
 INTERRUPTED = 128 + signal.SIGINT  # exit code of a command that was told to end before it began
 SUPERVISED = "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
+STANDBY = "TELEOP_STANDBY"  # set in the environment of a spare, which waits for a line to begin
+HEARTBEAT = "\x06"  # a line that says: not hung; the launcher does not print it
 
 
 def supervised() -> bool:
     """Return whether a launcher started this process, and speaks for it."""
     return SUPERVISED in os.environ
+
+
+def wait_in_standby() -> bool:
+    """Wait until the launcher calls this process, if it was started as a spare for another.
+
+    Returns False if the launcher ended instead. Called when all is imported, which takes longest.
+    """
+    return STANDBY not in os.environ or bool(sys.stdin.readline())
+
+
+def beat() -> None:
+    """Tell the launcher, if one started this process, that it is not hung."""
+    if supervised():
+        print(HEARTBEAT, flush=True)
 
 
 class _Interruption:
@@ -72,7 +88,7 @@ class Stop:
         self.wake()
 
 
-def die_with_parent(parent: int) -> None:
+def die_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:
     """Ask Linux to end this process when its parent dies; elsewhere nothing can be asked.
 
     Raises
@@ -81,7 +97,7 @@ def die_with_parent(parent: int) -> None:
         The process `parent` had died before this was asked.
     """
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, by)
     if os.getppid() != parent:
         raise TeleopError(f"the process that started this one ({parent}) has ended")
 

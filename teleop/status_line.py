@@ -1,14 +1,15 @@
-"""The live status line of a session."""
+"""The live status line of a terminal."""
 
-import shutil
 import sys
 import threading
+import time
 from typing import TextIO
 
-from teleop.messages import PHASE_NAMES, STAGE_NAMES, Latency, LoopReport, SlaveState, TendonState
-from teleop.session import State
-from teleop.summary import format_latency
-from teleop.topics import Role
+from rich.console import Console, RenderableType
+from rich.live import Live
+from rich.text import Text
+
+_PERIOD_S = 0.2  # between two drawings of the status line
 
 
 class StatusLine:
@@ -23,52 +24,46 @@ class StatusLine:
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream, self._line = stream or sys.stdout, ""
-        self.live = self._stream.isatty()
+        stream = stream or sys.stdout
+        self._console = Console(file=stream, force_terminal=stream.isatty(), highlight=False)
+        self.live = self._console.is_terminal and not self._console.is_dumb_terminal
         self._lock = threading.Lock()
+        self._display: Live | None = None
+        self._drawn_s = -_PERIOD_S
 
-    def say(self, text: str) -> None:
-        """Print an ordinary line."""
+    def say(self, text: str | RenderableType) -> None:
+        """Print an ordinary line, or a table."""
         with self._lock:
-            self._stream.write(("\r\x1b[K" if self.live else "") + text + "\n" + self._line)
-            self._stream.flush()
+            if isinstance(text, str):
+                self._console.print(text, markup=False, soft_wrap=True)
+            else:
+                self._console.print(text)
+            self._console.file.flush()
 
-    def show(self, text: str) -> None:
-        """Replace the status line."""
-        if not self.live:
+    def show(self, text: str | Text) -> None:
+        """Replace the status line; it is drawn a few times a second at most."""
+        now = time.monotonic()
+        if not self.live or now - self._drawn_s < _PERIOD_S:
             return
+        line = Text(text) if isinstance(text, str) else text
+        line.no_wrap, line.overflow = True, "ellipsis"
         with self._lock:
-            self._line = text[: shutil.get_terminal_size().columns - 1]
-            self._stream.write("\r\x1b[K" + self._line)
-            self._stream.flush()
+            self._drawn_s = now
+            if self._display is None:
+                self._display = Live(
+                    console=self._console,
+                    auto_refresh=False,
+                    transient=True,
+                    redirect_stdout=False,
+                    redirect_stderr=False,
+                )
+                self._display.start()
+            self._display.update(line, refresh=True)
 
     def clear(self) -> None:
         """Remove the status line."""
-        self.show("")
-
-
-def status_text(
-    reports: dict[Role, LoopReport],
-    state: SlaveState | None,
-    tendons: TendonState | None,
-    latency: Latency | None = None,
-) -> str:
-    """Return the status of a session in one line."""
-    master, slave = reports.get(Role.MASTER), reports.get(Role.SLAVE)
-    parts = [State(master.state).name.lower() if master else "waiting for the master"]
-    parts.append(f"slave {slave.rate_hz:.0f} Hz" if slave else "slave starting")
-    if master:
-        parts.append(f"master {master.rate_hz:.0f} Hz")
-        if latency and latency.answered:
-            quantiles = (latency.p50_ns, latency.p99_ns, latency.p99_9_ns, latency.max_ns)
-            medians = dict(zip(STAGE_NAMES, (ns * 1e-6 for ns in latency.p50_ns), strict=True))
-            parts.append("latency " + format_latency([q[-1] * 1e-6 for q in quantiles], medians))
-        elif master.latency_p50_ns:
-            parts.append(
-                f"latency {master.latency_p50_ns / 1e6:.1f}/{master.latency_p99_ns / 1e6:.1f} ms"
-            )
-    if state and state.joints:
-        parts.append("force " + " ".join(f"{f:6.2f}" for f in state.force[: state.joints]) + " N")
-    if tendons and tendons.tendons and tendons.phase[0] < len(PHASE_NAMES):
-        parts.append(PHASE_NAMES[tendons.phase[0]])
-    return " │ ".join(parts)
+        with self._lock:
+            if self._display is not None:
+                self._display.stop()
+                self._display = None
+            self._drawn_s = -_PERIOD_S

@@ -24,14 +24,15 @@ def ran(loop: Mapping[str, Any] | None) -> bool:
 
 
 # reasons of a fault that started at the peer
-FROM_AFAR = (
-    Reason.PEER_SILENT.text,
-    Reason.PEER_FAULT.text,
-    Reason.PEER_LEFT.text,
-    Reason.PEER_DECLINED.text,
-    Reason.PEER_STOPPED.text,
-    Reason.PEER_RESTARTED.text,
+FROM_PEER = (
+    Reason.PEER_SILENT,
+    Reason.PEER_FAULT,
+    Reason.PEER_LEFT,
+    Reason.PEER_DECLINED,
+    Reason.PEER_STOPPED,
+    Reason.PEER_RESTARTED,
 )
+_FROM_PEER_TEXTS = tuple(reason.text for reason in FROM_PEER)
 
 
 def trouble(summary: Mapping[str, Any]) -> str:
@@ -52,7 +53,7 @@ def trouble(summary: Mapping[str, Any]) -> str:
         for role, loop in loops.items()
         if loop is not None and ran(loop) and loop["ended_in"]
     ]
-    first_hand = [fault for fault in faults if fault[1] not in FROM_AFAR]
+    first_hand = [fault for fault in faults if fault[1] not in _FROM_PEER_TEXTS]
     for role, fault in (first_hand or faults)[:1]:
         return f"a fault of the {role} ended the session: {fault}"
     return ""
@@ -62,15 +63,18 @@ def trouble(summary: Mapping[str, Any]) -> str:
 ORDINARY = ("PASSED", "HELD", "NOT_ENGAGED", "STALE", "NOT_ENGAGED|STALE")
 
 
-def lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return the summary as lines of text; none of a loop that never ran."""
+def lines(summary: Mapping[str, Any], with_loops: bool = True) -> list[str]:
+    """Return the summary as lines of text; none of a loop that never ran.
+
+    Without `with_loops` what a table of the loops' figures shows is left out.
+    """
     out = []
     for role in ("slave", "master"):
         loop = summary.get(role)
         if role in summary and loop is None:
             out.append(f"{role:9} left no summary (killed?)")
         if loop is not None and ran(loop):
-            out += loop_lines(loop)
+            out += loop_lines(loop) if with_loops else loop_lines(loop)[2:]
     ping = summary.get("ping_pong")
     if ping:
         out.append(

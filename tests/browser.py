@@ -49,9 +49,9 @@ def program() -> str | None:
 
 
 class Browser:
-    """One page of `width` by `height` pixels."""
+    """One page of `width` by `height` pixels, in a browser that prefers a light or dark theme."""
 
-    def __init__(self, width: int = 1280, height: int = 800) -> None:
+    def __init__(self, width: int = 1280, height: int = 800, theme: str = "light") -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="browser-", ignore_cleanup_errors=True)
         there, self._write = os.pipe()
         self._read, back = os.pipe()
@@ -91,8 +91,8 @@ class Browser:
             "Emulation.setDeviceMetricsOverride",
             width=width, height=height, deviceScaleFactor=1, mobile=False,
         )  # fmt: skip
-        dark = [{"name": "prefers-color-scheme", "value": "dark"}]
-        self.ask("Emulation.setEmulatedMedia", features=dark)
+        preferred = [{"name": "prefers-color-scheme", "value": theme}]
+        self.ask("Emulation.setEmulatedMedia", features=preferred)
 
     def __enter__(self) -> "Browser":
         return self
@@ -108,6 +108,11 @@ class Browser:
         os.close(self._read)
         self._folder.cleanup()
 
+    @property
+    def pid(self) -> int:
+        """Its process id, and that of its process group."""
+        return self._process.pid
+
     def open(self, address: str) -> None:
         """Go to an address, and wait until the page itself is there."""
         self._loaded = False
@@ -121,16 +126,19 @@ class Browser:
         data = base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
-    def settle(self, patience_s: float) -> Picture:
-        """Wait until the page has appeared and changes no more, or for so long; return it."""
+    def settle(self, patience_s: float, still: int = _STILL) -> Picture:
+        """Wait until the page has appeared and changes no more, or for so long; return it.
+
+        It changes no more when `still` looks in a row are the same.
+        """
         end = time.monotonic() + patience_s
-        last, still = self.picture(), 0
-        while still < _STILL and time.monotonic() < end:
+        last, same = self.picture(), 0
+        while same < still and time.monotonic() < end:
             time.sleep(_LOOK_S)
             now = self.picture()
             changed = np.abs(now.astype(int) - last).mean() > _CHANGE
             appeared = len(np.unique(now[::4, ::4].reshape(-1, 3), axis=0)) > _COLOURS
-            still = 0 if changed or not appeared else still + 1
+            same = 0 if changed or not appeared else same + 1
             last = now
         return last
 

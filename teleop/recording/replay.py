@@ -1,7 +1,8 @@
 """Replay a recording onto the link, for viewers and recorders.
 
-  teleop replay recordings/demo-20260102T030405Z.mcap
-  teleop view --set session=demo-replay              in another terminal
+  teleop replay recordings/demo-20260102T030405Z.mcap --view web
+  teleop replay FILE                                 without a view; in another terminal:
+  teleop view --set session=demo-replay
   teleop replay FILE --speed 0.1 --loop              in slow motion, repeated
 
 A replay is a separate session, `<session>-replay`, in which it has the roles of master and slave.
@@ -10,15 +11,18 @@ recorded force a hand.
 """
 
 import argparse
+import contextlib
 import itertools
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
 from teleop.clock import now_ns
 from teleop.config import load
-from teleop.errors import UsageError
+from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages import LAYOUT
 from teleop.options import add_options
@@ -31,6 +35,7 @@ from teleop.status_line import StatusLine
 from teleop.topics import Role
 
 _LOOK_S = 0.05  # [s] between checks of stop, presence and progress
+_VIEW_S = 60.0  # [s] for the view to start
 _BREATH_NS = 1_000_000  # [ns] between the last message of a pass and the first of the next
 
 
@@ -48,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--session", metavar="NAME", help="replay as session NAME (<recorded session>-replay)"
     )
-    add_options(parser, "--config", "--set")
+    add_options(parser, "--config", "--set", "--view")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -66,17 +71,49 @@ def main(args: argparse.Namespace) -> int:
             role: stack.enter_context(Link(run.link, session, role))
             for role in (Role.SLAVE, Role.MASTER)
         }
-        status.say(
-            f"playing {info.seconds:.1f} s as session {session!r}; "
-            f"see it with: teleop view --set session={session}"
-        )
+        how = ""
+        if args.view in (None, "none"):
+            how = f"; see it with: teleop view --set session={session}"
+        else:
+            view = stack.enter_context(viewing(args, session))
+            wait_for_view(view, links[Role.MASTER])
+        status.say(f"playing {info.seconds:.1f} s as session {session!r}{how}")
         player = Player(info, args.speed, links)
         stack.callback(status.clear)
         for number in itertools.count() if args.loop else (0,):
             if not player.play(number, stop, status.show):
                 break
+        status.clear()
+        if args.view in ("native", "web") and not stop():
+            status.say("played to the end; Ctrl-C ends the view")
+            while not stop() and view.poll() is None:
+                time.sleep(_LOOK_S)
     print(f"played {player.messages} messages")
     return 0
+
+
+@contextlib.contextmanager
+def viewing(args: argparse.Namespace, session: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Show the replay with `teleop view` while this context lasts."""
+    words = ["--view", str(args.view), *(f"--set={text}" for text in args.overrides)]
+    words += [*(["--config", str(args.config)] if args.config else []), f"--set=session={session}"]
+    process = subprocess.Popen([sys.executable, "-m", "teleop", "view", *words])
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def wait_for_view(process: "subprocess.Popen[bytes]", link: Link) -> None:
+    """Wait until the view listens; `TeleopError` if it ends before or takes too long."""
+    end = time.monotonic() + _VIEW_S
+    while not link.present(Role.VIEWER):
+        if process.poll() is not None:
+            raise TeleopError(f"the view ended with exit code {process.returncode}")
+        if time.monotonic() > end:
+            raise TeleopError(f"the view did not start within {_VIEW_S:g} s")
+        time.sleep(_LOOK_S)
 
 
 class Player:

@@ -5,35 +5,51 @@ Without FILE it listens to a running session, in a window, or in a browser where
     teleop view                                    the session on this machine
     teleop view --view web                         in a browser, address on the first line
     teleop view recordings/demo.mcap               a recording
-    teleop view recordings/demo.mcap --view rrd --out demo.rrd
+    teleop view recordings/demo.mcap --view demo.rrd    into a Rerun file
+    teleop view demo.rrd                           a Rerun file
 
 It only listens: neither loop ever waits for it. See docs/viewing.md.
 """
 
 import argparse
+import math
+import os
+import sys
 import time
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from teleop.errors import TeleopError
+from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.options import ViewMode, add_options
-from teleop.process import Stop, has_display, let_loops_first, supervised, write_summary
+from teleop.process import (
+    Stop,
+    has_display,
+    let_loops_first,
+    supervised,
+    wait_in_standby,
+    write_summary,
+)
 from teleop.recording.reader import open_recording
 from teleop.recording.replay import require_playable
-from teleop.run_config import load_section
+from teleop.run_config import RunConfig, load_section
 from teleop.topics import TOPICS, Role
 from teleop.view.config import LAYOUTS, ViewConfig
 from teleop.view.feed import Discard, FeedCounts, Show, from_link, from_recording
+from teleop.view.runtime_log import diverted, log_path
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.add_argument("file", nargs="?", metavar="FILE", help="a recording (.mcap); none = live")
+    parser.add_argument(
+        "file",
+        nargs="?",
+        metavar="FILE",
+        help="a recording (.mcap) or a Rerun file (.rrd); none = live",
+    )
     add_options(parser, "--config", "--set", "--view", "--duration", "--json")
     parser.add_argument(
         "--layout",
@@ -49,37 +65,112 @@ def main(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
     run, config = load_section(args, ViewConfig, "view")
     config = replace(config, layout=args.layout or config.layout)
-    mode: ViewMode = args.view or ("native" if has_display() else "web")
-    if args.file is not None:
+    mode, out = destination_of(args.view, args.out)
+    saved = args.file is not None and Path(args.file).suffix == ".rrd"
+    if saved:
+        require_viewer(args.file, mode, out)
+    elif args.file is not None:
         require_playable(open_recording(args.file))
-    let_loops_first()
+    if not wait_in_standby():
+        return 0
     stop = Stop(args.duration)
     name = Path(args.file).stem if args.file else run.session
-    summary: dict[str, Any] = {"session": run.session, "view": mode, "source": args.file or "link"}
-    with ExitStack() as stack:
-        sink = stack.enter_context(Sink(mode, config, name, args.out, live=args.file is None))
-        show: Show = Discard()
-        if sink.stream is not None:
-            show = Scene(config, sink.stream, sink.lay_out)
-        for line in sink.lines:
-            print(line, flush=True)
-        if args.file is not None:
-            fed = _show_recording(args.file, config, show, sink, stop)
-        else:
-            link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
-            listener = link.listen(TOPICS)
-            fed = from_link(listener, show, sink, stop, config.drain_hz, periods(sink, config))
-            counts = {topic.name: listener.counts(topic) for topic in TOPICS}
-            summary["lost"] = {topic: c.lost + c.overwritten for topic, c in counts.items()}
-            summary["rejected"] = {topic: c.rejected for topic, c in counts.items()}
+    with diverted(log_path(run.session)) as log:
+        if saved:
+            return _show_saved(Path(args.file), mode, config, stop)
+        summary: dict[str, Any] = {
+            "session": run.session,
+            "view": mode,
+            "source": args.file or "link",
+        }
+        with Sink(mode, config, name, out, live=args.file is None) as sink:
+            fed = _feed(args.file, run, config, sink, stop, summary)
+            if fed.fault and supervised():
+                _end_at_once(f"{fed.fault} (what its runtime wrote: {log})")
     summary |= {"received": fed.received, "shown": fed.shown, "reason": stop.reason}
     summary["file"] = None if sink.file is None else str(sink.file)
     write_summary(args.json, summary)
     if fed.fault:
-        raise TeleopError(fed.fault)
+        raise TeleopError(f"{fed.fault} (what its runtime wrote: {log})")
     if not supervised():
         print(f"View ended ({stop.reason}): {fed.received} messages, {fed.shown} shown", flush=True)
     return 0
+
+
+def _end_at_once(complaint: str) -> None:
+    """End without closing what does not answer, which takes seconds: the launcher starts anew."""
+    print(f"teleop: {complaint}", file=sys.stderr, flush=True)
+    os._exit(TeleopError.exit_code)
+
+
+def destination_of(view: ViewMode | Path | None, out: Path | None) -> tuple[ViewMode, Path | None]:
+    """Return the mode and the file to write from `--view` and `--out`."""
+    if isinstance(view, Path):
+        if out is not None:
+            raise UsageError(f"--view {view} and --out {out}: name the file once")
+        return "rrd", view
+    return view or ("native" if has_display() else "web"), out
+
+
+def require_viewer(file: str, mode: ViewMode, out: Path | None) -> None:
+    """Check that a Rerun file exists and is to be looked at."""
+    if mode not in ("native", "web") or out is not None:
+        raise UsageError(f"{file}: is a Rerun file already; --view native or web shows it")
+    try:
+        with Path(file).open("rb") as content:
+            begin = content.read(4)
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be read: {error.strerror}") from error
+    if begin[:2] != b"RR":
+        raise UsageError(
+            f"{file}: is no Rerun file; `teleop view RECORDING.mcap` shows a recording"
+        )
+
+
+def _show_saved(path: Path, mode: ViewMode, config: ViewConfig, stop: Stop) -> int:
+    """Show a Rerun file until the viewer is closed."""
+    with Sink(mode, config, path.stem, None, live=False, saved=path) as sink:
+        _say(sink)
+        _wait(sink, stop)
+    return 0
+
+
+def _say(sink: Sink) -> None:
+    for line in sink.lines:
+        print(line, flush=True)
+
+
+def _wait(sink: Sink, stop: Stop) -> None:
+    """Wait until the viewer is closed, or we are told to stop."""
+    print("recording loaded; Ctrl-C ends the view", flush=True)
+    while not stop() and sink.alive():
+        time.sleep(0.1)
+
+
+def _feed(
+    file: str | None,
+    run: RunConfig,
+    config: ViewConfig,
+    sink: Sink,
+    stop: Stop,
+    summary: dict[str, Any],
+) -> FeedCounts:
+    """Feed an open sink from a recording or the link; adds the link's losses to `summary`."""
+    show: Show = Discard()
+    if sink.stream is not None:
+        show = Scene(config, sink.stream, sink.lay_out)
+    _say(sink)
+    let_loops_first()  # not before: after a failure the view must be back soon
+    if file is not None:
+        return _show_recording(file, config, show, sink, stop)
+    with Link(run.link, run.session, Role.VIEWER) as link:
+        listener = link.listen(TOPICS)
+        share = config.processor_share if sink.watched else math.inf
+        fed = from_link(listener, show, sink, stop, config.drain_hz, periods(sink, config), share)
+        counts = {topic.name: listener.counts(topic) for topic in TOPICS}
+        summary["lost"] = {topic: c.lost + c.overwritten for topic, c in counts.items()}
+        summary["rejected"] = {topic: c.rejected for topic, c in counts.items()}
+    return fed
 
 
 def _show_recording(
@@ -88,9 +179,7 @@ def _show_recording(
     """Show a recording, and wait until the viewer is closed."""
     fed = from_recording(path, show, stop, config.file_period_s)
     if sink.watched:
-        print("recording loaded; Ctrl-C ends the view", flush=True)
-        while not stop() and sink.alive():
-            time.sleep(0.1)
+        _wait(sink, stop)
     stop.request("the recording is shown")
     return fed
 

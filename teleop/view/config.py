@@ -23,8 +23,8 @@ class ViewRates:
     tendons: float = 100.0
     hand: float = 100.0
     ledger: float = 20.0  # of each side
-    profile: float = 30.0  # of each tendon: tube, T(x) and X'
-    levers: float = 30.0  # joint, hand and their forces in the scene
+    profile: float = 15.0  # of each tendon: tube, T(x) and X'
+    levers: float = 15.0  # joint, hand and their forces in the scene
     loop: float = 30.0  # pieces of each hysteresis loop
 
     def __post_init__(self) -> None:
@@ -40,8 +40,9 @@ class ViewConfig:
 
     layout: Layout = "experiment"
     rate_hz: ViewRates = field(default_factory=ViewRates)
-    drain_hz: float = 25.0  # [Hz] rate of reading the link and updating the scene
-    curves_hz: float = 10.0  # [Hz] rate of extending the curves: 0.2 ms for each curve
+    drain_hz: float = 12.5  # [Hz] rate of reading the link and updating the scene
+    curves_hz: float = 4.0  # [Hz] rate of extending the curves: 0.2 ms for each curve
+    processor_share: float = 0.25  # of a processor; both are slower where they would take more
     file_period_s: float = 1.0  # [s] of data per block when only a file is written
     tension_scale_N: float = 20.0  # [N] the bright end of the colour scale  # noqa: N815
     hand_scale_N: float = 4.0  # [N] on the hand, drawn as long as tension_scale_N at the tip  # noqa: N815
@@ -66,6 +67,7 @@ class ViewConfig:
         for name, low, high, unit in (
             ("drain_hz", 1, 100, " Hz"),
             ("curves_hz", 1, 100, " Hz"),
+            ("processor_share", 0.01, 1, ""),
             ("file_period_s", 0.05, 60, " s"),
             ("tension_scale_N", 0.1, 1e4, " N"),
             ("hand_scale_N", 0.01, 1e4, " N"),

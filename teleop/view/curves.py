@@ -21,7 +21,7 @@ class Curve:
 
     path: str
     field: str
-    name: str  # in the legend, where the tendon, joint or role follows it; the view has the unit
+    name: str  # in the legend: measured, estimated, commanded or true where it is one of these
     colour: int  # 0xRRGGBBAA
     width: float = 1.5  # [points]
     factor: float = 1.0  # shown = factor * field
@@ -30,11 +30,26 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
+class Band:
+    """The area between two fields of a message, behind the curves.
+
+    Rerun's plots fill no area, so it is drawn as one line that goes up and down within each row's
+    period, as broad as a period is on the screen.
+    """
+
+    path: str  # as in `Curve`; plots draw entities in alphabetical order, so it comes first
+    low: str
+    high: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
 class CurveGroup:
     """The curves drawn from one topic, and what their fields are arrays over."""
 
     over: Literal["tendon", "joint", "role", "role and joint", "sender"]
     curves: tuple[Curve, ...]
+    bands: tuple[Band, ...] = ()
 
 
 _MS = 1e-6  # of nanoseconds
@@ -44,28 +59,27 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
     TENDONS: (CurveGroup(
         "tendon",
         (
-            Curve("tension/{}/in", "proximal_tension", "T_in", colours.HOUSING),
-            Curve("tension/{}/out", "distal_tension", "T_out", colours.ESTIMATE, 2.0),
-            Curve("tension/{}/out_true", "bench_distal_tension", "T_out true", colours.TRUTH),
-            Curve("displacement/{}/in", "proximal_displacement", "q_p",
+            Curve("tension/{}/in", "proximal_tension", "measured", colours.HOUSING),
+            Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, 2.0),
+            Curve("tension/{}/out_true", "bench_distal_tension", "true", colours.TRUTH),
+            Curve("displacement/{}/in", "proximal_displacement", "measured",
                   colours.HOUSING, factor=MILLI),
-            Curve("displacement/{}/asked", "commanded_displacement", "q_p asked",
+            Curve("displacement/{}/asked", "commanded_displacement", "commanded",
                   colours.ASKED, factor=MILLI),
-            Curve("displacement/{}/out_true", "bench_distal_displacement", "q_d true",
+            Curve("displacement/{}/out_true", "bench_distal_displacement", "true",
                   colours.TRUTH, factor=MILLI),
-            Curve("elongation/{}", "elongation", "e", colours.ESTIMATE, factor=MILLI),
+            Curve("elongation/{}", "elongation", "estimated", colours.ESTIMATE, factor=MILLI),
         ),
     ),),
     STATE: (
         CurveGroup(
             "joint",
             (
-                Curve("force/{}/tip_low", "force_low", "tip low", colours.INTERVAL, 1.0),
-                Curve("force/{}/tip_high", "force_high", "tip high", colours.INTERVAL, 1.0),
-                Curve("force/{}/tip", "force", "tip", colours.ESTIMATE, 2.0),
+                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, 2.0),
                 Curve("position/{}/tip", "position", "estimated", colours.ESTIMATE,
                       2.0, factor=MILLI),
             ),
+            (Band("force/{}/interval", "force_low", "force_high", "interval"),),
         ),
         CurveGroup(
             "sender",
@@ -76,7 +90,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         CurveGroup(
             "joint",
             (
-                Curve("hand/{}/force", "force", "hand", colours.HAND, 2.0),
+                Curve("hand/{}/force", "force", "commanded", colours.HAND, 2.0),
             ),
         ),
         CurveGroup(
@@ -92,7 +106,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
     COMMAND: (
         CurveGroup(
             "joint",
-            (Curve("position/{}/asked", "position", "asked", colours.ASKED, factor=MILLI),),
+            (Curve("position/{}/asked", "position", "commanded", colours.ASKED, factor=MILLI),),
         ),
     ),
     LEDGER: (CurveGroup(

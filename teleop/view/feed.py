@@ -1,5 +1,7 @@
 """Feed the scene: live from the link, or from a recording at full speed."""
 
+import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -7,12 +9,13 @@ from typing import Protocol
 from teleop.clock import Grid
 from teleop.link import Listener
 from teleop.messages import MessageError
-from teleop.process import Stop
+from teleop.process import Stop, beat
 from teleop.recording.reader import read_messages
 from teleop.recording.scan import RecordingError
-from teleop.topics import TOPICS
+from teleop.topics import PROFILE, TOPICS
 from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.curves import CURVES
+from teleop.view.pacing import Pacing
 from teleop.view.sinks import Sink
 
 
@@ -25,8 +28,13 @@ class Show(Protocol):
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Extend the curves."""
 
+    def silence(self, silent_ns: int) -> None:
+        """Show that nothing has arrived for so long [ns]."""
 
-_PROBE_EVERY_NS = 5_000_000_000
+
+_SILENT_NS = 1_000_000_000  # [ns] without a message after which what is shown is called old
+_PROBE_EVERY_NS = 500_000_000
+_GROWING = {*CURVES, PROFILE}  # shown by `Show.curves`
 _BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
@@ -50,6 +58,7 @@ class PacedMessages:
 
     def __init__(self, period_s: float) -> None:
         self._period_ns = round(period_s * 1e9)
+        self.stretch = 1.0  # factor of the period
         self._held: list[tuple[AnyTopic, bytes]] = []
         self._due_ns: int | None = None
 
@@ -63,7 +72,7 @@ class PacedMessages:
             self._due_ns = now_ns + self._period_ns
         if now_ns < self._due_ns and not all_of_it:
             return []
-        self._due_ns = now_ns + self._period_ns
+        self._due_ns = now_ns + round(self._period_ns * self.stretch)
         block, self._held = self._held, []
         return block
 
@@ -75,6 +84,7 @@ def from_link(
     stop: Stop,
     drain_hz: float,
     periods_s: tuple[float, float],
+    processor_share: float = math.inf,
 ) -> FeedCounts:
     """Show received messages until stopped.
 
@@ -83,10 +93,12 @@ def from_link(
     drain_hz : float
         [Hz] rate of reading the listener.
     periods_s : tuple of two floats
-        [s] between updates of the scene, and of the curves.
+        [s] between updates of the scene, and of the curves; stretched where they would take more
+        than `processor_share`, of one processor.
     """
     fed = FeedCounts()
     pictures, curves = PacedMessages(periods_s[0]), PacedMessages(periods_s[1])
+    pacing = Pacing(processor_share)
 
     def pass_on(now_ns: int, all_of_it: bool) -> None:
         for held, draw in ((pictures, show.pictures), (curves, show.curves)):
@@ -94,24 +106,29 @@ def from_link(
             if block:
                 fed.shown += draw(decode(block))
 
-    probe_ns = 0
+    probe_ns = heard_ns = 0
     for tick in Grid(drain_hz, stop):
         messages = [(h.topic, h.data) for h in listener.drain()]
         fed.received += len(messages)
-        curves.add(m for m in messages if m[0] in CURVES)
+        heard_ns = tick.stamp_ns if messages or not heard_ns else heard_ns
+        if tick.stamp_ns - heard_ns > _SILENT_NS:
+            show.silence(tick.stamp_ns - heard_ns)
+        curves.add(m for m in messages if m[0] in _GROWING)
         pictures.add(messages)
-        pass_on(tick.stamp_ns, all_of_it=False)
         if not sink.alive():
-            fed.fault = (
-                "" if sink.window else "the web viewer ended by itself; start the view again"
-            )
+            fed.fault = "" if sink.window else "the viewer program ended"
             stop.request("the viewer has ended")
-        elif tick.stamp_ns >= probe_ns:
+            continue
+        pictures.stretch = curves.stretch = pacing.update(time.process_time(), time.monotonic())
+        pass_on(tick.stamp_ns, all_of_it=False)
+        if tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
+            beat()
             if sink.stuck():
-                fed.fault = "the viewer accepts no more data; start the view again"
+                fed.fault = "the viewer program accepts no more data"
                 stop.request("the viewer is stuck")
-    pass_on(0, all_of_it=True)
+    if sink.alive() and not fed.fault:
+        pass_on(0, all_of_it=True)
     return fed
 
 
@@ -140,6 +157,9 @@ class Discard:
         return 0
 
     curves = pictures
+
+    def silence(self, silent_ns: int) -> None:
+        """Show nothing."""
 
 
 def _blocks(path: str, period_ns: int) -> Iterator[list[tuple[AnyTopic, bytes]]]:

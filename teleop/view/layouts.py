@@ -1,18 +1,21 @@
 """Layouts of the views, for screens of 1280 by 800 and up: one blueprint per use."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
 
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TimelineColumn
 
-from teleop.view.colours import UNKNOWN
+from teleop.view.colours import BACKGROUND, UNKNOWN
 from teleop.view.config import ViewConfig
+from teleop.view.panel_layout import BANNER, TALL, WIDE
 from teleop.view.profile_view import WIDTH
 from teleop.view.sender import TIMELINE
 from teleop.view.stage import EYE
 
-_DARK = [18, 20, 24]
+_DARK = list(BACKGROUND)
+_ROOM = 0.32  # of the window, right of the newest data, for the legend
 _UNKNOWN_M = 0.001  # [m] radius of a tube before its tension is known
 Part = rrb.Container | rrb.View
 _Make = Callable[[str, int], Part]  # name of a view, and the joint it is of
@@ -21,8 +24,9 @@ _Make = Callable[[str, int], Part]  # name of a view, and the joint it is of
 def blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Blueprint:
     """Return the layout that the config names.
 
-    `surgeon` shows the scene and the two forces, `experiment` everything, `presentation` the scene
-    alone. The time follows the newest data until the user moves it.
+    `surgeon` shows state, force and link in large letters and nothing else, `experiment`
+    everything, `presentation` the scene alone. The time follows the newest data until the user
+    moves it.
 
     Parameters
     ----------
@@ -34,26 +38,20 @@ def blueprint(config: ViewConfig, joints: Mapping[int, Sequence[int]]) -> rrb.Bl
     arrange = {
         "surgeon": _surgeon, "experiment": _experiment, "presentation": _presentation
     }[config.layout]  # fmt: skip
+    bars: Literal["collapsed", "hidden"]
+    bars = "collapsed" if config.layout == "experiment" else "hidden"  # the clock in it moves
     return rrb.Blueprint(
         arrange(views),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.TopPanel(state="hidden"),
+        rrb.BlueprintPanel(state=bars),
+        rrb.SelectionPanel(state=bars),
+        rrb.TimePanel(state=bars, timeline=TIMELINE, play_state="following"),
         auto_views=False,
     )
 
 
 def _surgeon(views: "_Views") -> Part:
-    return rrb.Horizontal(
-        views.scene(distance=1.3),
-        rrb.Vertical(
-            views.joint_tabs("Force at the tip [N]", views.tip_force),
-            views.joint_tabs("Force on the hand [N]", views.hand_force),
-            views.states(),
-            row_shares=[3, 3, 2],
-        ),
-        column_shares=[2, 1],
-    )
+    return views.panel()
 
 
 def _presentation(views: "_Views") -> Part:
@@ -63,18 +61,21 @@ def _presentation(views: "_Views") -> Part:
 def _experiment(views: "_Views") -> Part:
     return rrb.Horizontal(
         rrb.Vertical(
-            views.scene(),
+            views.banner(),
+            views.scene(distance=0.9),
             rrb.Horizontal(
                 views.joint_tabs("T(x) in its band", views.profile),
                 views.joint_tabs("T_out over T_in", views.loop),
             ),
-            row_shares=[3, 2],
+            row_shares=[0.7, 3, 2.3],
         ),
         rrb.Vertical(
-            views.joint_tabs("Tension [N]", views.tension),
-            views.joint_tabs("Force at the tip [N]", views.tip_force),
+            views.joint_tabs(
+                "Tension [N]", views.tension, " measured at the housing, else the tip"
+            ),
+            views.joint_tabs("Force at the tip [N]", views.tip_force, ", positive against pulling"),
             rrb.Tabs(
-                views.joint_tabs("Tip [mm]", views.position),
+                views.joint_tabs("Tip [mm]", views.position, ", positive pulled in"),
                 views.joint_tabs("Hand [N]", views.hand_force),
                 views.joint_tabs("Elongation [mm]", views.elongation),
                 views.joint_tabs("Motor [mm]", views.motor),
@@ -82,6 +83,7 @@ def _experiment(views: "_Views") -> Part:
             ),
             rrb.Tabs(
                 views.log(),
+                views.states(),
                 views.energy(),
                 views.curves("Rate [Hz]", ["rate"]),
                 views.curves("Latency [ms]", ["latency"]),
@@ -90,8 +92,7 @@ def _experiment(views: "_Views") -> Part:
                 views.curves("Lost", ["loss"]),
                 name="Session",
             ),
-            views.states(),
-            row_shares=[3.7, 3.5, 2.8, 2.8, 3.1],
+            row_shares=[4.4, 3.6, 3.4, 2.6],
         ),
         column_shares=[1, 1],
     )
@@ -119,10 +120,28 @@ class _Views:
             ),
         )
 
-    def joint_tabs(self, name: str, make: _Make) -> Part:
-        """Return one view for each joint, one in front of the other."""
+    def panel(self) -> Part:
+        """Return state, force and link in large letters."""
+        return self._letters("/panel/**", TALL)
+
+    def banner(self) -> Part:
+        """Return the state in large letters."""
+        return self._letters("/panel/banner/**", BANNER[3])
+
+    def _letters(self, contents: str, tall: float) -> Part:
+        return rrb.Spatial2DView(
+            origin="panel",
+            contents=[contents],
+            name="State",
+            titlebar=False,
+            visual_bounds=rrb.VisualBounds2D(x_range=[0.0, WIDE], y_range=[0.0, tall]),
+            background=_DARK,
+        )
+
+    def joint_tabs(self, name: str, make: _Make, detail: str = "") -> Part:
+        """Return one view for each joint, one in front of the other; `detail` if there is room."""
         if len(self._joints) == 1:
-            return make(name, *self._joints)
+            return make(name + detail, *self._joints)
         return rrb.Tabs(*(make(f"{name} {j + 1}", j) for j in self._joints), name=name)
 
     def profile(self, name: str, joint: int) -> Part:
@@ -207,8 +226,12 @@ class _Views:
             contents=[f"/{root}/**" for root in roots],
             name=name,
             time_ranges=[self._recent],
+            # the legend stands right of the newest data
+            axis_x=rrb.TimeAxis(
+                view_range=_range(self._config.window_s, _ROOM * self._config.window_s)
+            ),
             axis_y=values and rrb.ScalarAxis(range=(values[0] * top, values[1] * top)),
-            plot_legend=rrb.Corner2D.LeftTop,
+            plot_legend=rrb.Corner2D.RightTop,
         )
 
     def states(self) -> Part:
@@ -230,8 +253,13 @@ class _Views:
 
 def _past(seconds: float) -> rr.VisibleTimeRange:
     """Return the time range from some seconds ago until now."""
-    return rr.VisibleTimeRange(
-        TIMELINE,
-        start=rr.TimeRangeBoundary.cursor_relative(seconds=-seconds),
-        end=rr.TimeRangeBoundary.cursor_relative(),
+    range_ = _range(seconds, 0.0)
+    return rr.VisibleTimeRange(TIMELINE, start=range_.start, end=range_.end)
+
+
+def _range(past_s: float, future_s: float) -> rr.TimeRange:
+    """Return the time range about the cursor."""
+    return rr.TimeRange(
+        start=rr.TimeRangeBoundary.cursor_relative(seconds=-past_s),
+        end=rr.TimeRangeBoundary.cursor_relative(seconds=future_s),
     )

@@ -6,12 +6,13 @@ import rerun as rr
 from estimator.array_types import Array
 from teleop.view.colours import rgba
 from teleop.view.config import ViewConfig
-from teleop.view.plane import ticks
+from teleop.view.plane import ticks_to_end
 from teleop.view.sender import Sender
 from teleop.view.stage import Stage
 
 _STEPS = 65
 _HALF_WIDTH = 0.035  # of its height
+_TITLE_ABOVE = 1.2  # likewise
 
 
 def draw_stage(sender: Sender, config: ViewConfig, stage: Stage) -> None:
@@ -39,12 +40,17 @@ def _draw_scale(sender: Sender, foot: Array, up: Array, top: float) -> None:
     )
     sender.static("scene/legend/scale", bar)
     beside = np.array([0.13 * tall, 0.0, 0.0])
-    marks = ticks(top)
+    marks = ticks_to_end(top)
     words = rr.Points3D(
         [foot + value / top * up + beside for value in marks],
-        labels=[f"{value:g} N" for value in marks],
+        labels=[f"{value:g}" for value in marks],
         colors=0xC0C0C0FF,
         radii=1e-6,
         show_labels=True,
     )
     sender.static("scene/legend/values", words)
+    title = rr.Points3D(
+        [foot + _TITLE_ABOVE * up], labels="tension [N]", colors=0xFFFFFFFF, radii=1e-6,
+        show_labels=True,
+    )  # fmt: skip
+    sender.static("scene/legend/title", title)

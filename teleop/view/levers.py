@@ -51,6 +51,7 @@ class Levers:
             self._style(f"{path}/link", colours.BODY, thick)
             self._style(f"{path}/asked", colours.ASKED, 0.35 * thick)
             self._arrow_style(f"{path}/force", colours.ESTIMATE, 0.7 * thick)
+            self._number_style(f"{path}/newtons", colours.ESTIMATE)
             self._style(f"{path}/interval", colours.INTERVAL, 0.35 * thick)
             self._arrow_style(f"{path}/truth", colours.TRUTH, 0.45 * thick)
             self._environment(f"{path}/environment", joint, lever)
@@ -65,6 +66,7 @@ class Levers:
             self._sender.static(f"scene/hand_{joint}/pivot", pivot)
             self._style(f"scene/hand_{joint}/handle", colours.HAND, thick)
             self._arrow_style(f"scene/hand_{joint}/force", colours.HAND, 0.7 * thick)
+            self._number_style(f"scene/hand_{joint}/newtons", colours.HAND)
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Draw some instants; returns the number of messages drawn."""
@@ -89,7 +91,8 @@ class Levers:
             self._travel[joint] = float(travel[-1])
             ends = self._link(f"{path}/link", rows, lever, travel)
             back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
-            self._arrow(f"{path}/force", rows, ends, force[:, None] * back, force)
+            self._arrow(f"{path}/force", rows, ends, force[:, None] * back)
+            self._number(f"{path}/newtons", rows, ends + lever.label, force)
             low, high = rows["force_low"][:, joint], rows["force_high"][:, joint]
             self._interval(f"{path}/interval", rows, lever, ends, back, low, high)
 
@@ -118,7 +121,8 @@ class Levers:
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             ends = self._link(f"scene/hand_{joint}/handle", rows, lever, travel)
             onward = lever.onward(travel) * self._length(self._config.hand_scale_N)
-            self._arrow(f"scene/hand_{joint}/force", rows, ends, force[:, None] * onward, force)
+            self._arrow(f"scene/hand_{joint}/force", rows, ends, force[:, None] * onward)
+            self._number(f"scene/hand_{joint}/newtons", rows, ends + lever.label, force)
 
     def _joints(self, rows: Rows) -> list[tuple[int, Lever, str]]:
         stage = self._sheaths.stage
@@ -140,20 +144,18 @@ class Levers:
         self._sender.columns(path, rows, columns)
         return ends
 
-    def _arrow(
-        self,
-        path: str,
-        rows: Rows,
-        origins: Array,
-        vectors: Array,
-        force: Array | None = None,  # [N] written beside it
-    ) -> None:
+    def _arrow(self, path: str, rows: Rows, origins: Array, vectors: Array) -> None:
         known = np.isfinite(vectors).all(axis=1) & np.isfinite(origins).all(axis=1)
         if known.any():
-            words = None if force is None else [f"{abs(f):.1f} N" for f in force[known]]
-            columns = rr.Arrows3D.columns(
-                origins=origins[known], vectors=vectors[known], labels=words
-            )
+            columns = rr.Arrows3D.columns(origins=origins[known], vectors=vectors[known])
+            self._sender.columns(path, rows, columns.partition(known.astype(int)))
+
+    def _number(self, path: str, rows: Rows, at: Array, force: Array) -> None:
+        """Write forces [N] at places clear of what is drawn."""
+        known = np.isfinite(at).all(axis=1) & np.isfinite(force)
+        if known.any():
+            words = [f"{value:.1f} N" for value in force[known]]
+            columns = rr.Points3D.columns(positions=at[known], labels=words)
             self._sender.columns(path, rows, columns.partition(known.astype(int)))
 
     def _interval(
@@ -199,7 +201,11 @@ class Levers:
         self._sender.static(path, rr.LineStrips3D.from_fields(colors=colour, radii=radius))
 
     def _arrow_style(self, path: str, colour: int, radius: float) -> None:
-        style = rr.Arrows3D.from_fields(colors=colour, radii=radius, show_labels=True)
+        self._sender.static(path, rr.Arrows3D.from_fields(colors=colour, radii=radius))
+
+    def _number_style(self, path: str, colour: int) -> None:
+        """Let only the words of points be seen."""
+        style = rr.Points3D.from_fields(colors=colour, radii=1e-6, show_labels=True)
         self._sender.static(path, style)
 
 

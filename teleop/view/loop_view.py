@@ -7,7 +7,7 @@ from teleop.messages import PHASE_NAMES
 from teleop.view.batch import Rows
 from teleop.view.colours import PHASES
 from teleop.view.config import ViewConfig
-from teleop.view.plane import Plane
+from teleop.view.plane import Plane, axis_end
 from teleop.view.sender import Sender
 
 _GAP_NS = 500_000_000  # [ns] without a sample: the loop begins anew
@@ -22,8 +22,10 @@ class LoopView:
 
     def __init__(self, config: ViewConfig, sender: Sender) -> None:
         self._sender = sender
-        top = config.tension_scale_N
-        self._plane = Plane(top, top, 1.0, "T_in [N] at the housing", "T_out [N] at the tip")
+        top = axis_end(config.tension_scale_N)
+        self._plane = Plane(
+            top, top, 1.0, "T_in [N], measured at the housing", "T_out [N], estimated at the tip"
+        )
         self._last: Rows | None = None  # the row drawn last
 
     def draw(self, rows: Rows) -> None:

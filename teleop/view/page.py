@@ -1,21 +1,39 @@
 """The page of the web view, on loopback, restricted to local connections.
 
-Rerun's page loads a font from Google and posts usage statistics to tel.rerun.io from the browser,
-whatever the settings here. This server adds a content security policy that restricts the page to
-the data on this machine.
+`/` is a page of ours that shows Rerun's viewer in a frame. It asks for `/instance` all the time and
+loads the frame again when another view process answers at the same address: so a page that was
+left open comes back by itself after a restart.
+
+Rerun's viewer loads a font from Google and posts usage statistics to tel.rerun.io from the browser,
+whatever the settings here. This server adds a content security policy that restricts both pages to
+the data on this machine. The viewer would follow the browser's light or dark theme; the colours of
+the view are made for a dark background, so its address asks for the dark one.
 """
 
+import json
+import secrets
 import shutil
 import threading
 import urllib.error
 import urllib.parse
 import urllib.request
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any, Self
 
-from teleop.view.viewer_process import LOOPBACK
+from teleop.view.ports import LOOPBACK
 
-_FILES = {"/", "/index.html", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico"}
+_HERE = Path(__file__).parent
+_OURS = {  # path -> file, content type
+    "/": ("page.html", "text/html; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+}
+_VIEWERS = {  # path -> path at the viewer program
+    "/viewer.html": "/",
+    "/re_viewer.js": "/re_viewer.js",
+    "/re_viewer_bg.wasm": "/re_viewer_bg.wasm",
+    "/favicon.ico": "/favicon.ico",
+}
 _PASSED_ON = ("Content-Type", "Content-Length", "rerun-final-length")
 
 
@@ -25,31 +43,32 @@ class Page:
     Parameters
     ----------
     port : int
-        Preferred port; a free one if it is in use.
+        Where to serve it; raises `OSError` if that is taken.
     source_port : int
-        Where the viewer program serves the same files, on loopback.
+        Where the viewer program serves its files, on loopback.
     data_url : str
         `rerun+http://...`, where the page is to find its data.
     """
 
     def __init__(self, port: int, source_port: int, data_url: str) -> None:
         data_address = urllib.parse.urlsplit(data_url.removeprefix("rerun+")).netloc
+        query = urllib.parse.urlencode(
+            {"url": data_url, "theme": "dark", "hide_welcome_screen": ""}
+        )
+        answer = json.dumps({"instance": secrets.token_hex(8), "query": query})
 
         class Handler(_Handler):
             source = f"http://{LOOPBACK}:{source_port}"
+            instance = answer.encode()
             policy = (
                 f"default-src 'self'; connect-src 'self' http://{data_address}; "
                 "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
                 "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
-                "worker-src 'self' blob:; frame-ancestors 'none'; form-action 'none'"
+                "worker-src 'self' blob:; frame-ancestors 'self'; form-action 'none'"
             )
 
-        try:
-            self._server = _Server((LOOPBACK, port), Handler)
-        except OSError:
-            self._server = _Server((LOOPBACK, 0), Handler)
-        query = urllib.parse.urlencode({"url": data_url, "hide_welcome_screen": ""})
-        self.address = f"http://{LOOPBACK}:{self._server.server_port}/?{query}"
+        self._server = _Server((LOOPBACK, port), Handler)
+        self.address = f"http://{LOOPBACK}:{self._server.server_port}/"
         self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
         self._thread.start()
 
@@ -74,31 +93,48 @@ class _Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     source = ""
     policy = ""
+    instance = b""
     timeout = 60
 
     def do_GET(self) -> None:
-        """Serve one of the viewer's files."""
+        """Serve one of our files, the instance, or one of the viewer's files."""
         path = urllib.parse.urlsplit(self.path).path
-        if path not in _FILES:
+        if path in _OURS:
+            name, kind = _OURS[path]
+            self._answer((_HERE / name).read_bytes(), kind)
+        elif path == "/instance":
+            self._answer(self.instance, "application/json")
+        elif path in _VIEWERS:
+            self._pass_on(_VIEWERS[path])
+        else:
             self.send_error(404)
-            return
+
+    def _answer(self, content: bytes, kind: str) -> None:
+        headers = {"Content-Type": kind, "Content-Length": str(len(content))}
+        self._begin(headers | {"Cache-Control": "no-store"})
+        self.wfile.write(content)
+
+    def _pass_on(self, path: str) -> None:
+        """Send what the viewer program answers for `path`."""
         try:
             answer = urllib.request.urlopen(self.source + path, timeout=30)  # noqa: S310 - http only
         except (urllib.error.URLError, OSError):
             self.send_error(502, "the viewer program does not answer")
             return
         with answer:
-            self.send_response(200)
-            for name in _PASSED_ON:
-                if answer.headers.get(name) is not None:
-                    self.send_header(name, answer.headers[name])
-            self.send_header("Content-Security-Policy", self.policy)
-            self.send_header("Referrer-Policy", "no-referrer")
-            self.end_headers()
+            self._begin({n: answer.headers[n] for n in _PASSED_ON if n in answer.headers})
             try:
                 shutil.copyfileobj(answer, self.wfile, 1 << 20)
             except (BrokenPipeError, ConnectionResetError):
                 self.close_connection = True  # the browser disconnected
+
+    def _begin(self, headers: dict[str, str]) -> None:
+        self.send_response(200)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.send_header("Content-Security-Policy", self.policy)
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class's name
         """Do not log to the terminal."""

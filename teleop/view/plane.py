@@ -72,8 +72,29 @@ def _moved(point: Array, right: float, down: float) -> Array:
     return moved
 
 
-def ticks(top: float) -> list[float]:
-    """Return round values from 0 to `top`, four to nine of them."""
+def _step(top: float) -> float:
+    """Return the distance of round values, of which three to seven reach from 0 to `top`."""
     step = 10 ** math.floor(math.log10(top / 2))
-    step *= next(factor for factor in (1, 2, 5, 10) if top / (step * factor) < 6)
+    factor = next(factor for factor in (1, 2, 5, 10) if top / (step * factor) < 6)
+    return float(step * factor)
+
+
+def ticks(top: float) -> list[float]:
+    """Return round values from 0 to `top`, three to seven of them."""
+    step = _step(top)
     return [round(k * step, 12) for k in range(math.floor(top / step * (1 + 1e-9)) + 1)]
+
+
+def axis_end(top: float) -> float:
+    """Return where an axis for values up to `top` ends: on the last of its own `ticks`."""
+    end, step = top, 0.0
+    while step != _step(end):  # the longer axis may have another step
+        step = _step(end)
+        end = round(math.ceil(top / step * (1 - 1e-9)) * step, 12)
+    return end
+
+
+def ticks_to_end(top: float) -> list[float]:
+    """Return `ticks` and `top` itself, without a tick so near to it that labels would collide."""
+    step = _step(top)
+    return [value for value in ticks(top) if value <= top - 0.5 * step] + [top]

@@ -8,14 +8,17 @@ from numpy.typing import NDArray
 
 from teleop.topics import HAND, LEDGER, STATE, TENDONS, Role, role_name
 from teleop.view.batch import AnyTopic, Rows, split, thinned
-from teleop.view.colours import TRUTH
+from teleop.view.colours import BAND, TRUTH, lighter
 from teleop.view.config import ViewConfig
-from teleop.view.curves import CURVES, Curve, CurveGroup
+from teleop.view.curves import CURVES, Band, Curve, CurveGroup
 from teleop.view.levers import true_force
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
 
-_TRUE_FORCE = Curve("force/{}/true", "", "tip, true", TRUTH)
+_TRUE_FORCE = Curve("force/{}/true", "", "true", TRUTH)
+_AFTER_NS = 1000  # [ns] from the newest row to its high end
+_APART_NS = 20_000_000  # [ns] from a row, at most, within which its high end is drawn
+_BAND_WIDTH = 2.5  # [points], about a row of 100 Hz in a plot of 10 s on 600 points
 
 
 class Plots:
@@ -40,6 +43,7 @@ class Plots:
             for group in CURVES[topic]:
                 for curve, owner, label, rows, values in self._lines(topic, group, kept):
                     self._line(curve, owner, label, rows, values)
+                self._bands(group, kept)
             if topic is TENDONS:
                 self._true_forces(kept)
             shown += len(kept)
@@ -79,7 +83,7 @@ class Plots:
         else:
             tendons = group.over == "tendon"
             for index in range(int(rows["tendons"][-1]) if tendons else self._joints):
-                label = self._sheaths.name(index) if tendons else f"{index + 1}"
+                label = self._sheaths.name(index) if tendons else ""  # a view is of one joint
                 for curve in group.curves:
                     yield curve, f"{group.over}_{index}", label, rows, rows[curve.field][:, index]
 
@@ -92,14 +96,37 @@ class Plots:
             return
         path = curve.path.format(owner)
         if not self._sender.styled(path):
-            style = rr.SeriesLines(
-                colors=[curve.colour], widths=[curve.width], names=[f"{curve.name} {label}"]
-            )
+            colour = lighter(curve.colour) if label.endswith("b") else curve.colour
+            name = f"{curve.name} {label}".rstrip()
+            style = rr.SeriesLines(colors=[colour], widths=[curve.width], names=[name])
             self._sender.once(path, style)
         self._sender.columns(path, rows[known], rr.Scalars.columns(scalars=numbers[known]))
+
+    def _bands(self, group: CurveGroup, rows: Rows) -> None:
+        """Draw the areas of a group over joints."""
+        for band in group.bands if len(rows) else ():
+            for joint in range(self._joints):
+                self._band(band, joint, rows)
+
+    def _band(self, band: Band, joint: int, rows: Rows) -> None:
+        """Draw one area: each row's low end at its stamp, its high end half a period later."""
+        low, high = rows[band.low][:, joint], rows[band.high][:, joint]
+        known = np.isfinite(low) & np.isfinite(high)
+        if not known.any():
+            return
+        path = band.path.format(f"joint_{joint}")
+        style = rr.SeriesLines(
+            colors=[BAND], widths=[_BAND_WIDTH], names=[band.name], aggregation_policy="Off"
+        )
+        self._sender.once(path, style)
+        stamps = rows["stamp_ns"][known]
+        apart = np.minimum(np.diff(stamps, append=stamps[-1] + 2 * _AFTER_NS), _APART_NS)
+        times = np.stack([stamps, stamps + apart // 2], axis=1).ravel()
+        ends = np.stack([low[known], high[known]], axis=1).ravel()
+        self._sender.columns_at(path, times, rr.Scalars.columns(scalars=ends))
 
     def _true_forces(self, rows: Rows) -> None:
         """Draw what bench sensors say of the force at each tip."""
         for joint in self._sheaths.joints:
             force = true_force(rows, self._sheaths.tendons_of(joint))
-            self._line(_TRUE_FORCE, f"joint_{joint}", f"{joint + 1}", rows, force)
+            self._line(_TRUE_FORCE, f"joint_{joint}", "", rows, force)

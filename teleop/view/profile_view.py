@@ -7,16 +7,16 @@ from estimator.array_types import Array
 from teleop.messages import PROFILE_POINTS
 from teleop.view.band import tension_band
 from teleop.view.batch import Rows
-from teleop.view.colours import ESTIMATE, FRONT, SECOND, rgba
+from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, rgba
 from teleop.view.config import ViewConfig
-from teleop.view.plane import Plane
+from teleop.view.plane import Plane, axis_end
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
 
 WIDTH = 1.8
 _APART_NS = 50_000_000  # [ns] between a profile and the tip's interval, at most
 _TAIL_NS = 200_000_000
-_BANDS = (0x1D3C4CFF, 0x3B3A1EFF)  # dim, so that the curve stands out: tendon a, tendon b
+_BANDS = (BAND, 0x45431EFF)  # dim, so that the curve stands out: tendon a, tendon b
 _CURVES = ((ESTIMATE, 0x3C7DA2FF), (SECOND, 0x97904CFF))  # slides, sticks: tendon a, tendon b
 _SCALE_STEPS = 64
 
@@ -38,24 +38,24 @@ class ProfileView:
 
     def draw(self, tendon: int, rows: Rows) -> None:
         """Draw some instants."""
-        tension, length = rows["tension"], rows["length"]
-        self._sender.columns(
-            f"profile/tendon_{tendon}/tension",
-            rows,
-            rr.AnyValues.columns(tension=tension.ravel()).partition([PROFILE_POINTS] * len(rows)),
-        )
+        length = rows["length"]
         longest = float(length.max(initial=0.0))
         if not longest > 0:
             return
         if self._plane is None or longest > self._plane.right:
-            self._plane = Plane(
-                longest, self._config.tension_scale_N, WIDTH, "x [m] from the housing", "T [N]"
-            )
+            ends = axis_end(longest), axis_end(self._config.tension_scale_N)
+            self._plane = Plane(*ends, WIDTH, "x [m] from the housing", "T [N]")
             self._plane.draw_axes(self._sender, "profile")
             self._scale(self._plane)
         x = length[:, None] * np.linspace(0.0, 1.0, PROFILE_POINTS)
         self._band(tendon, rows, self._plane, x)
         self._curve(tendon, rows, self._plane, x)
+
+    def send_values(self, tendon: int, rows: Rows) -> None:
+        """Send T(x) as numbers, for Rerun's tools."""
+        tension = rr.AnyValues.columns(tension=rows["tension"].ravel())
+        points = [PROFILE_POINTS] * len(rows)
+        self._sender.columns(f"profile/tendon_{tendon}/tension", rows, tension.partition(points))
 
     def _curve(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
         """Draw T(x) in two pieces that meet at X'."""
@@ -66,8 +66,9 @@ class ProfileView:
         mark = rr.Points2D.from_fields(colors=FRONT, radii=0.022)
         self._sender.once(f"{path}/front", mark)
         name = rr.Points2D(
-            [[WIDTH - 0.3 + 0.2 * side, -1.12]],
-            labels=self._sheaths.name(tendon), colors=slides, radii=1e-4, show_labels=True,
+            [[WIDTH - 0.95 + 0.75 * side, -1.12]],
+            labels=f"estimated {self._sheaths.name(tendon)}",
+            colors=slides, radii=1e-4, show_labels=True,
         )  # fmt: skip
         self._sender.once(f"{path}/name", name)
         front = np.clip(np.nan_to_num(rows["front"]), 0.0, rows["length"])
@@ -93,8 +94,7 @@ class ProfileView:
             return
         path = f"profile/tendon_{tendon}/band"
         low, high = tension_band(self._sheaths.friction[tendon], rows["tension"][:, 0], *ends)
-        columns = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
-        self._sender.columns(path, rows, columns.partition([PROFILE_POINTS] * len(rows)))
+        values = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
         style = rr.LineStrips2D.from_fields(
             colors=_BANDS[self._side(tendon)],
             radii=0.9 * WIDTH / (PROFILE_POINTS - 1),  # more than half: no gaps
@@ -112,7 +112,8 @@ class ProfileView:
         )
         bars[:, 1::2] = bars[:, 1::2, ::-1]
         strips = rr.LineStrips2D.columns(strips=list(bars.reshape(-1, 2 * PROFILE_POINTS, 2)))
-        self._sender.columns(path, rows, strips.partition(known.astype(int)))
+        drawn = strips.partition(known.astype(int))
+        self._sender.columns(path, rows, [*drawn, *values.partition([PROFILE_POINTS] * len(rows))])
 
     def _ends(self, tendon: int, rows: Rows) -> tuple[Array, Array] | None:
         """Return the interval of T_out at each profile; NaN without one near it."""
@@ -137,7 +138,7 @@ class ProfileView:
         edge = plane.points(np.zeros_like(rungs), rungs)
         scale = rr.LineStrips2D(
             np.stack([edge[:-1], edge[1:]], axis=1),
-            colors=rgba((rungs[1:] + rungs[:-1]) / 2, plane.top),
+            colors=rgba((rungs[1:] + rungs[:-1]) / 2, self._config.tension_scale_N),
             radii=0.015,
         )
         self._sender.static("profile/scale", scale)

@@ -13,6 +13,7 @@ tension, displacement, elongation,      curves over time, see `teleop.view.curve
 force, position, hand, energy, rate,
 latency, age, loss
 state/<role>, log                       lanes of states, the text log
+panel/banner, joint_<j>, link           state, force and link in large letters
 ======================================= ========================================================
 """
 
@@ -27,6 +28,7 @@ from teleop.view.legend import draw_stage
 from teleop.view.levers import Levers
 from teleop.view.log import LOGGED, StateLanes, log_rows
 from teleop.view.loop_view import LoopView
+from teleop.view.panel import Panel
 from teleop.view.plots import Plots
 from teleop.view.profile_view import ProfileView
 from teleop.view.sender import Sender
@@ -64,6 +66,7 @@ class Scene:
         self._loops = LoopView(config, self._sender)
         self._plots = Plots(config, self._sender, self._sheaths)
         self._lanes = StateLanes(self._sender)
+        self._panel = Panel(config, self._sender, self._sheaths)
 
     def send(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Send one batch of each topic, all of it; returns the number of rows that were shown."""
@@ -83,6 +86,7 @@ class Scene:
             self._tubes.draw(tendon, kept)
             shown += len(kept)
         self._levers.draw(batches)
+        self._panel.draw(batches)
         for role, topic in ((Role.MASTER, HAND), (Role.SLAVE, STATE)):
             if topic in batches:
                 self._lanes.draw(role, batches[topic])
@@ -93,8 +97,15 @@ class Scene:
         return shown
 
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw the curves over time; returns the number of rows shown."""
+        """Draw the curves over time, and send T(x) as numbers; returns the number of rows shown."""
+        for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
+            kept = thinned(rows, self._config.rate_hz.profile)
+            self._profiles.send_values(tendon, kept)
         return self._plots.draw(batches)
+
+    def silence(self, silent_ns: int) -> None:
+        """Show that nothing has arrived for so long [ns]."""
+        self._panel.silence(silent_ns)
 
     def _learn(self, rows: Rows) -> int:
         """Process the sheaths, and redraw everything if they have changed."""

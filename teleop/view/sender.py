@@ -1,6 +1,10 @@
 """Send columns of rows and static data to Rerun."""
 
+from collections.abc import Iterable
+
+import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 from rerun import AsComponents
 
 from teleop.view.batch import Rows
@@ -15,11 +19,17 @@ class Sender:
         self._stream = stream
         self._styled: set[str] = set()
 
-    def columns(self, path: str, rows: Rows, columns: rr.ComponentColumnList) -> None:
+    def columns(self, path: str, rows: Rows, columns: Iterable[rr.ComponentColumn]) -> None:
         """Send `columns`, one row at the stamp of each of `rows`."""
         if len(rows) == 0:
             return
-        stamps = rows["stamp_ns"].astype("datetime64[ns]")
+        self.columns_at(path, rows["stamp_ns"], columns)
+
+    def columns_at(
+        self, path: str, stamps_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]
+    ) -> None:
+        """Send `columns`, one row at each stamp [ns since the epoch]."""
+        stamps = stamps_ns.astype("datetime64[ns]")
         self._stream.send_columns(path, [rr.TimeColumn(TIMELINE, timestamp=stamps)], columns)
 
     def static(self, path: str, archetype: AsComponents) -> None:

@@ -12,16 +12,18 @@ import rerun as rr
 
 from teleop.errors import UsageError
 from teleop.options import ViewMode
-from teleop.process import has_display
+from teleop.process import has_display, supervised
 from teleop.view.config import ViewConfig
 from teleop.view.layouts import blueprint
 from teleop.view.page import Page
-from teleop.view.viewer_process import ViewerProcess, free_port
+from teleop.view.ports import WEB_VIEW, free_port
+from teleop.view.viewer_process import ViewerProcess
 
 APPLICATION = "teleop"
 _FLUSH_S = 3.0
-_PROBE_S = 1.0
-_LET_GO_S = 1.0
+_PROBE_S = 0.75
+_LET_GO_S = 0.5
+_SAME_PORT_S = 3.0  # to wait for the port of a view that was killed
 
 
 class Sink:
@@ -37,18 +39,28 @@ class Sink:
         Also write this file; with mode `rrd` None makes a name in the configured folder.
     live : bool
         Whether the data come as they happen.
+    saved : Path, optional
+        A Rerun file that the viewer shows instead of a stream.
     """
 
     def __init__(
-        self, mode: ViewMode, config: ViewConfig, session: str, out: Path | None, live: bool
+        self,
+        mode: ViewMode,
+        config: ViewConfig,
+        session: str,
+        out: Path | None,
+        live: bool,
+        saved: Path | None = None,
     ) -> None:
         self.lines: list[str] = []
+        self._saved = [] if saved is None else [str(saved)]
         self._mode = mode
         self._config = config
         self.file = _new_file(config, session) if mode == "rrd" and out is None else out
         self._viewer: ViewerProcess | None = None
         self._joints: Mapping[int, Sequence[int]] = {}  # as laid out
         self._sinks: list[rr.GrpcSink | rr.FileSink] = []
+        self._slow_probes = 0
         with ExitStack() as stack:  # the programs first: a child is best started before any thread
             if mode == "native":
                 self._open_window(stack, config)
@@ -58,7 +70,7 @@ class Sink:
                 self._open_file(self.file)
             # no stream without a sink: it would buffer everything
             self.stream: rr.RecordingStream | None = None
-            if self._sinks:
+            if self._sinks and saved is None:
                 self.stream = rr.RecordingStream(APPLICATION)
                 stack.callback(self.stream.disconnect)
                 self.stream.set_sinks(*self._sinks, default_blueprint=blueprint(config, {}))
@@ -97,18 +109,20 @@ class Sink:
             self.stream.send_blueprint(blueprint(self._config, joints))
 
     def stuck(self) -> bool:
-        """Return whether the viewer has stopped accepting data."""
+        """Return whether the viewer has stopped accepting data: two probes in a row failed."""
         if self.stream is None or not self.alive():
             return False
         try:
             self.stream.flush(timeout_sec=_PROBE_S)
         except RuntimeError:
-            return True
-        return False
+            self._slow_probes += 1
+        else:
+            self._slow_probes = 0
+        return self._slow_probes > 1
 
     def close(self) -> None:
         """Flush for a few seconds at most, and end the viewer program."""
-        if self.stream is not None and self.alive():
+        if self.stream is not None and self.alive() and not self._slow_probes:
             try:
                 self.stream.flush(timeout_sec=_FLUSH_S)
             except RuntimeError as error:
@@ -126,23 +140,27 @@ class Sink:
             raise UsageError("--view native: there is no display here; use --view web")
         port = free_port(config.grpc_port)
         memory = f"{config.server_memory_mb}MB"
-        arguments = ["--hide-welcome-screen", "--memory-limit", memory, "--expect-data-soon"]
+        arguments = [*self._saved, "--hide-welcome-screen", "--memory-limit", memory]
+        arguments.append("--expect-data-soon")
         self._viewer = stack.enter_context(ViewerProcess(arguments, port))
         self._sinks.append(rr.GrpcSink(self._viewer.url))
         self.lines.append("Native view: opened")
 
     def _open_page(self, stack: ExitStack, config: ViewConfig, live: bool) -> None:
-        port, inner = free_port(config.grpc_port), free_port(0)
-        arguments = ["--serve-web", "--web-viewer-port", str(inner)]
+        # after a restart the page that is open in a browser looks for us where we were
+        patience_s = _SAME_PORT_S if supervised() else 0.0
+        port, inner = free_port(config.grpc_port, patience_s), free_port(0)
+        arguments = [*self._saved, "--serve-web", "--web-viewer-port", str(inner)]
         arguments += ["--server-memory-limit", f"{config.server_memory_mb}MB"]
         if live:
             arguments.append(
                 "--newest-first"
             )  # a browser that connects later starts with the newest data
         self._viewer = stack.enter_context(ViewerProcess(arguments, port))
-        page = stack.enter_context(Page(config.web_port, inner, self._viewer.url))
+        web_port = free_port(config.web_port, patience_s)
+        page = stack.enter_context(Page(web_port, inner, self._viewer.url))
         self._sinks.append(rr.GrpcSink(self._viewer.url))
-        self.lines.append(f"Web view: {page.address}")
+        self.lines.append(f"{WEB_VIEW}{page.address}")
 
     def _open_file(self, path: Path) -> None:
         try:

@@ -6,7 +6,7 @@ another. All in metres along the sheath; tubes, levers and gaps scale with the s
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,10 +23,11 @@ EYE = (0.0, -0.8, 0.78)  # where the scene is seen from, in spans from its centr
 RIGHT, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.78, 0.8]) / math.hypot(0.78, 0.8)
 _WIDE = 1.5  # the view's width over its height, a margin taken off
 _FIT_ITERATIONS = 12  # of fitting the scene into the view
-_SCALE_TALL, _SCALE_ASIDE = 0.5, 0.1  # the colour scale's height, and its place from the rest
+_SCALE_TALL, _SCALE_ASIDE = 0.5, 0.16  # the colour scale's height, and its place from the rest
 _TURN = np.linspace(-1.0, 1.3, 4)  # [rad] within which a lever must be seen
 _LEVER = 0.16  # a joint's link and the hand's handle
 ARROW = 0.25  # of the force at the end of its scale
+_LABEL_FAR, _LABEL_PLACES = 0.14, 24  # of the number beside it: distance, and places tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,7 @@ class Lever:
     aside: Array  # unit vector, where it turns to
     length: float  # [m] as drawn
     radius: float  # [m] of the pulley it is drawn on: angle = travel / radius
+    label: Array = field(default_factory=lambda: np.zeros(3))  # [m] from its far end to its number
 
     def tip(self, travel: Array) -> Array:
         """Return the link's far end, shape (n, 3), at each travel [m]."""
@@ -112,6 +114,10 @@ def stage(shapes: Mapping[int, Shape], config: ViewConfig) -> Stage:
         hands[joint] = replace(hands[joint], pivot=hands[joint].pivot + offset)
         for tendon in (t for t, shape in shapes.items() if shape.joint == joint):
             lines[tendon] = lines[tendon] + offset
+    still = np.concatenate([*lines.values(), *(h.pivot[None] for h in hands.values())])
+    for each, sign in ((levers, -1.0), (hands, 1.0)):
+        for joint, lever in each.items():
+            each[joint] = replace(lever, label=_clear_offset(lever, sign, still, size))
     centre, span, right, tall = _framed(np.concatenate(list(drawn.values())))
     return Stage(
         size,
@@ -150,6 +156,40 @@ def _reach(lever: Lever, sign: float) -> Array:
     travel = lever.radius * _TURN
     arrows = sign * ARROW / _LEVER * lever.length * lever.onward(travel)
     return np.concatenate([lever.pivot[None], lever.tip(travel), lever.tip(travel) + arrows])
+
+
+def _clear_offset(lever: Lever, sign: float, still: Array, size: float) -> Array:
+    """Return where a number beside a lever's far end is clearest of what is drawn.
+
+    Of places around the end, the one whose nearest drawn point, as seen from the eye and at any
+    travel, is farthest. A number is wider than it is tall, so distances across count half.
+
+    Parameters
+    ----------
+    lever : Lever
+    sign : float
+        Of the arrow at its end, along its motion.
+    still : ndarray, shape (n, 3)
+        [m] points of what does not move; the link and its arrow move with the number.
+    size : float
+        [m] of a sheath.
+    """
+    flat = np.array([0.5 * RIGHT, UP])
+    angles = np.linspace(0.0, 2 * np.pi, _LABEL_PLACES, endpoint=False)
+    offsets = _LABEL_FAR * size * (np.outer(np.cos(angles), RIGHT) + np.outer(np.sin(angles), UP))
+    clear = np.full(len(offsets), np.inf)
+    along = np.linspace(0.0, 1.0, 9)[:, None]
+    for travel in lever.radius * _TURN:
+        at = np.array([travel])
+        end, onward = lever.tip(at)[0], sign * lever.onward(at)[0]
+        link = lever.pivot + along * (end - lever.pivot)
+        arrow = end + along * ARROW * size * onward
+        obstacles = np.concatenate([still, link, arrow]) @ flat.T
+        gaps = (end + offsets) @ flat.T
+        distance = np.linalg.norm(gaps[:, None] - obstacles[None], axis=-1).min(axis=1)
+        clear = np.minimum(clear, distance)
+    chosen: Array = offsets[clear.argmax()]
+    return chosen
 
 
 def _framed(drawn: Array) -> tuple[Array, float, float, float]:

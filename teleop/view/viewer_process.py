@@ -7,6 +7,7 @@ user's Rerun settings are neither used nor changed.
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -21,8 +22,8 @@ import rerun_cli  # type: ignore[import-untyped]
 
 from teleop.errors import TeleopError
 from teleop.process import die_with_parent
+from teleop.view.ports import LOOPBACK
 
-LOOPBACK = "127.0.0.1"
 _START_S = 20.0
 _END_S = 1.0
 
@@ -52,7 +53,8 @@ class ViewerProcess:
                 stderr=subprocess.STDOUT,
                 env=os.environ
                 | {"XDG_CONFIG_HOME": str(folder), "RUST_LOG": "warn", "NO_COLOR": "1"},
-                preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - no other thread of ours runs yet
+                # killed, as a stopped one would keep the ports
+                preexec_fn=partial(die_with_parent, os.getpid(), signal.SIGKILL),  # noqa: PLW1509 - no other thread of ours runs yet
                 start_new_session=True,  # Ctrl-C reaches us alone; we end it after the last data
             )
         self._wait_for(grpc_port)
@@ -122,16 +124,3 @@ def silence(config_home: Path) -> None:
         "data_dir_path": str(path.parent / "data"),
     }
     path.write_text(json.dumps(settings))
-
-
-def free_port(first_choice: int) -> int:
-    """Return `first_choice` if nobody listens there on loopback, another free port otherwise."""
-    for port in (first_choice, 0):
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((LOOPBACK, port))
-            except OSError:
-                continue
-            return int(probe.getsockname()[1])
-    raise TeleopError("no free port on 127.0.0.1")

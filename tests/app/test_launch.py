@@ -3,6 +3,7 @@
 import io
 import json
 import sys
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -11,15 +12,16 @@ from teleop import process
 from teleop import summary as summaries
 from teleop.app import cli
 from teleop.app.launch import command, watch
+from teleop.app.launch.console import Console, status_text
 from teleop.app.launch.keys import Keys
 from teleop.app.launch.supervisor import Supervisor, wait_for
 from teleop.errors import PeerError, TeleopError
 from teleop.link import ReceivedMessage
-from teleop.messages import Event, Latency, LoopReport, SlaveState, TendonState, padded, text_bytes
+from teleop.messages import Event, Latency, LoopReport, SlaveState, padded, text_bytes
 from teleop.remote.requests import CALL, RESET
 from teleop.session import Reason, State
 from teleop.stages import StageMeter
-from teleop.status_line import StatusLine, status_text
+from teleop.status_line import StatusLine
 from teleop.summary import loop_lines
 from teleop.topics import COMMAND, EVENT, LATENCY, REPORT, STATE, STOP, Role
 
@@ -99,34 +101,19 @@ def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
 
 
 def test_the_status_of_a_session_grows_with_what_is_known():
-    assert status_text({}, None, None) == "waiting for the master │ slave starting"
+    assert status_text({}, None).plain == "waiting for the master │ slave starting"
     reports = {
         Role.MASTER: LoopReport(state=State.ENGAGED, rate_hz=999.6, latency_p50_ns=2_000_000),
-        Role.SLAVE: LoopReport(rate_hz=1000),
+        Role.SLAVE: LoopReport(rate_hz=1000, lost=2, rejected=1),
     }
     state = SlaveState(joints=2, force=padded((1.0, -2.5), 8))
-    text = status_text(reports, state, TendonState(tendons=1))
-    assert text.startswith("engaged │ slave 1000 Hz │ master 1000 Hz │ latency 2.0/0.0 ms")
-    assert "1.00  -2.50 N │ slack" in text
-    assert "slack" not in status_text({}, None, TendonState(tendons=1, phase=(99,) * 16))
-
-
-def test_the_status_shows_where_the_time_from_hand_to_force_goes():
-    reports = {Role.MASTER: LoopReport(state=State.ENGAGED, latency_p50_ns=2_000_000)}
-    latency = Latency(
-        answered=500,
-        p50_ns=(20_000, 210_000, 100_000, 50_000, 380_000),
-        p99_ns=(0, 0, 0, 0, 500_000),
-        p99_9_ns=(0, 0, 0, 0, 800_000),
-        max_ns=(0, 0, 0, 0, 1_230_000),
-    )
-    text = status_text(reports, None, None, latency)
-    assert (
-        "latency p50 0.38 p99 0.50 p99.9 0.80 max 1.23 ms: "
-        "read 0.02, link 0.21, slave 0.10, render 0.05"
-    ) in text
+    text = status_text(reports, state).plain
+    for words in ("ENGAGED", "force 1.0 -2.5 N", "1000 / 1000 Hz", "latency 2.00 ms", "lost 3"):
+        assert words in text
+    latency = Latency(answered=5, p50_ns=(0, 0, 0, 0, 380_000), p99_ns=(0, 0, 0, 0, 500_000))
+    assert "latency 0.38 ms (99 %: 0.50)" in status_text(reports, state, latency).plain
     # none was answered in its own tick: what there is, is the round trip
-    assert "latency 2.0/0.0 ms" in status_text(reports, None, None, Latency())
+    assert "latency 2.00 ms" in status_text(reports, None, Latency()).plain
 
 
 def test_the_summary_shows_where_the_time_from_hand_to_force_went():
@@ -162,7 +149,46 @@ def test_words_are_printed_above_the_status_line():
     line = StatusLine(stream)
     line.show("status")
     line.say("a word")
-    assert stream.getvalue().endswith("\r\x1b[Ka word\nstatus")
+    line.clear()
+    out = stream.getvalue()
+    assert out.count("status") >= 2  # drawn again below the word
+    assert out.index("status") < out.index("a word") < out.rindex("status")
+
+
+def console_on(stream):
+    return Console(StatusLine(stream), clock=lambda: "12:34:56.7")
+
+
+def test_lines_have_their_time_and_their_source_and_repeats_are_counted():
+    stream = io.StringIO()
+    console = console_on(stream)
+    for _ in range(17):
+        console.say("slave", "waiting for the master")
+    console.say("master", "ready")
+    console.say("slave", "ready")
+    for _ in range(3):
+        console.say("master", "off")
+    console.finish()
+    assert stream.getvalue().splitlines() == [
+        "12:34:56.7 [slave] waiting for the master",
+        "12:34:56.7 [master] ready",
+        "12:34:56.7 [slave] waiting for the master (17 times)",
+        "12:34:56.7 [slave] ready",
+        "12:34:56.7 [master] off",
+        "12:34:56.7 [master] off (3 times)",
+    ]
+
+
+def test_the_summary_is_a_table_in_a_terminal_and_plain_lines_in_a_pipe():
+    summary = {"slave": loop() | {"force_error": None}, "master": loop(latencies=9)}
+    plain, terminal = io.StringIO(), io.StringIO()
+    terminal.isatty = lambda: True
+    console_on(plain).summarise(summary)
+    console_on(terminal).summarise(summary)
+    assert plain.getvalue().splitlines() == summaries.lines(summary)
+    for words in ("overruns", "last fault", Reason.RIG_FAULT.text, "command to force"):
+        assert words in terminal.getvalue()
+    assert "received 999" not in terminal.getvalue()  # once is enough
 
 
 # what is heard
@@ -176,24 +202,16 @@ def event(role, state, text):
     return heard(EVENT, Event(role=role, state=state, text=text_bytes(text)))
 
 
-def test_events_become_lines_and_a_side_that_says_the_same_again_is_heard_once():
+def test_events_become_lines_of_their_source():
     hearing = watch.Hearing()
-    events = [
-        event(Role.SLAVE, State.OFF, "off: no calibration fits"),
-        event(Role.MASTER, State.READY, "ready"),
-        event(Role.SLAVE, State.OFF, "off: no calibration fits"),
-        event(Role.SLAVE, State.FAULT, "fault"),
-    ]
-    lines = ["[slave] off: no calibration fits", "[master] ready", "[slave] fault"]
-    assert hearing.take(events) == lines
-    again = event(Role.MASTER, State.READY, "ready")
-    assert hearing.take([event(Role.SLAVE, State.READY, "ready"), again]) == ["[slave] ready"]
+    events = [event(Role.SLAVE, State.OFF, "off"), event(Role.MASTER, State.READY, "ready")]
+    assert hearing.take(events) == [("slave", "off"), ("master", "ready")]
 
 
 def test_what_is_not_understood_neither_steers_the_terminal_nor_ends_the_session():
     hearing = watch.Hearing()
     (line,) = hearing.take([event(9, State.READY, "a\x1b[2Jb\nc\u202ed\x00e")])
-    assert line == "[role_9] a [2Jb c d e"
+    assert line == ("role_9", "a [2Jb c d e")
     assert hearing.take([heard(REPORT, LoopReport(role=9))]) == []
     assert not hearing.running
 
@@ -235,7 +253,43 @@ def test_a_session_goes_on_without_a_viewer_or_recorder_and_says_so_once(family,
     ended(family, name, COMPLAIN.format(1))
     assert family.casualty() is None
     assert family.casualty() is None
-    assert family.said == [(name, "no room; the session goes on")]
+    ((who, line),) = family.said
+    assert who == name
+    assert line.startswith("no room; the session goes on")
+    assert ("teleop view" in line) == (name == "view")  # how to start it again
+
+
+ANNOUNCE = "print('Web view: http://127.0.0.1:1/', flush=True)\nprint(chr(6), flush=True)\n"
+
+
+@pytest.mark.parametrize(
+    ("then", "why"),
+    [("raise SystemExit(1)", "ended with exit code 1"), ("__import__('signal').pause()", "hung")],
+)
+def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, then, why):
+    monkeypatch.setattr("teleop.app.launch.supervisor._HUNG_S", 1.0)
+    first = family.start("view", [ANNOUNCE + then])
+
+    def again():
+        assert family.casualty() is None
+        return any("started again" in line for _, line in family.said)
+
+    assert wait_for(again, 30.0)
+    assert family.children["view"].process.pid != first.process.pid
+    assert family.children["view"].arguments == first.arguments
+    (_, announced), (who, line) = family.said[:2]
+    assert announced == "Web view: http://127.0.0.1:1/"
+    assert who == "view"
+    assert why in line
+    assert line.endswith("xdg-open http://127.0.0.1:1/")
+
+
+def test_a_window_that_was_closed_stays_closed(family):
+    ended(family, "view", ANNOUNCE)
+    assert wait_for(lambda: family.casualty() is None and len(family.said) == 2, 20.0)
+    time.sleep(0.2)
+    assert family.casualty() is None
+    assert [line for _, line in family.said if "started again" in line] == []
 
 
 @pytest.mark.parametrize(("name", "code"), [("view", 2), ("slave", 1), ("master", 0), ("slave", 2)])
@@ -323,10 +377,10 @@ def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(famil
     stream = io.StringIO()
     child = family.start("slave", ["import signal; signal.pause()"])
     monkeypatch.setattr(watch, "START_S", 0.5)
-    waiting = (Mute(), Mute(), watch.Hearing(), family, StatusLine(stream))
+    waiting = (Mute(), Mute(), watch.Hearing(), family, console_on(stream))
     keyboard = watch.Keyboard(Keys(), Mute())
     assert watch.wait_for_slave(*waiting, StopAt(2), keyboard) is None
-    assert stream.getvalue() == "[slave] off: calibrating\n"
+    assert stream.getvalue() == "12:34:56.7 [slave] off: calibrating\n"
     child.heard_s += 1.0
     assert watch.wait_for_slave(*waiting, StopAt(7), keyboard) is None
     child.heard_s -= 2.0

@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 import socket
@@ -24,9 +25,10 @@ from teleop.topics import TENDONS
 from teleop.view.batch import decode
 from teleop.view.config import ViewConfig, ViewRates
 from teleop.view.feed import Discard, PacedMessages, from_link, from_recording
+from teleop.view.ports import free_port
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from teleop.view.viewer_process import ViewerProcess, free_port
+from teleop.view.viewer_process import ViewerProcess
 from tests.teleop.view_session import CONFIG, SENDER, T0, Session, read, save
 
 
@@ -102,6 +104,9 @@ class Seen:
     def curves(self, batches):
         self.grown += sum(map(len, batches.values()))
         return 0
+
+    def silence(self, silent_ns):
+        pass
 
 
 def test_the_link_is_shown_until_the_end_and_what_waited_too(session):
@@ -207,11 +212,14 @@ def test_the_web_view_listens_on_loopback_only(web):
 
 def test_the_page_is_served_and_may_reach_only_this_machine(web):
     address = web.lines[0].removeprefix("Web view: ")
-    with urllib.request.urlopen(address, timeout=10) as answer:  # noqa: S310
+    with urllib.request.urlopen(address + "viewer.html", timeout=10) as answer:  # noqa: S310
         page = answer.read().decode()
         policy = answer.headers["Content-Security-Policy"]
     assert "re_viewer.js" in page
-    data = urllib.parse.parse_qs(urllib.parse.urlsplit(address).query)["url"][0]
+    with urllib.request.urlopen(address + "instance", timeout=10) as answer:  # noqa: S310
+        query = urllib.parse.parse_qs(json.load(answer)["query"])
+    assert query["theme"] == ["dark"]
+    (data,) = query["url"]
     assert data == web._viewer.url
     reachable = policy.split("connect-src ")[1].split(";")[0].split()
     assert reachable == ["'self'", "http://" + urllib.parse.urlsplit(data[6:]).netloc]
@@ -261,12 +269,14 @@ def test_a_page_nobody_feeds_answers_in_words(monkeypatch):
         sink._viewer.close()
         assert not sink.alive()
         with pytest.raises(urllib.error.HTTPError) as refused:
-            urllib.request.urlopen(sink.lines[0].removeprefix("Web view: "), timeout=10)  # noqa: S310
+            urllib.request.urlopen(  # noqa: S310
+                sink.lines[0].removeprefix("Web view: ") + "viewer.html", timeout=10
+            )
         assert refused.value.code == 502
         refused.value.close()
         fed = from_link(OneBatch([]), Discard(), sink, (stop := Stop()), 100, (0.0, 0.0))
         assert stop.reason == "the viewer has ended"
-        assert "ended by itself" in fed.fault
+        assert "program ended" in fed.fault
 
 
 @linux
@@ -277,7 +287,7 @@ def test_a_viewer_that_hangs_is_noticed_and_does_not_hold_us(session, capfd):
         os.kill(pid, signal.SIGSTOP)
         for _ in range(20):
             scene.send(decode(session.messages[:1000]))
-        assert sink.stuck()
+        assert [sink.stuck(), sink.stuck()] == [False, True]
         begin = time.monotonic()
     assert time.monotonic() - begin < 20  # a hang, not a speed
     assert not Path(f"/proc/{pid}").exists() or "Z" in Path(f"/proc/{pid}/stat").read_text()
@@ -333,7 +343,8 @@ def test_a_free_port_is_taken_when_the_first_choice_is_not():
 def test_the_viewer_ends_when_we_are_killed(tmp_path):
     script = (
         "import sys, time\n"
-        "from teleop.view.viewer_process import ViewerProcess, free_port\n"
+        "from teleop.view.ports import free_port\n"
+        "from teleop.view.viewer_process import ViewerProcess\n"
         "viewer = ViewerProcess(['--serve-grpc'], free_port(0))\n"
         "print(viewer.pid, flush=True)\n"
         "time.sleep(60)\n"

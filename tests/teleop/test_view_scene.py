@@ -37,6 +37,7 @@ from teleop.topics import (
 from teleop.view.batch import decode
 from teleop.view.colours import PHASES, rgba
 from teleop.view.config import LAYOUTS, ViewConfig
+from teleop.view.curves import CURVES
 from teleop.view.layouts import blueprint
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
@@ -264,7 +265,7 @@ def test_the_interval_reaches_from_its_low_to_its_high_end(session, saved):
 
 def test_the_arrow_at_the_tip_says_its_newtons(session, saved):
     sent = {m.stamp_ns: m for m in session.of(STATE)}
-    words = saved["/scene/joint_0/force"]["Arrows3D:labels"]
+    words = saved["/scene/joint_0/newtons"]["Points3D:labels"]
     assert len(words) >= 30
     for stamp, (text,) in words.items():
         assert float(text.removesuffix(" N")) == pytest.approx(sent[stamp].force[0], abs=0.051)
@@ -328,7 +329,6 @@ def test_the_loop_is_drawn_piece_by_piece_in_the_colour_of_its_phase(session, sa
         ("/tension/tendon_0/out_true", TENDONS, lambda m: m.bench_distal_tension[0]),
         ("/elongation/tendon_0", TENDONS, lambda m: m.elongation[0] * 1e3),
         ("/force/joint_0/tip", STATE, lambda m: m.force[0]),
-        ("/force/joint_0/tip_low", STATE, lambda m: m.force_low[0]),
         ("/position/joint_0/tip", STATE, lambda m: m.position[0] * 1e3),
         ("/hand/joint_0/force", HAND, lambda m: m.force[0]),
         ("/position/joint_0/asked", COMMAND, lambda m: m.position[0] * 1e3),
@@ -348,6 +348,24 @@ def test_curves_hold_the_values_that_were_sent(session, saved, entity, topic, va
         assert number == pytest.approx(sent[stamp], rel=1e-12)
 
 
+def test_the_interval_is_one_area_from_its_low_to_its_high_end(session, saved):
+    sent = {m.stamp_ns: (m.force_low[0], m.force_high[0]) for m in session.of(STATE)}
+    area = sorted(saved["/force/joint_0/interval"]["Scalars:scalars"].items())
+    (style,) = saved["/force/joint_0/interval"]["SeriesLines:names"][None]
+    assert style == "interval"
+    assert len(area) >= 2 * CONFIG.rate_hz.state - 4
+    for (stamp, (low,)), (later, (high,)) in zip(area[::2], area[1::2], strict=True):
+        assert (low, high) == sent[stamp]
+        assert stamp < later < stamp + 1e9 / CONFIG.rate_hz.state
+
+
+def test_one_scheme_of_names_is_used_in_all_plots_of_a_joint():
+    words = {"measured", "estimated", "commanded", "true"}
+    for topic in (TENDONS, STATE, COMMAND, HAND):
+        for group in CURVES[topic]:
+            assert group.over == "sender" or {curve.name for curve in group.curves} <= words
+
+
 def test_a_sensor_that_is_not_there_draws_nothing(saved):
     assert "/tension/tendon_1/out_true" not in saved
     assert "/displacement/tendon_0/out_true" not in saved
@@ -360,7 +378,7 @@ def test_only_tendons_and_joints_in_use_are_drawn(saved):
 
 
 def test_tendons_are_called_by_joint_and_side(saved):
-    assert saved["/tension/tendon_1/in"]["SeriesLines:names"][None] == ["T_in 1b"]
+    assert saved["/tension/tendon_1/in"]["SeriesLines:names"][None] == ["measured 1b"]
 
 
 # states and events
@@ -423,7 +441,7 @@ def views_of(path):
 @pytest.mark.parametrize(
     ("layout", "shown", "hidden"),
     [
-        ("surgeon", {"Force at the tip [N] 1", "Force on the hand [N] 2", "State"}, {"Log"}),
+        ("surgeon", {"State"}, {"Log", "Tension [N] 1"}),
         (
             "experiment",
             {
@@ -455,7 +473,7 @@ def test_a_layout_has_its_views_for_each_joint(layout, shown, hidden, tmp_path):
     views = views_of(tmp_path / "s.rrd")
     assert shown <= views
     assert not hidden & views
-    assert any("thick: slides" in name for name in views)
+    assert any("thick: slides" in name for name in views) == (layout != "surgeon")
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -21,6 +21,7 @@ from typing import Any
 
 from teleop import summary as summaries
 from teleop.app.launch import watch
+from teleop.app.launch.console import Console
 from teleop.app.launch.keys import HELP, Keys
 from teleop.app.launch.supervisor import Child, Supervisor
 from teleop.compile_cache import compiling_beside
@@ -36,6 +37,8 @@ from teleop.realtime import RealtimeConfig
 from teleop.run_config import RateChecked, RunConfig
 from teleop.status_line import StatusLine
 from teleop.topics import EVENT, LATENCY, REPORT, Role
+from teleop.view.config import ViewConfig
+from teleop.view.ports import free_port
 
 # the sections of a config file and who checks them; imported by name, as the command line does
 SECTIONS = {
@@ -82,10 +85,10 @@ def main(args: argparse.Namespace) -> int:
     to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
     view = args.view or ("native" if has_display() else "web")
 
-    status = StatusLine()
+    console = Console(StatusLine())
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="teleop-")))
-        family = Supervisor(scratch, lambda name, line: status.say(f"[{name}] {line}"))
+        family = Supervisor(scratch, console.say)
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free(link)  # before anything is started
@@ -96,24 +99,32 @@ def main(args: argparse.Namespace) -> int:
             family.start("impair", shared)
         family.start("slave", [*shared, *(f"--model={word}" for word in args.model)])
         if view != "none":
-            family.start("view", [*shared, "--view", view])
+            family.start("view", [*shared, *_view_ports(args, overrides), "--view", str(view)])
         stack.enter_context(compiling_beside(_compile_master))
         keys = stack.enter_context(Keys())
         keyboard = watch.Keyboard(keys, link)
         if keys.there:
-            status.say(HELP)
+            console.status.say(HELP)
         try:
-            ended = watch.wait_for_slave(link, listener, hearing, family, status, stop, keyboard)
+            ended = watch.wait_for_slave(link, listener, hearing, family, console, stop, keyboard)
             if not ended and not stop():
                 family.start("master", [*shared, *to_slave])
                 ended = watch.watch(
-                    link, listener, hearing, family, status, stop, args.duration, keyboard
+                    link, listener, hearing, family, console, stop, args.duration, keyboard
                 )
         finally:
-            status.clear()
+            console.status.clear()
             family.stop(ENDING)
+            console.finish()
         summary = _summary(family, ended, stop.reason)
-    return _conclude(summary, args.json, config.realtime)
+    return _conclude(summary, args.json, config.realtime, console)
+
+
+def _view_ports(args: argparse.Namespace, overrides: list[str]) -> list[str]:
+    """Choose the view's ports, so that it comes back on the same ones if it is started again."""
+    view = load(args.config, ViewConfig, "view", overrides)
+    chosen = {"web_port": free_port(view.web_port), "grpc_port": free_port(view.grpc_port)}
+    return [f"--set=view.{key}={port}" for key, port in chosen.items()]
 
 
 def _compile_master() -> None:
@@ -121,7 +132,10 @@ def _compile_master() -> None:
 
 
 def _conclude(
-    summary: dict[str, Any], path: Path | None, realtime: RealtimeConfig | None = None
+    summary: dict[str, Any],
+    path: Path | None,
+    realtime: RealtimeConfig | None = None,
+    console: Console | None = None,
 ) -> int:
     """Write and print the summary; return the exit code, or raise what ended the session."""
     began = summaries.ran(summary.get("master"))
@@ -129,8 +143,7 @@ def _conclude(
         sizes = Command.schema.size, SlaveState.schema.size
         summary["ping_pong"] = ping_pong(*sizes, realtime=realtime or RealtimeConfig())
     write_summary(path, summary)
-    for line in summaries.lines(summary):
-        print(line)
+    (console or Console(StatusLine())).summarise(summary)
     if summary["exit_code"]:
         raise TeleopError(summary["reason"])
     if not began and summary["reason"] in signal.Signals.__members__:

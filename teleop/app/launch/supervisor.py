@@ -1,6 +1,7 @@
 """Start, supervise and stop child processes."""
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -11,10 +12,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from teleop.errors import UsageError
-from teleop.process import SUPERVISED
+from teleop.process import HEARTBEAT, STANDBY, SUPERVISED
+from teleop.view.ports import WEB_VIEW
 
 VITAL = ("master", "slave", "impair")  # the session continues without the others
+RESTARTED = ("view",)  # started again after a failure, if it ever worked
 COMPLAINT = "teleop: "  # prefix of an error line of the command line
+_HUNG_S = 3.0  # a child that has beaten and then waits for so long, without a beat, is killed
+_STARVED_S = 20.0  # and so is one that computes all the time, or is not given a processor
+_SHORT_LIFE_S = 10.0  # a restarted child that fails sooner is started again later each time
+_LONGEST_PAUSE_S = 30.0
 _PATIENCE_S = 5.0  # a child that has not ended by then, nor printed since, is killed
 _LONGEST_S = 90.0  # and so is one that keeps printing
 _POLL_S = 0.02
@@ -28,9 +35,16 @@ class Child:
     name: str
     process: subprocess.Popen[str]
     summary: Path
+    arguments: tuple[str, ...] = ()
     complaint: str = ""  # its error line, which the launcher repeats at the end
     threads: list[threading.Thread] = field(default_factory=list)
     heard_s: float = field(default_factory=time.monotonic)  # when it started or last printed
+    beat_s: float | None = None  # when it last beat, None = never
+    worked: bool = False  # it has beaten, or one before it in its place has
+    began_s: float = field(default_factory=time.monotonic)
+    pause_s: float = 0.0  # before it is started again
+    again: str = ""  # why it was started again, until it has said so
+    reborn: bool = False  # it was started again
 
     @property
     def exit_code(self) -> int | None:
@@ -42,6 +56,19 @@ class Child:
         """Whether its end is that of the session: it is vital, or failed by a usage error."""
         code = self.exit_code
         return code is not None and (self.name in VITAL or code == UsageError.exit_code)
+
+    @property
+    def hung(self) -> bool:
+        """Whether it runs, but its heartbeats have ceased."""
+        if self.beat_s is None or self.exit_code is not None:
+            return False
+        late_s = time.monotonic() - self.beat_s
+        return late_s > _STARVED_S or (late_s > _HUNG_S and not computes(self.process.pid))
+
+    @property
+    def restarts(self) -> bool:
+        """Whether it is to be started again after it ended."""
+        return self.name in RESTARTED and self.worked and self.exit_code not in (None, 0)
 
     def hear_out(self) -> None:
         """Wait for the remaining output of an ended child."""
@@ -56,6 +83,9 @@ class Child:
 
 class Supervisor:
     """Starts children with `teleop COMMAND ...`, relays what they print, and ends them.
+
+    Of a child that is started again after a failure a spare is kept, which has imported all it
+    needs: on a busy machine that takes longer than all the rest.
 
     Children run in their own process sessions, so that Ctrl-C reaches only the launcher, which
     stops them in order. Each child ends by itself if the launcher dies (`die_with_launcher`).
@@ -72,44 +102,101 @@ class Supervisor:
         self.children: dict[str, Child] = {}
         self._scratch, self._say = scratch, say
         self._missed: set[str] = set()
+        self._spares: dict[str, Child] = {}  # of RESTARTED ones: all imported, waiting for a call
 
     def start(self, name: str, arguments: Sequence[str]) -> Child:
         """Start `teleop NAME ARGUMENTS --json ...`."""
+        child = self.children[name] = self._spawn(name, tuple(arguments))
+        self._listen(child)
+        return child
+
+    def _spawn(self, name: str, arguments: tuple[str, ...], standby: bool = False) -> Child:
         summary = self._scratch / f"{name}.json"
         process = subprocess.Popen(
             [sys.executable, "-m", "teleop", name, *arguments, "--json", str(summary)],
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE if standby else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            env=os.environ | {SUPERVISED: str(os.getpid()), "NO_COLOR": "1"},
+            env=os.environ
+            | {SUPERVISED: str(os.getpid()), "NO_COLOR": "1"}
+            | ({STANDBY: "1"} if standby else {}),
             start_new_session=True,
         )
-        child = Child(name, process, summary)
+        return Child(name, process, summary, arguments)
+
+    def _listen(self, child: Child) -> None:
         reader = threading.Thread(target=self._relay, args=(child,), daemon=True)
         reader.start()
         child.threads.append(reader)
-        self.children[name] = child
-        return child
 
     def casualty(self) -> Child | None:
-        """Return a child whose end ends the session; print a line for any other that ended."""
-        for child in self.children.values():
+        """Return a child whose end ends the session.
+
+        Of the others that ended, `RESTARTED` ones are started again, as are those that hang; for
+        the rest one line is printed.
+        """
+        for child in list(self.children.values()):
+            if child.hung and child.name in RESTARTED:
+                child.complaint = "it hung"
+                child.process.kill()
+                child.process.wait()
+            if child.exit_code is None and child.worked and child.name not in self._spares:
+                self._spares[child.name] = self._spawn(child.name, child.arguments, standby=True)
             if child.exit_code is None or child.name in self._missed:
+                continue
+            if child.restarts:
+                self._start_again(child)
                 continue
             child.hear_out()
             if child.fatal:
                 return child
             self._missed.add(child.name)
             why = child.complaint or f"ended {child.how()}"
-            self._say(child.name, f"{why}; the session goes on")
+            self._say(child.name, f"{why}; the session goes on{self._remedy(child)}")
         return None
+
+    def _start_again(self, child: Child) -> None:
+        """Start an ended child again, at once, or after a pause if it was started again lately."""
+        if time.monotonic() < child.heard_s + child.pause_s:
+            return
+        child.hear_out()
+        new = self._called(child.name) or self._spawn(child.name, child.arguments)
+        new.worked = new.reborn = True
+        new.again = child.complaint or f"ended {child.how()}"
+        if child.reborn and time.monotonic() - child.began_s < _SHORT_LIFE_S:
+            new.pause_s = min(max(1.0, 2 * child.pause_s), _LONGEST_PAUSE_S)
+        self.children[child.name] = new
+        self._listen(new)
+
+    def _called(self, name: str) -> Child | None:
+        """Return the spare of a child, told to begin; None if there is none."""
+        spare = self._spares.pop(name, None)
+        if spare is None or spare.process.stdin is None:
+            return None
+        try:
+            with spare.process.stdin as line:
+                line.write("begin\n")
+        except BrokenPipeError:
+            return None
+        spare.began_s = spare.heard_s = time.monotonic()
+        return spare
+
+    def _remedy(self, child: Child) -> str:
+        if child.name not in RESTARTED:
+            return ""
+        command = shlex.join(["teleop", child.name, *child.arguments])
+        return f"; start it again with: {command}"
 
     def stop(self, order: Sequence[str]) -> None:
         """Stop the children in `order`, with time to finish.
 
         A child that still prints has more time: a slave lowers the tensions first.
         """
+        for spare in self._spares.values():
+            spare.process.kill()
+            spare.process.communicate()
+        self._spares.clear()
         for name in order:
             child = self.children.get(name)
             if child is None:
@@ -126,11 +213,35 @@ class Supervisor:
         assert child.process.stdout is not None  # noqa: S101 - given as PIPE above
         with child.process.stdout as lines:
             for line in map(str.rstrip, lines):
-                child.heard_s = time.monotonic()
+                now = time.monotonic()
+                if line == HEARTBEAT:
+                    child.beat_s, child.worked = now, True
+                    continue
+                child.heard_s = now
                 if line.startswith(COMPLAINT):
                     child.complaint = line.removeprefix(COMPLAINT)
+                elif child.again:
+                    self._say(child.name, f"started again ({child.again}); {opening(line)}")
+                    child.again = ""
                 else:
                     self._say(child.name, line)
+
+
+def computes(pid: int) -> bool:
+    """Return whether a process runs or would run if it had a processor (Linux; else False)."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] in ("R", "D")
+
+
+def opening(line: str) -> str:
+    """Return how to open a view, from the first line that it prints."""
+    if not line.startswith(WEB_VIEW):
+        return line
+    address = line.removeprefix(WEB_VIEW)
+    return f"an open page reconnects; to open one: xdg-open {address}"
 
 
 def ends(child: Child) -> bool:

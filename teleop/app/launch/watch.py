@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterable
 
+from teleop.app.launch.console import Console, status_text
 from teleop.app.launch.keys import Keys
 from teleop.app.launch.supervisor import Child, Supervisor
 from teleop.errors import PeerError, TeleopError
@@ -12,8 +13,7 @@ from teleop.process import Stop
 from teleop.remote.requests import call_reset, call_stop
 from teleop.remote.stop import SIDES, state_of, stops_of
 from teleop.session import State
-from teleop.status_line import StatusLine, status_text
-from teleop.topics import LATENCY, REPORT, STATE, TENDONS, Role, role_name
+from teleop.topics import LATENCY, REPORT, STATE, Role, role_name
 
 START_S = 240.0  # timeout for the slave; the first start compiles estimator and plant
 _LOOK_S = 0.1
@@ -25,15 +25,14 @@ class Hearing:
     def __init__(self) -> None:
         self.reports: dict[Role, LoopReport] = {}
         self.latency: Latency | None = None
-        self._last_text: dict[int, str] = {}  # by role
 
     @property
     def running(self) -> bool:
         """Whether both loops have reported."""
         return Role.MASTER in self.reports and Role.SLAVE in self.reports
 
-    def take(self, messages: Iterable[ReceivedMessage]) -> list[str]:
-        """Process events and reports; return the lines to print."""
+    def take(self, messages: Iterable[ReceivedMessage]) -> list[tuple[str, str]]:
+        """Process events and reports; return (source, text) of the lines to print."""
         lines = []
         for item in messages:
             if item.topic is REPORT:
@@ -44,10 +43,7 @@ class Hearing:
                 self.latency = Latency.unpack(item.data)
             else:
                 event = Event.unpack(item.data)
-                text = text_of(event.text)
-                if text != self._last_text.get(event.role):
-                    lines.append(f"[{role_name(event.role)}] {text}")
-                self._last_text[event.role] = text
+                lines.append((role_name(event.role), text_of(event.text)))
         return lines
 
 
@@ -98,7 +94,7 @@ def wait_for_slave(
     listener: Listener,
     hearing: Hearing,
     family: Supervisor,
-    status: StatusLine,
+    console: Console,
     stop: Stop,
     keyboard: Keyboard,
 ) -> Child | None:
@@ -108,8 +104,8 @@ def wait_for_slave(
     """
     link.subscribe_latest(STATE)
     while not stop() and link.latest(STATE).message is None:
-        for line in hearing.take(listener.drain()):
-            status.say(line)
+        for source, text in hearing.take(listener.drain()):
+            console.say(source, text)
         child = family.casualty()
         if child is not None:
             return child
@@ -124,7 +120,7 @@ def watch(
     listener: Listener,
     hearing: Hearing,
     family: Supervisor,
-    status: StatusLine,
+    console: Console,
     stop: Stop,
     duration_s: float | None,
     keyboard: Keyboard,
@@ -145,8 +141,8 @@ def watch(
     patience = time.monotonic() + START_S
     end = float("inf")
     while not stop():
-        for line in hearing.take(listener.drain()):
-            status.say(line)
+        for source, text in hearing.take(listener.drain()):
+            console.say(source, text)
         child = family.casualty()
         if child is not None:
             return child
@@ -156,8 +152,8 @@ def watch(
             stop.request("duration reached")
         if not hearing.running and time.monotonic() > patience:
             raise TeleopError(f"the loops did not start within {START_S:g} s")
-        if status.live:  # otherwise the slave need not send its tendons at every tick
-            state, tendons = link.latest(STATE).message, link.latest(TENDONS).message
-            status.show(status_text(hearing.reports, state, tendons, hearing.latency))
+        if console.status.live:
+            state = link.latest(STATE).message
+            console.status.show(status_text(hearing.reports, state, hearing.latency))
         keyboard.look(_LOOK_S)
     return None

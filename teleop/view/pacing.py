@@ -1,0 +1,37 @@
+"""Stretches the periods of the view so that it takes no more than its share of a processor."""
+
+_SPAN_S = 1.0  # over which the share is measured
+_RELAX = 0.8  # per span, of the stretch, while the share is well below the limit
+_CALM = 0.8  # of the limit: below it the periods may shrink again
+_LONGEST = 20.0  # stretch at most
+
+
+class Pacing:
+    """Factor of the drawing periods, from the processor time used so far.
+
+    Time is an argument, so live use and a test call the same code.
+
+    Parameters
+    ----------
+    limit : float
+        Share of one processor.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self.stretch = 1.0
+        self._limit = limit
+        self._since: tuple[float, float] | None = None  # [s] processor time, clock
+
+    def update(self, processor_s: float, now_s: float) -> float:
+        """Return the factor, given the processor time [s] of this process and the clock [s]."""
+        if self._since is None:
+            self._since = processor_s, now_s
+        used_s, passed_s = processor_s - self._since[0], now_s - self._since[1]
+        if passed_s >= _SPAN_S:
+            self._since = processor_s, now_s
+            share = used_s / passed_s
+            if share > self._limit:
+                self.stretch = min(self.stretch * min(share / self._limit, 2.0), _LONGEST)
+            elif share < _CALM * self._limit:
+                self.stretch = max(1.0, self.stretch * _RELAX)
+        return self.stretch

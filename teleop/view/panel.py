@@ -1,0 +1,201 @@
+"""The panel: state, force with its limit and quality of the link, in large letters.
+
+Everything is drawn as line strips on a plane of `WIDE` by `TALL` units, y downwards, under `panel`.
+It must be read from two metres: a screen of 53 cm has 33 mm a unit, so the state is 45 mm tall and
+the smallest words 11 mm.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+
+from estimator.array_types import Array
+from teleop.topics import COMMAND, HAND, REPORT, STATE, Role
+from teleop.view.batch import AnyTopic, Rows, split, thinned
+from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
+from teleop.view.config import ViewConfig
+from teleop.view.panel_layout import (
+    BANNER,
+    LINK_HEIGHT,
+    LINK_TOP,
+    REASON_HEIGHT,
+    STATE_HEIGHT,
+    WIDE,
+    ForceRow,
+    filled,
+    force_rows,
+)
+from teleop.view.sender import Sender
+from teleop.view.sheaths import Sheaths
+from teleop.view.status import NO_DATA, Banner, LinkCounts, LinkQuality, banner, link_quality
+from teleop.view.stroke_text import STROKE, fitted_height, text_strips, text_width
+
+_NUMBER_HZ, _BAR_HZ = 4.0, 10.0  # a number that changes more often cannot be read
+_AGAIN_NS = 10_000_000_000  # [ns] after which a banner is repeated, as old data are dropped
+_MARGIN = 0.4
+
+
+class Panel:
+    """Draws the panel."""
+
+    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+        self._scale_N = config.tension_scale_N  # [N] length of a bar without a known limit
+        self._whole = config.layout == "surgeon"  # others show the banner only
+        self._sender = sender
+        self._sheaths = sheaths
+        self._sides: dict[Role, tuple[int, int]] = {}
+        self._shown: tuple[Banner | None, int] = (None, 0)  # and its stamp [ns]
+        self._counts: dict[Role, LinkCounts] = {}
+        self._latency_ms: float | None = None
+        self._limit_N = math.nan
+        self._framed: tuple[int, float] | None = None  # joints and limit of the frames drawn
+        self.newest_ns = 0
+
+    def draw(self, batches: Mapping[AnyTopic, Rows]) -> None:
+        """Draw a batch."""
+        for rows in batches.values():
+            self.newest_ns = max(self.newest_ns, int(rows["stamp_ns"].max(initial=0)))
+        if COMMAND in batches:
+            self._limit_N = float(batches[COMMAND]["force_max"][-1])
+        self._banners(batches)
+        if not self._whole:
+            return
+        if STATE in batches and len(batches[STATE]):
+            self._forces(batches[STATE])
+        if REPORT in batches and len(batches[REPORT]):
+            self._link(batches[REPORT])
+
+    def silence(self, silent_ns: int) -> None:
+        """Say that nothing has arrived for so long [ns]."""
+        self._sides.clear()
+        self._show(Banner(NO_DATA, "the session sends nothing"), self.newest_ns + silent_ns)
+
+    def _banners(self, batches: Mapping[AnyTopic, Rows]) -> None:
+        """Draw the banner at each change of state or reason of a side, in order of time."""
+        changes: list[tuple[int, Role, tuple[int, int]]] = []
+        for role, topic in ((Role.MASTER, HAND), (Role.SLAVE, STATE)):
+            rows = batches.get(topic)
+            if rows is None or len(rows) == 0:
+                continue
+            both = np.stack([rows["state"], rows["reason"]], axis=1).astype(np.int64)
+            first = np.append(True, (both[1:] != both[:-1]).any(axis=1))
+            changes += [
+                (int(rows["stamp_ns"][k]), role, (int(both[k, 0]), int(both[k, 1])))
+                for k in np.flatnonzero(first)
+            ]
+        for stamp_ns, role, now in sorted(changes):
+            self._sides[role] = now
+            self._show(banner(self._sides), stamp_ns)
+
+    def _show(self, now: Banner, stamp_ns: int) -> None:
+        before, said_ns = self._shown
+        if now == before and stamp_ns - said_ns < _AGAIN_NS:
+            return
+        self._shown = now, stamp_ns
+        _, top, _, bottom = BANNER
+        background = STATES.get(now.state, STATES["off"])
+        ink = 0x000000FF if _bright(background) else 0xFFFFFFFF
+        middle = (top + bottom) / 2
+        lines, radius = filled(BANNER)
+        self._strips("panel/banner/area", stamp_ns, lines, background, radius)
+        state_top = top + 0.35 if now.reason else middle - STATE_HEIGHT / 2
+        self._centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
+        reason_top = state_top + STATE_HEIGHT + 0.3
+        self._centred("panel/banner/reason", stamp_ns, now.reason, reason_top, REASON_HEIGHT, ink)
+
+    def _forces(self, rows: Rows) -> None:
+        joints = int(rows["joints"][-1])
+        if joints == 0:
+            return
+        known = math.isfinite(self._limit_N) and self._limit_N > 0
+        limit = self._limit_N if known else self._scale_N
+        places = force_rows(joints)
+        two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
+        if self._framed != (joints, limit):
+            self._framed = joints, limit
+            for joint, place in enumerate(places):
+                self._frame(joint, joints, place, limit, known, two_way[joint])
+        bars, numbers = thinned(rows, _BAR_HZ), thinned(rows, _NUMBER_HZ)
+        for joint, place in enumerate(places):
+            for row in bars:
+                share = float(row["force"][joint]) / limit
+                lines, radius = filled(place.bar(share, two_way[joint]))
+                path = f"panel/joint_{joint}/bar"
+                self._strips(path, int(row["stamp_ns"]), lines, force_colour(share), radius)
+            for row in numbers:
+                force = float(row["force"][joint])
+                text = "---" if not math.isfinite(force) else f"{force:.1f}"
+                left = place.number_right - text_width(text, place.number_height)
+                strips = text_strips(text, left, place.number_top, place.number_height)
+                path, radius = f"panel/joint_{joint}/number", STROKE * place.number_height
+                self._strips(path, int(row["stamp_ns"]), strips, PLAIN, radius)
+
+    def _frame(
+        self, joint: int, joints: int, place: ForceRow, limit: float, known: bool, two_way: bool
+    ) -> None:
+        """Draw what stands still: the name, the frame of the bar, and the limit in words."""
+        name = "force at the tip" if joints == 1 else f"joint {joint + 1}"
+        words = text_strips(name, _MARGIN, place.name_top, place.name_height)
+        end = f"limit {limit:.0f} N" if known else f"scale {limit:.0f} N"
+        unit = place.number_right + 0.5 * place.number_height
+        unit_top = place.number_top + 0.5 * place.number_height
+        unit_strips = text_strips("N", unit, unit_top, 0.5 * place.number_height)
+        left = place.bar_right - text_width(end, place.name_height)
+        words += text_strips(end, left, place.name_top, place.name_height)
+        radius = STROKE * place.name_height
+        radii = [radius] * len(words) + [STROKE * 0.5 * place.number_height] * len(unit_strips)
+        static = rr.LineStrips2D(words + unit_strips, colors=PLAIN, radii=radii, draw_order=2.0)
+        self._sender.static(f"panel/joint_{joint}/words", static)
+        frame = rr.LineStrips2D(place.frame(two_way), colors=0x808080FF, radii=0.03, draw_order=3.0)
+        self._sender.static(f"panel/joint_{joint}/frame", frame)
+
+    def _link(self, rows: Rows) -> None:
+        for number, own in split(rows, "role").items():
+            if number not in (Role.MASTER, Role.SLAVE):
+                continue
+            role, before = Role(number), dict(self._counts)
+            newest = own[-1]
+            lost = int(newest["lost"]) + int(newest["rejected"])
+            self._counts[role] = LinkCounts(int(newest["received"]), lost)
+            if role is Role.MASTER and newest["latency_p50_ns"] > 0:
+                self._latency_ms = float(newest["latency_p50_ns"]) * 1e-6
+            quality = link_quality(before, self._counts, self._latency_ms)
+            self._quality(quality, int(newest["stamp_ns"]))
+
+    def _quality(self, quality: LinkQuality, stamp_ns: int) -> None:
+        parts = [f"link {quality.word}", f"{100 * quality.loss:.1f} % lost"]
+        if quality.latency_ms is not None:
+            parts.append(f"delay {quality.latency_ms:.1f} ms")
+        text = "   ".join(parts)
+        height = fitted_height(text, WIDE - 2 * _MARGIN, LINK_HEIGHT)
+        strips = text_strips(text, _MARGIN, LINK_TOP, height)
+        self._strips("panel/link", stamp_ns, strips, quality_colour(quality.word), STROKE * height)
+
+    def _centred(
+        self, path: str, stamp_ns: int, text: str, top: float, height: float, colour: int
+    ) -> None:
+        height = fitted_height(text, WIDE - 2 * _MARGIN, height)
+        strips = text_strips(text, (WIDE - text_width(text, height)) / 2, top, height)
+        self._strips(path, stamp_ns, strips, colour, STROKE * height)
+
+    def _strips(
+        self, path: str, stamp_ns: int, strips: Sequence[Array], colour: int, radius: float
+    ) -> None:
+        """Draw strips in place of those drawn before under this path; none clears them."""
+        order = 0.0 if path.endswith(("area", "bar")) else 1.0
+        self._sender.once(path, rr.LineStrips2D.from_fields(draw_order=order))
+        columns = rr.LineStrips2D.columns(
+            strips=list(strips),
+            colors=np.full(len(strips), colour, np.uint32),
+            radii=np.full(len(strips), radius),
+        )
+        stamps = np.array([stamp_ns], np.int64)
+        self._sender.columns_at(path, stamps, columns.partition([len(strips)]))
+
+
+def _bright(colour: int) -> bool:
+    """Return whether black letters are easier to read on a colour than white ones."""
+    red, green, blue = ((colour >> shift & 0xFF) / 255 for shift in (24, 16, 8))
+    return bool(0.2126 * red**2.2 + 0.7152 * green**2.2 + 0.0722 * blue**2.2 > 0.18)

@@ -1,0 +1,72 @@
+"""State of a session as the panel shows it: both sides' states as one, and the link's quality."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from teleop.session import Reason, State
+from teleop.summary import FROM_PEER
+from teleop.topics import Role, role_name
+
+# the first of these that a side is in is that of the session
+_RANK = (
+    State.STOPPED, State.FAULT, State.HOLDING, State.OFF, State.READY, State.CLUTCHED,
+    State.ENGAGED,
+)  # fmt: skip
+_REASONS = {int(reason): reason for reason in Reason}
+NO_DATA = "no data"
+_POOR_LOSS, _BAD_LOSS = 0.01, 0.1  # shares of the peer's messages
+
+
+class Banner(NamedTuple):
+    """What the banner says."""
+
+    state: str  # name of a state in small letters, or `NO_DATA`
+    reason: str = ""
+
+
+def banner(sides: Mapping[Role, tuple[int, int]]) -> Banner:
+    """Return the state of the session from each side's state and reason.
+
+    It is the most severe of the two, so it is engaged only if both are. Of two sides in that state
+    the one whose reason is its own is quoted.
+    """
+    if set(sides) != {Role.MASTER, Role.SLAVE}:
+        missing = [role_name(role) for role in (Role.MASTER, Role.SLAVE) if role not in sides]
+        return Banner("off", f"waiting for the {' and the '.join(missing)}")
+    states = {role: State(number) for role, (number, _) in sides.items()}
+    worst = min(states.values(), key=_RANK.index)
+    numbers = [sides[role][1] for role, state in states.items() if state is worst]
+    reasons = [_REASONS.get(number, Reason.UNKNOWN) for number in numbers]
+    own = [reason for reason in reasons if reason not in FROM_PEER]
+    reason = (own or reasons)[0]
+    return Banner(worst.name.lower(), "" if reason is Reason.NONE else reason.text)
+
+
+class LinkCounts(NamedTuple):
+    """Of one side, since its loop began."""
+
+    received: int
+    lost: int  # or rejected
+
+
+class LinkQuality(NamedTuple):
+    """Quality of the link over the last reports."""
+
+    word: str  # good, poor or bad
+    loss: float  # share of the messages that did not arrive in order, the worse way
+    latency_ms: float | None  # median, command to force; None if not known
+
+
+def link_quality(
+    before: Mapping[Role, LinkCounts], now: Mapping[Role, LinkCounts], latency_ms: float | None
+) -> LinkQuality:
+    """Return the quality from two reports of each side; the worse way counts."""
+    shares = [0.0]
+    for role, counts in now.items():
+        earlier = before.get(role, counts)
+        lost, received = counts.lost - earlier.lost, counts.received - earlier.received
+        if lost > 0:
+            shares.append(lost / (lost + max(received, 0)))
+    loss = max(shares)
+    word = "good" if loss < _POOR_LOSS else "poor" if loss < _BAD_LOSS else "bad"
+    return LinkQuality(word, loss, latency_ms)

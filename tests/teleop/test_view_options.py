@@ -1,0 +1,55 @@
+"""What `--view`, `--out` and FILE of `teleop view` mean, and where the runtime's own lines go."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from teleop.app import cli
+from teleop.errors import UsageError
+from teleop.view.command import destination_of
+from teleop.view.runtime_log import diverted
+
+
+def test_a_file_name_that_ends_in_rrd_is_a_view(tmp_path):
+    file = tmp_path / "a.rrd"
+    assert destination_of(file, None) == ("rrd", file)
+    assert destination_of("web", file) == ("web", file)
+    with pytest.raises(UsageError, match="name the file once"):
+        destination_of(file, tmp_path / "b.rrd")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["view", "--view", "a.txt"], "ends in .rrd"),
+        (["view", "here.rrd", "--view", "rrd"], "is a Rerun file already"),
+        (["view", "absent.rrd", "--view", "web"], "absent.rrd: cannot be read"),
+        (["view", "text.rrd", "--view", "web"], "is no Rerun file"),
+    ],
+)
+def test_a_view_that_cannot_be_is_refused_in_one_line(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text.rrd").write_text("text")
+    assert cli.main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
+def test_lines_of_native_code_go_to_the_log_and_ours_to_the_terminal(tmp_path, capfd):
+    path = tmp_path / "state" / "view.log"
+    with diverted(path) as used:
+        assert used == path
+        os.write(2, b"from native code\n")
+    os.write(2, b"ours\n")
+    assert path.read_text() == "from native code\n"
+    assert capfd.readouterr().err == "ours\n"
+
+
+def test_a_log_that_cannot_be_in_its_folder_is_among_temporary_files(tmp_path, capfd):
+    (tmp_path / "file").write_text("")
+    with diverted(tmp_path / "file" / "view.log") as used:
+        os.write(2, b"lost\n")
+    assert "lost" in Path(used).read_text()
+    assert capfd.readouterr().err == ""
+    used.unlink()

@@ -1,0 +1,173 @@
+"""The panel: large letters, the state of a session, the force with its limit, the link."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from teleop.messages import MAX_JOINTS, Command, Hand, LoopReport, SlaveState, padded
+from teleop.session import Reason, State
+from teleop.topics import COMMAND, HAND, REPORT, STATE, Role
+from teleop.view.batch import decode
+from teleop.view.colours import STATES
+from teleop.view.config import ViewConfig
+from teleop.view.pacing import Pacing
+from teleop.view.panel_layout import BANNER, TALL, WIDE, filled, force_rows
+from teleop.view.plane import axis_end, ticks, ticks_to_end
+from teleop.view.scene import Scene
+from teleop.view.sinks import Sink
+from teleop.view.status import Banner, LinkCounts, banner, link_quality
+from teleop.view.stroke_text import _GLYPHS, fitted_height, text_strips, text_width
+from tests.teleop.view_session import T0, Session, read
+
+SURGEON = ViewConfig(layout="surgeon", tension_scale_N=10.0)
+
+# letters
+
+
+def test_text_fills_its_width_and_height_and_no_more():
+    strips = text_strips("ENGAGED 12", 1.0, 2.0, 3.0)
+    points = np.concatenate(strips)
+    assert points.min(axis=0) == pytest.approx([1.0, 2.0])
+    assert points.max(axis=0) == pytest.approx([1.0 + text_width("ENGAGED 12", 3.0), 5.0])
+
+
+def test_every_letter_of_a_reason_and_a_state_has_a_glyph_and_all_glyphs_differ():
+    words = " ".join([reason.text for reason in Reason] + [state.name for state in State])
+    assert set(words.upper()) - set(_GLYPHS) - {" "} == set()
+    drawn = [strokes for letter, strokes in _GLYPHS.items() if letter != "O"]  # O is as 0
+    assert len(set(drawn)) == len(drawn)
+
+
+def test_every_reason_fits_on_the_banner():
+    for reason in Reason:
+        height = fitted_height(reason.text, WIDE - 0.8, 0.45)
+        assert text_width(reason.text, height) <= WIDE - 0.8 + 1e-9
+        assert height > 0.2
+
+
+# the state of a session
+
+
+@given(st.sampled_from(State), st.sampled_from(State))
+def test_a_session_is_engaged_only_if_both_sides_are(master, slave):
+    shown = banner({Role.MASTER: (master, 0), Role.SLAVE: (slave, 0)}).state
+    assert (shown == "engaged") == (master == slave == State.ENGAGED)
+    if State.STOPPED in (master, slave):
+        assert shown == "stopped"
+    elif State.FAULT in (master, slave):
+        assert shown == "fault"
+
+
+def test_of_two_faults_the_first_hand_reason_is_quoted():
+    sides = {
+        Role.MASTER: (State.FAULT, Reason.PEER_FAULT),
+        Role.SLAVE: (State.FAULT, Reason.TENDON_BROKEN),
+    }
+    assert banner(sides) == Banner("fault", Reason.TENDON_BROKEN.text)
+    assert banner({Role.SLAVE: (State.READY, 0)}).reason == "waiting for the master"
+
+
+def test_the_link_is_as_good_as_its_worse_way():
+    before = {Role.MASTER: LinkCounts(1000, 0), Role.SLAVE: LinkCounts(1000, 5)}
+    now = {Role.MASTER: LinkCounts(1500, 0), Role.SLAVE: LinkCounts(1475, 30)}
+    quality = link_quality(before, now, 0.5)
+    assert quality.word == "poor"
+    assert quality.loss == pytest.approx(0.05)
+    assert link_quality(now, now, None).word == "good"
+
+
+# the panel
+
+
+@pytest.mark.parametrize("joints", range(1, MAX_JOINTS + 1))
+def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
+    rows = force_rows(joints)
+    edges = [BANNER[3]]
+    for row in rows:
+        assert row.name_top >= edges[-1]
+        _, top, _, bottom = row.bar(1.0, two_way=False)
+        assert row.name_top + row.name_height < top
+        edges.append(max(bottom, row.number_top + row.number_height))
+    assert edges[-1] < 8.9 < TALL
+
+
+@given(st.floats(-3, 3), st.booleans())
+def test_a_bar_is_as_long_as_its_share_and_ends_at_the_limit(share, two_way):
+    (row,) = force_rows(1)
+    left, _, right, _ = row.bar(share, two_way)
+    full = row.bar(1.0, two_way)
+    expected = min(abs(share), 1.0) if share > 0 or two_way else 0.0
+    assert right - left == pytest.approx(expected * (full[2] - full[0]))
+
+
+def test_a_filled_box_is_covered_and_not_left():
+    lines, radius = filled((1.0, 2.0, 5.0, 3.0))
+    points = np.concatenate(lines)
+    assert points[:, 0].min() - radius == pytest.approx(1.0, abs=0.01)
+    assert points[:, 0].max() + radius == pytest.approx(5.0, abs=0.01)
+    assert np.diff([line[0, 1] for line in lines]).max() < 2 * radius
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """A session that engages at 0.5 s and falls silent after a second."""
+    session = Session(0)
+    for k in range(100):
+        stamp = T0 + k * 10_000_000
+        state = State.READY if k < 50 else State.ENGAGED
+        session.add(HAND, Hand(state=state, joints=1), stamp)
+        force = padded((6.0,), MAX_JOINTS)
+        session.add(STATE, SlaveState(state=state, joints=1, force=force), stamp)
+        session.add(COMMAND, Command(force_max=12.0), stamp)
+    session.add(REPORT, LoopReport(role=Role.MASTER, received=100), stamp)
+    path = tmp_path_factory.mktemp("panel") / "panel.rrd"
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        scene.send(decode(session.messages))
+        scene.silence(2_000_000_000)
+    return read(path)
+
+
+def test_the_banner_follows_the_state_and_says_when_nothing_comes(drawn):
+    colours = drawn["/panel/banner/area"]["LineStrips2D:colors"]
+    states = [STATES[name] for name in ("ready", "engaged", "no data")]
+    assert [values[0] for _, values in sorted(colours.items())] == states
+    assert sorted(colours) == [T0, T0 + 500_000_000, T0 + 990_000_000 + 2_000_000_000]
+
+
+def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
+    strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-1]
+    left, _, right, _ = force_rows(1)[0].bar(0.5, two_way=False)
+    points = np.array(strips).reshape(-1, 2)
+    assert points[:, 0].max() == pytest.approx(right, abs=0.1)
+    assert points[:, 0].min() == pytest.approx(left, abs=0.1)
+
+
+# axes
+
+
+@given(st.floats(0.01, 1000))
+def test_an_axis_ends_on_a_tick_not_far_beyond_its_data(top):
+    end = axis_end(top)
+    assert top * (1 - 1e-9) <= end < 1.7 * top
+    assert ticks(end)[-1] == pytest.approx(end)
+    assert ticks_to_end(top)[0] == 0.0
+    assert ticks_to_end(top)[-1] == top
+
+
+# pacing
+
+
+def test_a_view_that_would_take_too_much_draws_less_often_and_recovers():
+    pacing, cost = Pacing(0.25), 0.9  # [s] of processor per second, without stretching
+    used, shares = 0.0, []
+    for second in range(1, 30):
+        share = cost / pacing.stretch
+        used += share
+        shares.append(share)
+        pacing.update(used, float(second))
+    assert max(shares[10:]) <= 0.27
+    for second in range(30, 60):
+        pacing.update(used, float(second))
+    assert pacing.stretch == 1.0
