@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.record import Trouble
-from estimator.diagnosis.simple_models import SimpleFit
+from estimator.diagnosis.simple_models import SimpleFit, SimpleGain
 from estimator.effects.effect import Effect
 
 
@@ -105,6 +105,7 @@ class Diagnosis(NamedTuple):
     left: float  # unexplained share: of the error beyond noise, what the extended model leaves
     wanders: bool  # friction changes with time, and not as the causes say
     simple_models: tuple[SimpleFit, ...]  # that know no sheath, fitted to the same data
+    simple_gain: dict[str, SimpleGain]  # of the extended law over the best of them, by channel
     structure: tuple[Structure, ...]  # of what the extended model leaves
     detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset
     experiments: tuple[str, ...]  # that would settle what is ambiguous

@@ -14,6 +14,7 @@ from estimator.diagnosis.outcome import (
     Verdict,
 )
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.simple_models import LUGRE
 from estimator.effects import CATALOGUE, Effect
 from estimator.effects.effect import (
     DISTAL_DISPLACEMENT,
@@ -86,17 +87,17 @@ def summary(
         tables.append(compared)
     if found.steps:
         tables.append(gains(found))
-    tables.append(models(found))
+    tables += [models(found), over_simple(found)]
     if found.after.validation:
         tables.append(validated(found))
     if found.detection_limits:
         tables.append(detection_limits(found))
-    parts = [sentence(found), *(table.markdown() for table in tables)]
-    residuals = [*remains(found), *better_models(found)]
-    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in residuals))
+    said = [sentence(found), *(f"WARNING: {what}" for what in better_models(found))]
+    parts = ["\n".join(said), *(table.markdown() for table in tables)]
+    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in remains(found)))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in next_steps(found)))
-    if said := remarks(found, named):
-        parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in said))
+    if odd := remarks(found, named):
+        parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in odd))
     return "\n\n".join(parts)
 
 
@@ -153,22 +154,45 @@ def models(found: Diagnosis) -> Table:
     return Table(("held-out RMSE of", *(CHANNEL_WORDS[c] for c in channels)), tuple(rows))
 
 
+def over_simple(found: Diagnosis) -> Table:
+    """Return by how much the law is better than the best model that knows no sheath."""
+    rows = [
+        (
+            CHANNEL_WORDS[channel],
+            gain.model,
+            f"{gain.value:.1%}",
+            f"{gain.low:.1%} to {gain.high:.1%}",
+        )
+        for channel, gain in found.simple_gain.items()
+    ]
+    head = ("channel", "best simple model", "held-out RMSE of the law is lower by", "95 % interval")
+    return Table(head, tuple(rows))
+
+
 def better_models(found: Diagnosis) -> list[str]:
-    """Return in which channels a model that knows no sheath is better than the law."""
-    said = []
-    for channel, one in found.after.held_out.items():
-        best = min(found.simple_models, key=lambda model: model.rmse[channel])
-        if (
-            found.noise[channel] < one.rmse
-            and best.rmse[channel] < SETTINGS.simple_ratio * one.rmse
-        ):
+    """Return in which channels a model that knows no sheath is surely better, and what to do."""
+    said, floor = [], tolerance(found.dataset)
+    for channel, gain in found.simple_gain.items():
+        one, noise = found.after.held_out[channel], found.noise[channel]
+        if gain.high < 0.0 and one.rmse > SETTINGS.noise_ratio * floor[channel] * noise:
+            simple = next(m for m in found.simple_models if m.name == gain.model)
             unit = unit_of(channel)
             said.append(
-                f"{CHANNEL_WORDS[channel]}: {best.name} fits better than the law, "
-                f"{quantity(best.rmse[channel], unit, 3)} against {quantity(one.rmse, unit, 3)} "
-                "RMSE held out."
+                f"{CHANNEL_WORDS[channel]}: {gain.model} predicts it better than this model, "
+                f"{quantity(simple.rmse[channel], unit, 3)} against {quantity(one.rmse, unit, 3)} "
+                f"RMSE held out; {_instead(found, gain.model)}."
             )
     return said
+
+
+def _instead(found: Diagnosis, model: str) -> str:
+    """Return what to do where a simple model is better than the law."""
+    like_it = ("presliding", "stribeck_friction") if model == LUGRE else ("distributed_play",)
+    missing = [name for name in like_it if name not in found.causes]
+    if missing and DISTAL_TENSION in found.dataset.records[0].signals:
+        asked = ",".join([*found.causes, *missing])
+        return f"test the effect that is like it, with --effects {asked}"
+    return "do not trust the estimate beyond that error, and look at what the residuals depend on"
 
 
 def validated(found: Diagnosis) -> Table:
@@ -357,8 +381,14 @@ def _gain(found: Diagnosis) -> str:
     causes = "that" if len(found.steps) == 1 else "them"
     return (
         f"with {causes} in the model the held-out error of the {CHANNEL_WORDS[channel]} falls by "
-        f"{most.value:.0%} ({most.low:.0%} to {most.high:.0%})"
+        f"{most.value:.0%} ({most.low:.0%} to {most.high:.0%}), to {_beside_simple(found, channel)}"
     )
+
+
+def _beside_simple(found: Diagnosis, channel: str) -> str:
+    gain = found.simple_gain[channel]
+    where = "below" if gain.value >= 0.0 else "above"
+    return f"{abs(gain.value):.0%} {where} that of the best simple model ({gain.model})"
 
 
 def _structure(found: Diagnosis) -> str:

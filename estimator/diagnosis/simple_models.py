@@ -11,7 +11,7 @@ Each gives a channel from the drive alone, by a least-squares fit of a few weigh
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +20,12 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.diagnosis.dataset import Dataset
 from estimator.diagnosis.record import Record
+from estimator.diagnosis.score import Errors, bootstrapped_gain, errors_of, together
 from estimator.effects.effect import PROXIMAL_TENSION
 from estimator.signals import played
 
 PLAYS = 5
+LUGRE = "LuGre"
 _HALF_WIDTHS = np.geomspace(1e-3, 0.45, 24)  # of the drive's range, that one play is tried with
 _FRICTIONS = np.linspace(0.05, 2.5, 50)  # K of plays in proportion to a tension
 _REACHES = np.geomspace(1e-3, 0.3, 10)  # of it, of LuGre's bristles
@@ -34,7 +36,21 @@ class SimpleFit(NamedTuple):
     """A model and how far it is off in each channel."""
 
     name: str
-    rmse: dict[str, float]  # [N] or [m] of held-out samples, both halves
+    held_out: dict[str, Errors]  # of both halves, each fitted to the other
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Root mean square by channel [N] or [m]."""
+        return {channel: one.rmse for channel, one in self.held_out.items()}
+
+
+class SimpleGain(NamedTuple):
+    """By which share a law's held-out RMSE is below that of the best simple model."""
+
+    model: str
+    value: float  # negative where the simple model is better
+    low: float  # of the 95 % interval, by the same bins of time of both
+    high: float
 
 
 def simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
@@ -46,37 +62,47 @@ def simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
     )
 
 
-def _held_out(dataset: Dataset, channel: str, name: str) -> float:
-    """Return the rms error of both halves, each fitted to the other."""
-    squares, count = 0.0, 0
+def gains_over(law: Mapping[str, Errors], models: Sequence[SimpleFit]) -> dict[str, SimpleGain]:
+    """Return how much better a law is than the best of simple models on the same samples."""
+    found = {}
+    for channel, errors in law.items():
+        best = min(models, key=lambda one: one.held_out[channel].mean)
+        gain = bootstrapped_gain(errors, best.held_out[channel])
+        found[channel] = SimpleGain(best.name, *gain)
+    return found
+
+
+def _held_out(dataset: Dataset, channel: str, name: str) -> Errors:
+    """Return the errors of both halves, each fitted to the other."""
+    parts = []
     candidates = list(_MODELS[name](dataset))
     for fitted_half in (True, False):
-        best, off = np.inf, np.zeros(0)
-        for features in candidates:
-            error, other = _fit(dataset, channel, features, fitted_half, name != "LuGre")
-            if error < best:
-                best, off = error, other
-        squares += float(off @ off)
-        count += len(off)
-    return float(np.sqrt(squares / max(count, 1)))
+        fits = (
+            _fit(dataset, channel, features, fitted_half, name != LUGRE) for features in candidates
+        )
+        _, predicted = min(fits, key=lambda fit: fit[0])
+        parts += [
+            errors_of(record, channel, signal, record.train != fitted_half)
+            for record, signal in zip(dataset.records, predicted, strict=True)
+        ]
+    return together(parts)
 
 
 def _fit(
     dataset: Dataset, channel: str, features: list[Array], fitted_half: bool, positive: bool
-) -> tuple[float, Array]:
-    """Return the squared error of the fitted half, and the errors of the other."""
+) -> tuple[float, list[Array]]:
+    """Return the squared error of the fitted half, and what is predicted of each record."""
     rows, values, fitted = [], [], []
     offsets = np.eye(len(dataset.records))
     for k, (record, columns) in enumerate(zip(dataset.records, features, strict=True)):
-        good = record.good[channel]
-        own = np.repeat(offsets[k][None], int(good.sum()), axis=0)  # each record its own zero
-        rows.append(np.column_stack([columns[good], own]))
-        values.append(record.signals[channel][good])
-        fitted.append(record.train[good] == fitted_half)
+        own = np.repeat(offsets[k][None], len(columns), axis=0)  # each record its own zero
+        rows.append(np.column_stack([columns, own]))
+        values.append(record.signals[channel])
+        fitted.append(record.good[channel] & (record.train == fitted_half))
     A, y, mask = np.concatenate(rows), np.concatenate(values), np.concatenate(fitted)
     weights = _weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
-    off = y - A @ weights
-    return float(off[mask] @ off[mask]), off[~mask]
+    off = y[mask] - A[mask] @ weights
+    return float(off @ off), [each @ weights for each in rows]
 
 
 def _weights(A: Array, y: Array, positive: int) -> Array:
@@ -134,7 +160,7 @@ def _spans(dataset: Dataset) -> list[tuple[Record, float]]:
 _MODELS = {
     "play operator with gain": _one_play,
     f"Prandtl-Ishlinskii, {PLAYS} plays": _several_plays,
-    "LuGre": _lugre,
+    LUGRE: _lugre,
 }
 
 

@@ -197,11 +197,10 @@ DISTRIBUTED_PLAY = Effect(
 PLAY_SPECTRUM = Effect(
     name=DISTRIBUTED_PLAY.name,
     cause=DISTRIBUTED_PLAY.cause,
-    equation="T_out = (T(K) + w1 T(0.24 K) + w2 T(0.59 K) + w3 T(1.42 K) + w4 T(1.75 K)) over the sum "
-    "of the weights, where T(s) is T_in after a play of threshold s",
+    equation="T_out = (T(K) + w1 T(0.24 K) + w2 T(0.59 K) + w3 T(1.42 K) + w4 T(1.75 K)) over the "
+    "sum of the weights, where T(s) is T_in after a play of threshold s",
     parameters=tuple(
-        Parameter(f"w{j}", "of the force at K", 0.0, 50.0, 0.05)
-        for j in range(1, len(_PLAYS))
+        Parameter(f"w{j}", "of the force at K", 0.0, 50.0, 0.05) for j in range(1, len(_PLAYS))
     ),
     source=DISTRIBUTED_PLAY.source,
     advice=DISTRIBUTED_PLAY.advice,

@@ -328,7 +328,11 @@ def advance(
     q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
     for i in range(len(samples)):
         dt, friction, stretch = samples[i, DT], samples[i, FRICTION], samples[i, STRETCH]
-        compliance, target, rate = own * samples[i, COMPLIANCE], samples[i, TARGET], samples[i, SPEED]
+        compliance, target, rate = (
+            own * samples[i, COMPLIANCE],
+            samples[i, TARGET],
+            samples[i, SPEED],
+        )
         gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
         kept = crept * (1.0 - gain) + even * stretch
         scale = 1.0 + law.creep * gain

@@ -47,6 +47,8 @@ def tree(
         "baseline": _fitnesses(found.before),
         "extended": _fitnesses(found.after),
         "simple_models": {one.name: one.rmse for one in found.simple_models},
+        "simple_gain": {channel: gain._asdict() for channel, gain in found.simple_gain.items()},
+        "better_models": report_text.better_models(found),
         "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
         "noise": dict(found.noise),
         "driver": {
