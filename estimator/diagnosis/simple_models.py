@@ -10,18 +10,17 @@ Each gives a channel from the drive alone, by a least-squares fit of a few weigh
 """
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
 from estimator.diagnosis.dataset import Dataset
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.score import Errors, bootstrapped_gain, errors_of, together
 from estimator.effects.effect import PROXIMAL_TENSION
+from estimator.hysteresis import bristle, in_proportion
 from estimator.signals import played
 
 PLAYS = 5
@@ -162,24 +161,3 @@ _MODELS = {
     f"Prandtl-Ishlinskii, {PLAYS} plays": _several_plays,
     LUGRE: _lugre,
 }
-
-
-@compiled
-def in_proportion(tension: Array, K: float) -> Array:
-    """Return a tension after a play operator from T e^-K to T e^K, shape (n,)."""
-    out = tension.copy()
-    for i in range(1, len(tension)):
-        low, high = tension[i] * math.exp(-K), tension[i] * math.exp(K)
-        out[i] = min(max(out[i - 1], low), high)
-    return out
-
-
-@compiled
-def bristle(drive: Array, reach: Array) -> Array:
-    """Return LuGre's bristle deflection z over a drive, shape (n,); exact for steps of `drive`."""
-    z = np.zeros_like(drive)
-    for i in range(1, len(drive)):
-        step = drive[i] - drive[i - 1]
-        end = reach[i] if step > 0.0 else -reach[i]
-        z[i] = end + (z[i - 1] - end) * np.exp(-abs(step) / reach[i])
-    return z

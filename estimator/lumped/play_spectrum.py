@@ -52,4 +52,4 @@ def on_nodes(spectrum: Array, weights: Array) -> PlayNodes:
     strands = np.minimum(EDGES[1:, None] / np.maximum(places, 1e-12), 1.0)
     whole = np.concatenate([[0.0], np.interp(strands, EDGES, along) @ parts])
     each = np.maximum(np.diff(whole), _LEAST)
-    return PlayNodes(depth, shares, each / each.sum())
+    return PlayNodes(depth, np.asarray(shares, np.float64), np.asarray(each / each.sum()))

@@ -11,6 +11,8 @@ from teleop.tools.report.page import Page
 def render(found: PairStudy, kept: tuple[Validation, ...]) -> str:
     """Return the page; `kept` are the errors of validation records."""
     page = Page(report_text.sentence(found))
+    for what in report_text.better_model(found):
+        page.text(what)
     page.heading("Friction against bend")
     page.table(report_text.frictions(found), mark="")
     with TemporaryDirectory() as folder:
