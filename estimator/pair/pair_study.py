@@ -100,8 +100,8 @@ def study(records: Sequence[PairRecord], report: Report = lambda _what, _share: 
     next_step("fitting a K for each")
     full = whole[PairVariant.FULL]
     free = fit(records, PairVariant.FULL, full.model, each_friction=True)
-    rest = others[PairVariant.FULL]
-    models = [one.at(record.bend) for one, record in zip(rest, records, strict=True)]
+    without = others[PairVariant.FULL]
+    models = [one.at(record.bend) for one, record in zip(without, records, strict=True)]
     return PairStudy(
         tuple(records),
         full,

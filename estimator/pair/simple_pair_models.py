@@ -52,7 +52,8 @@ def _linear(
     records: Sequence[PairRecord], features: Iterable[Callable[[PairRecord], Array]]
 ) -> Predict:
     """Return the best of models whose weights are linear in the bend, by least squares."""
-    best, weights, columns = np.inf, np.zeros(0), _plays
+    best, weights = np.inf, np.zeros(0)
+    columns: Callable[[PairRecord], Array] = _plays
     for one in features:
         A = np.concatenate([_by_bend(one, r) / r.span for r in records])
         y = np.concatenate([r.angle / r.span for r in records])
