@@ -59,7 +59,7 @@ from estimator.diagnosis.score import (
 )
 from estimator.diagnosis.search import Candidate, candidates
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.simple_models import simple_models
+from estimator.diagnosis.simple_models import gains_over, simple_models
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import Effect
 
@@ -406,6 +406,7 @@ def _outcome(
     known = as_driven(dataset, validate, first_law)
     further = predicted(dataset, first_law, last if steps else first_law, known)
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
+    simple = simple_models(dataset)
     return Diagnosis(
         verdict=verdict,
         steps=tuple(steps),
@@ -422,7 +423,8 @@ def _outcome(
         noise=mean_noise(dataset),
         left=left,
         wanders=astray,
-        simple_models=simple_models(dataset),
+        simple_models=simple,
+        simple_gain=gains_over(after, simple),
         structure=structure(dataset, fit),
         detection_limits=detection_limits(dataset, plain, usable)
         if verdict is Verdict.CLEAN

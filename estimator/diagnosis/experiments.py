@@ -31,6 +31,7 @@ SEEN_BY: dict[str, frozenset[str]] = {
             "constant_drag",
             "stribeck_friction",
             "presliding",
+            "distributed_play",
             "direction_asymmetry",
             "tension_dependent_friction",
             "nonuniform_curvature",
@@ -40,7 +41,15 @@ SEEN_BY: dict[str, frozenset[str]] = {
     SPEEDS: frozenset(
         {"viscous_friction", "stribeck_friction", "sensor_lag", "tip_inertia", "stick_slip"}
     ),
-    NESTED: frozenset({"presliding", "tension_dependent_friction", "joint_backlash", "sheath_rub"}),
+    NESTED: frozenset(
+        {
+            "presliding",
+            "distributed_play",
+            "tension_dependent_friction",
+            "joint_backlash",
+            "sheath_rub",
+        }
+    ),
     HOLDS: frozenset({"creep"}),
     REPEAT: frozenset(
         {

@@ -9,7 +9,7 @@ from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.prediction import Fitness, Predicted
 from estimator.diagnosis.record import Trouble
 from estimator.diagnosis.rivals import Rival
-from estimator.diagnosis.simple_models import SimpleFit
+from estimator.diagnosis.simple_models import SimpleFit, SimpleGain
 from estimator.effects.effect import Effect
 from estimator.units import Units
 
@@ -110,6 +110,7 @@ class Diagnosis(NamedTuple):
     laws: Choice  # of the base law
     loads: Choice  # of what the tips of several files pull at
     simple_models: tuple[SimpleFit, ...]  # that know no sheath, fitted to the same data
+    simple_gain: dict[str, SimpleGain]  # of the extended law over the best of them, by channel
     structure: tuple[Structure, ...]  # of what the extended model leaves
     detection_limits: dict[str, DetectionLimit]  # by effect; of a clean dataset
     experiments: tuple[str, ...]  # that would settle what is ambiguous

@@ -3,6 +3,7 @@
 from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.outcome import Diagnosis, Fitnesses, Number, Ranked
 from estimator.diagnosis.prediction import Fitness
+from estimator.diagnosis.simple_models import SimpleFit
 from estimator.units import Units
 
 Errors = dict[str, float]
@@ -22,9 +23,7 @@ def in_record_units(found: Diagnosis) -> Diagnosis:
         noise=_errors(found.noise, units),
         laws=_choice(found.laws, units),
         loads=_choice(found.loads, units),
-        simple_models=tuple(
-            one._replace(rmse=_errors(one.rmse, units)) for one in found.simple_models
-        ),
+        simple_models=tuple(_simple(one, units) for one in found.simple_models),
         detection_limits={
             name: one._replace(size=one.size * units.size(one.unit), unit=units.name(one.unit))
             for name, one in found.detection_limits.items()
@@ -48,6 +47,15 @@ def _ranking(ranking: tuple[Ranked, ...], units: Units) -> tuple[Ranked, ...]:
 
 def _errors(errors: Errors, units: Units) -> Errors:
     return {channel: units.size(units.base(channel)) * one for channel, one in errors.items()}
+
+
+def _simple(model: SimpleFit, units: Units) -> SimpleFit:
+    return model._replace(
+        held_out={
+            channel: one._replace(power=units.size(units.base(channel)) ** 2 * one.power)
+            for channel, one in model.held_out.items()
+        }
+    )
 
 
 def _choice(choice: Choice, units: Units) -> Choice:

@@ -16,8 +16,14 @@ from estimator.diagnosis.outcome import (
     Verdict,
 )
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.simple_models import LUGRE
 from estimator.effects import CATALOGUE, Effect
-from estimator.effects.effect import CHANNELS, DISTAL_DISPLACEMENT, PROXIMAL_TENSION
+from estimator.effects.effect import (
+    CHANNELS,
+    DISTAL_DISPLACEMENT,
+    DISTAL_TENSION,
+    PROXIMAL_TENSION,
+)
 from estimator.text_table import Table
 from estimator.units import quantity
 
@@ -79,10 +85,10 @@ def summary(
     from estimator.diagnosis import file_tables  # which imports this module
 
     named = file_tables.names_of(found, files, further)
-    parts = [sentence(found)]
+    warnings = [f"WARNING: {what}" for what in better_models(found)]
+    parts = ["\n".join([sentence(found), *warnings])]
     parts += [table.markdown() for table in tables(found, files, compared, further)]
-    residuals = [*remains(found), *better_models(found)]
-    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in residuals))
+    parts.append("Residuals:\n" + "\n".join(f"- {what}" for what in remains(found)))
     parts.append("Next:\n" + "\n".join(f"- {step}" for step in next_steps(found)))
     if said := remarks(found, named[: len(found.dataset.records)]):
         parts.append("Samples:\n" + "\n".join(f"- {remark}" for remark in said))
@@ -102,11 +108,12 @@ def tables(
     named = names[: len(found.dataset.records)]
     shown = [candidates(found)] if found.ranking else []
     shown.append(parameters(found))
+    shown += [one for one in (laws(found), loads(found)) if one is not None]
     if compared is not None:
         shown.append(compared)
     if found.steps:
         shown.append(gains(found))
-    shown.append(models(found))
+    shown += [models(found), over_simple(found)]
     if found.validation:
         shown.append(file_tables.predicted(found.validation, names[len(named) :]))
     if found.left_out:
@@ -209,22 +216,46 @@ def models(found: Diagnosis) -> Table:
     return Table((f"{judged(found)} RMSE of", *words), tuple(rows))
 
 
+def over_simple(found: Diagnosis) -> Table:
+    """Return by how much the law is better than the best model that knows no sheath."""
+    rows = [
+        (
+            found.units.word(channel),
+            gain.model,
+            f"{gain.value:.1%}",
+            f"{gain.low:.1%} to {gain.high:.1%}",
+        )
+        for channel, gain in found.simple_gain.items()
+    ]
+    lower = f"{judged(found)} RMSE of the law is lower by"
+    head = ("channel", "best simple model", lower, "95 % interval")
+    return Table(head, tuple(rows))
+
+
 def better_models(found: Diagnosis) -> list[str]:
-    """Return in which channels a model that knows no sheath is better than the law."""
-    said = []
-    for channel, one in found.after.held_out.items():
-        best = min(found.simple_models, key=lambda model: model.rmse[channel])
-        if (
-            found.noise[channel] < one.rmse
-            and best.rmse[channel] < SETTINGS.simple_ratio * one.rmse
-        ):
+    """Return in which channels a model that knows no sheath is surely better, and what to do."""
+    said, floor = [], tolerance(found.dataset)
+    for channel, gain in found.simple_gain.items():
+        one, noise = found.after.held_out[channel], found.noise[channel]
+        if gain.high < 0.0 and one.rmse > SETTINGS.noise_ratio * floor[channel] * noise:
+            simple = next(m for m in found.simple_models if m.name == gain.model)
             unit = found.units.of(channel)
             said.append(
-                f"{found.units.word(channel)}: {best.name} fits better than the law, "
-                f"{quantity(best.rmse[channel], unit, 3)} against {quantity(one.rmse, unit, 3)} "
-                f"{judged(found)} RMSE."
+                f"{found.units.word(channel)}: {gain.model} predicts it better than this model, "
+                f"{quantity(simple.rmse[channel], unit, 3)} against {quantity(one.rmse, unit, 3)} "
+                f"{judged(found)} RMSE; {_instead(found, gain.model)}."
             )
     return said
+
+
+def _instead(found: Diagnosis, model: str) -> str:
+    """Return what to do where a simple model is better than the law."""
+    like_it = ("presliding", "stribeck_friction") if model == LUGRE else ("distributed_play",)
+    missing = [name for name in like_it if name not in found.causes]
+    if missing and DISTAL_TENSION in found.dataset.records[0].signals:
+        asked = ",".join([*found.causes, *missing])
+        return f"test the effect that is like it, with --effects {asked}"
+    return "do not trust the estimate beyond that error, and look at what the residuals depend on"
 
 
 def fitness(found: Diagnosis) -> Table:
@@ -404,8 +435,14 @@ def _gain(found: Diagnosis) -> str:
     return (
         f"with {causes} in the model the {judged(found)} error of the "
         f"{found.units.word(channel)} falls by {most.value:.0%} "
-        f"({most.low:.0%} to {most.high:.0%})"
+        f"({most.low:.0%} to {most.high:.0%}), to {_beside_simple(found, channel)}"
     )
+
+
+def _beside_simple(found: Diagnosis, channel: str) -> str:
+    gain = found.simple_gain[channel]
+    where = "below" if gain.value >= 0.0 else "above"
+    return f"{abs(gain.value):.0%} {where} that of the best simple model ({gain.model})"
 
 
 def _structure(found: Diagnosis) -> str:

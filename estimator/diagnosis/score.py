@@ -5,9 +5,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Fit
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 
 DRAWS = 400
@@ -39,28 +41,33 @@ def errors(dataset: Dataset, fit: Fit, *, held_out: bool = True) -> dict[str, Er
     """
     parts: dict[str, list[Errors]] = {}
     for record, one in zip(dataset.records, fit.simulated, strict=True):
-        # no bin goes beyond its block: both numbers rise with time
-        bins = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + record.block
         judged = record.train if record.train.all() else record.train != held_out
         for channel in record.compared:
-            rows = record.good[channel] & judged
-            error = (record.signals[channel] - one.signals[channel])[rows]
-            off = error / record.sigma[channel][rows]
-            squares = np.bincount(bins[rows], off**2, bins[-1] + 1).astype(np.float64)
-            counts = np.bincount(bins[rows], minlength=bins[-1] + 1).astype(np.float64)
-            kept = counts > 0
-            power = float(error @ error)
-            found = Errors(squares[kept], power, counts[kept], _independent(off))
+            found = errors_of(record, channel, one.signals[channel], judged)
             parts.setdefault(channel, []).append(found)
-    return {channel: _together(found) for channel, found in parts.items()}
+    return {channel: together(found) for channel, found in parts.items()}
+
+
+def errors_of(record: Record, channel: str, predicted: Array, samples: NDArray[np.bool_]) -> Errors:
+    """Return the errors of a predicted channel of a record on some of its samples, shape (n,)."""
+    # no bin goes beyond its block: both numbers rise with time
+    bins = ((record.time - record.time[0]) / SETTINGS.bin).astype(np.int64) + record.block
+    rows = record.good[channel] & samples
+    error = (record.signals[channel] - predicted)[rows]
+    off = error / record.sigma[channel][rows]
+    squares = np.bincount(bins[rows], off**2, bins[-1] + 1).astype(np.float64)
+    counts = np.bincount(bins[rows], minlength=bins[-1] + 1).astype(np.float64)
+    kept = counts > 0
+    return Errors(squares[kept], float(error @ error), counts[kept], _independent(off))
 
 
 def joined(found: Sequence[dict[str, Errors]]) -> dict[str, Errors]:
     """Return the errors of several halves as those of a whole."""
-    return {channel: _together([one[channel] for one in found]) for channel in found[0]}
+    return {channel: together([one[channel] for one in found]) for channel in found[0]}
 
 
-def _together(found: Sequence[Errors]) -> Errors:
+def together(found: Sequence[Errors]) -> Errors:
+    """Return the errors of several parts as those of a whole."""
     return Errors(
         np.concatenate([part.squares for part in found]),
         sum(part.power for part in found),

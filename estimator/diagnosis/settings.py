@@ -86,8 +86,5 @@ class Settings:
     dependence_min: float = 0.05  # of a residual's variance that is reported
     dependence_bins: int = 12
 
-    # when a model that knows no sheath is better (report_text.py)
-    simple_ratio: float = 0.95  # of the law's held-out error
-
 
 SETTINGS = Settings()

@@ -10,20 +10,21 @@ Each gives a channel from the drive alone, by a least-squares fit of a few weigh
 """
 
 import itertools
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.compiled import compiled
 from estimator.diagnosis.dataset import Dataset
 from estimator.diagnosis.record import Record
+from estimator.diagnosis.score import Errors, bootstrapped_gain, errors_of, together
 from estimator.effects.effect import PROXIMAL_TENSION
+from estimator.hysteresis import bristle, in_proportion
 from estimator.signals import played
 
 PLAYS = 5
+LUGRE = "LuGre"
 _HALF_WIDTHS = np.geomspace(1e-3, 0.45, 24)  # of the drive's range, that one play is tried with
 _FRICTIONS = np.linspace(0.05, 2.5, 50)  # K of plays in proportion to a tension
 _REACHES = np.geomspace(1e-3, 0.3, 10)  # of it, of LuGre's bristles
@@ -34,7 +35,21 @@ class SimpleFit(NamedTuple):
     """A model and how far it is off in each channel."""
 
     name: str
-    rmse: dict[str, float]  # [N] or [m] of held-out samples, both halves
+    held_out: dict[str, Errors]  # of both halves, each fitted to the other
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Root mean square by channel [N] or [m]."""
+        return {channel: one.rmse for channel, one in self.held_out.items()}
+
+
+class SimpleGain(NamedTuple):
+    """By which share a law's held-out RMSE is below that of the best simple model."""
+
+    model: str
+    value: float  # negative where the simple model is better
+    low: float  # of the 95 % interval, by the same bins of time of both
+    high: float
 
 
 def simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
@@ -46,38 +61,47 @@ def simple_models(dataset: Dataset) -> tuple[SimpleFit, ...]:
     )
 
 
-def _held_out(dataset: Dataset, channel: str, name: str) -> float:
-    """Return the rms error of both halves, each fitted to the other; of all where all is fitted."""
-    squares, count = 0.0, 0
+def gains_over(law: Mapping[str, Errors], models: Sequence[SimpleFit]) -> dict[str, SimpleGain]:
+    """Return how much better a law is than the best of simple models on the same samples."""
+    found = {}
+    for channel, errors in law.items():
+        best = min(models, key=lambda one: one.held_out[channel].mean)
+        gain = bootstrapped_gain(errors, best.held_out[channel])
+        found[channel] = SimpleGain(best.name, *gain)
+    return found
+
+
+def _held_out(dataset: Dataset, channel: str, name: str) -> Errors:
+    """Return the errors of both halves, each fitted to the other; of all where all is fitted."""
+    parts = []
     candidates = list(_MODELS[name](dataset))
     all_fitted = all(record.train.all() for record in dataset.records)
     for fitted_half in (True,) if all_fitted else (True, False):
-        best, off = np.inf, np.zeros(0)
-        for features in candidates:
-            error, other = _fit(dataset, channel, features, fitted_half, name != "LuGre")
-            if error < best:
-                best, off = error, other
-        squares += float(off @ off)
-        count += len(off)
-    return float(np.sqrt(squares / max(count, 1)))
+        fits = (
+            _fit(dataset, channel, features, fitted_half, name != LUGRE) for features in candidates
+        )
+        _, predicted = min(fits, key=lambda fit: fit[0])
+        for record, signal in zip(dataset.records, predicted, strict=True):
+            judged = record.train if all_fitted else record.train != fitted_half
+            parts.append(errors_of(record, channel, signal, judged))
+    return together(parts)
 
 
 def _fit(
     dataset: Dataset, channel: str, features: list[Array], fitted_half: bool, positive: bool
-) -> tuple[float, Array]:
-    """Return the squared error of the fitted half, and the errors of the other, if there is one."""
+) -> tuple[float, list[Array]]:
+    """Return the squared error of the fitted half, and what is predicted of each record."""
     rows, values, fitted = [], [], []
     offsets = np.eye(len(dataset.records))
     for k, (record, columns) in enumerate(zip(dataset.records, features, strict=True)):
-        good = record.good[channel]
-        own = np.repeat(offsets[k][None], int(good.sum()), axis=0)  # each record its own zero
-        rows.append(np.column_stack([columns[good], own]))
-        values.append(record.signals[channel][good])
-        fitted.append(record.train[good] == fitted_half)
+        own = np.repeat(offsets[k][None], len(columns), axis=0)  # each record its own zero
+        rows.append(np.column_stack([columns, own]))
+        values.append(record.signals[channel])
+        fitted.append(record.good[channel] & (record.train == fitted_half))
     A, y, mask = np.concatenate(rows), np.concatenate(values), np.concatenate(fitted)
     weights = _weights(A[mask], y[mask], A.shape[1] - len(offsets) if positive else 0)
-    off = y - A @ weights
-    return float(off[mask] @ off[mask]), off if mask.all() else off[~mask]
+    off = y[mask] - A[mask] @ weights
+    return float(off @ off), [each @ weights for each in rows]
 
 
 def _weights(A: Array, y: Array, positive: int) -> Array:
@@ -135,26 +159,5 @@ def _spans(dataset: Dataset) -> list[tuple[Record, float]]:
 _MODELS = {
     "play operator with gain": _one_play,
     f"Prandtl-Ishlinskii, {PLAYS} plays": _several_plays,
-    "LuGre": _lugre,
+    LUGRE: _lugre,
 }
-
-
-@compiled
-def in_proportion(tension: Array, K: float) -> Array:
-    """Return a tension after a play operator from T e^-K to T e^K, shape (n,)."""
-    out = tension.copy()
-    for i in range(1, len(tension)):
-        low, high = tension[i] * math.exp(-K), tension[i] * math.exp(K)
-        out[i] = min(max(out[i - 1], low), high)
-    return out
-
-
-@compiled
-def bristle(drive: Array, reach: Array) -> Array:
-    """Return LuGre's bristle deflection z over a drive, shape (n,); exact for steps of `drive`."""
-    z = np.zeros_like(drive)
-    for i in range(1, len(drive)):
-        step = drive[i] - drive[i - 1]
-        end = reach[i] if step > 0.0 else -reach[i]
-        z[i] = end + (z[i - 1] - end) * np.exp(-abs(step) / reach[i])
-    return z

@@ -2,8 +2,20 @@
 
 from collections.abc import Iterable
 
-from estimator.effects.effect import Effect, EffectContext, Parameter, Values, since
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.effects.effect import (
+    DISTAL_TENSION,
+    Effect,
+    EffectContext,
+    Parameter,
+    Values,
+    since,
+)
 from estimator.lumped.lumped_model import Physics
+from estimator.lumped.nodes import EDGES, PLACES
+from estimator.lumped.play_spectrum import ONE_PLAY, spectrum_of
 
 ONSETS = 16
 
@@ -133,6 +145,71 @@ PRESLIDING_STIFF = Effect(
     where="the same stiffness at any tension",
 )
 
+# Thresholds over K are where the chain has nodes: between them a play would be a mean of two.
+_SPREAD_K, _PLAYS_K = 30, 32  # the node of K; the last, of 2 K and of 1.75 K
+_SPREAD = PLACES / PLACES[_SPREAD_K]
+_PLAYS = PLACES[[_PLAYS_K, 15, 25, 37, 40]] / PLACES[_PLAYS_K]
+
+
+def _triangle(low: float, high: float) -> Array:
+    """Return weights of the thresholds of a spread, of sum 1, highest between two of them."""
+    middle = 0.5 * (low + high)
+    weights = np.interp(_SPREAD, [low, middle, high], [0.0, 1.0, 0.0]) * np.diff(EDGES)
+    return np.asarray(weights / weights.sum())
+
+
+_EARLY, _LATE = _triangle(0.0, 1.0), _triangle(1.0, float(_SPREAD[-1]))
+_AT_K = np.eye(len(_SPREAD))[_SPREAD_K]
+
+
+def _spread(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+    early, late = values
+    if early == late == 0.0:
+        return physics._replace(spectrum=ONE_PLAY)
+    weights = _AT_K + early * _EARLY + late * _LATE
+    return physics._replace(spectrum=spectrum_of(_SPREAD, weights))
+
+
+def _plays(physics: Physics, values: Values, _context: EffectContext) -> Physics:
+    if not any(values):
+        return physics._replace(spectrum=ONE_PLAY)
+    return physics._replace(spectrum=spectrum_of(_PLAYS, np.array([1.0, *values])))
+
+
+DISTRIBUTED_PLAY = Effect(
+    name="distributed_play",
+    cause="contacts between tendon and sheath let go one after another, so that the force is "
+    "shared by plays of many thresholds",
+    equation="T_out = (T(K) + early T(0..K) + late T(K..2K)) / (1 + early + late), where T(s) is "
+    "T_in after a play of threshold s, averaged over a triangle of thresholds",
+    parameters=(
+        Parameter("early", "of the force at K", 0.0, 50.0, 0.05),
+        Parameter("late", "of the force at K", 0.0, 50.0, 0.05),
+    ),
+    source="Prandtl-Ishlinskii: Kuhnen, Eur. J. Control 9, 2003; Iwan, J. Appl. Mech. 33, 1966",
+    advice="Nothing is broken: strands bear on the sheath unevenly; the model carries it.",
+    starts=lambda _: [(0.3, 0.0), (0.0, 0.3), (0.3, 0.3)],
+    physics=_spread,
+    where="spread about K",
+    needs=frozenset({DISTAL_TENSION}),
+)
+
+PLAY_SPECTRUM = Effect(
+    name=DISTRIBUTED_PLAY.name,
+    cause=DISTRIBUTED_PLAY.cause,
+    equation="T_out = (T(K) + w1 T(0.24 K) + w2 T(0.59 K) + w3 T(1.42 K) + w4 T(1.75 K)) over the "
+    "sum of the weights, where T(s) is T_in after a play of threshold s",
+    parameters=tuple(
+        Parameter(f"w{j}", "of the force at K", 0.0, 50.0, 0.05) for j in range(1, len(_PLAYS))
+    ),
+    source=DISTRIBUTED_PLAY.source,
+    advice=DISTRIBUTED_PLAY.advice,
+    starts=lambda _: [(0.1, 0.1, 0.1, 0.1), (0.2, 0.2, 0.0, 0.0), (0.0, 0.0, 0.2, 0.2)],
+    physics=_plays,
+    where="a weight for each of five plays",
+    needs=DISTRIBUTED_PLAY.needs,
+)
+
 DIRECTION_ASYMMETRY = Effect(
     name="direction_asymmetry",
     cause="friction towards the tip differs from friction towards the housing",
@@ -195,6 +272,8 @@ EFFECTS = (
     STRIBECK_LATE,
     PRESLIDING,
     PRESLIDING_STIFF,
+    DISTRIBUTED_PLAY,
+    PLAY_SPECTRUM,
     DIRECTION_ASYMMETRY,
     TENSION_DEPENDENT_POWER,
     TENSION_DEPENDENT_LINEAR,

@@ -26,6 +26,7 @@ from estimator.lumped.nodes import (
     take_hold,
     tip_travel,
 )
+from estimator.lumped.play_spectrum import ONE_PLAY, on_nodes
 from estimator.lumped.presliding_solver import settle
 from estimator.lumped.stick_slip_solver import ROWS, slide
 
@@ -56,6 +57,7 @@ class Physics(NamedTuple):
     rise: float = 0.0  # [1/N] friction times 1 + rise T
     presliding: float = 0.0  # [m] that a contact gives before it slides
     presliding_tension: float = 0.0  # [N] at which it gives that much; 0: at any
+    spectrum: Array = ONE_PLAY  # plays that share the force: threshold over K, share; (plays, 2)
     toe: float = 0.0  # [m] that the tendon stretches more at once, while strands bed in
     toe_tension: float = 2.0  # [N] over which it does
     creep: float = 0.0  # share of the elongation that comes late
@@ -102,12 +104,14 @@ class _Holder(NamedTuple):
     stiffness: float
 
 
-_SCALARS = 27  # before the arrays in what `constants_of` returns
+_SCALARS = 28  # before the arrays in what `constants_of` returns
 VISCOSITY, STRIBECK = 1, 2  # among them
-CONSTANTS = _SCALARS + 3 * NODES - 1
+CONSTANTS = _SCALARS + 4 * NODES - 1
+LAST_SHARE = CONSTANTS - 1  # of the tip's force, that its own node has
 
 # Where the parts of a state begin: of each node, of the ends, of each contact
 LENGTHS, _CREPT, _ENDS = NODES, 2 * NODES, 3 * NODES
+TIP = _ENDS  # where the tip's own node is [m]
 _Q, _V, _A, _LOAD, _DRIVEN = range(_ENDS, _ENDS + 5)
 _SLIDING = _ENDS + 5
 _SPEED, _RESTED = _SLIDING + NODES - 1, _SLIDING + 2 * (NODES - 1)
@@ -130,6 +134,7 @@ class _Line(NamedTuple):
     weights: Array  # [m/N] of each node
     even: Array  # shares of the whole
     spread: Array  # speed over each contact for that of the motor, while all slides
+    shares: Array  # of the force at the tip, of each node
 
 
 def by_travel(physics: Physics, time: Array, travel: Array, speed: Array) -> Motion:
@@ -157,6 +162,7 @@ def by_tension(physics: Physics, time: Array, tension: Array, rate: Array) -> Mo
 def constants_of(physics: Physics) -> Array:
     """Return what `advance` needs to know of a tendon, as one flat array."""
     p = physics
+    plays = on_nodes(p.spectrum, p.weights)
     law = FrictionLaw(
         p.drag,
         p.viscosity,
@@ -178,11 +184,13 @@ def constants_of(physics: Physics) -> Array:
         p.creep_time,
         p.compression,
         p.threshold,
+        plays.depth,
     )
     stiffness = min(p.load_stiffness, _STIFF)
     holder = _Holder(p.tip_compliance, p.mass, p.damping, p.load_low, p.load_high, stiffness)
     scalars = np.array([*law, *holder])
-    return _packed(scalars, p.tip_compliance, p.weights * p.compliance, float(p.friction[0]))
+    weights, K = plays.weights * p.compliance, plays.depth * float(p.friction[0])
+    return _packed(scalars, p.tip_compliance, weights, K, plays.shares)
 
 
 class Drivable:
@@ -277,14 +285,17 @@ def _spread(weights: Array, K: float, compliance: float) -> Array:
 
 
 @compiled
-def _packed(scalars: Array, compliance: float, weights: Array, friction: float) -> Array:
+def _packed(
+    scalars: Array, compliance: float, weights: Array, friction: float, shares: Array
+) -> Array:
     """Return a `_Line` as one flat array; `scalars` are those of its law and its holder."""
     total = weights.sum()
     row = np.empty(CONSTANTS)
     row[: _SCALARS - 1], row[_SCALARS - 1] = scalars, total + compliance
     rest = row[_SCALARS:]
     rest[:NODES], rest[NODES : 2 * NODES] = weights, weights / total
-    rest[2 * NODES :] = _spread(weights, friction, compliance)
+    rest[2 * NODES : -NODES] = _spread(weights, friction, compliance)
+    rest[-NODES:] = shares
     return row
 
 
@@ -294,11 +305,20 @@ def _line(constants: Array) -> _Line:
     c, last = constants, NODES - 1
     law = FrictionLaw(
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9],
-        c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19],
+        c[10], c[11], c[12], c[13], c[14], c[15], c[16], c[17], c[18], c[19], c[20],
     )  # fmt: skip
-    holder = _Holder(c[20], c[21], c[22], c[23], c[24], c[25])
+    holder = _Holder(c[21], c[22], c[23], c[24], c[25], c[26])
     weights, rest = constants[_SCALARS : _SCALARS + NODES], constants[_SCALARS + NODES :]
-    return _Line(law, holder, c[26], weights, rest[:NODES], rest[NODES : NODES + last])
+    spread, shares = rest[NODES : NODES + last], rest[NODES + last :]
+    return _Line(law, holder, c[27], weights, rest[:NODES], spread, shares)
+
+
+@compiled_in_caller
+def _tied(line: _Line) -> Array:
+    """Return what the tip pulls at by each node but its own [m/N]: its share of the force there."""
+    tied = line.holder.compliance * line.shares
+    tied[NODES - 1] = 0.0
+    return tied
 
 
 @compiled
@@ -312,10 +332,10 @@ def start(constants: Array, tension: float, stretch: float, offset: float) -> Ar
     state[:NODES] = tension
     kept = line.even * stretch
     none = np.empty(0)
-    tendon = Tendon(line.law, none, none, 0.0, line.weights, 1.0, kept)
+    tendon = Tendon(line.law, none, none, 0.0, line.weights, 1.0, kept, _tied(line))
     for j in range(NODES):
         state[LENGTHS + j] = elongation(tendon, j, tension)[0] + kept[j]
-    state[_Q] = line.holder.compliance * tension + offset
+    state[_Q] = line.holder.compliance * line.shares[NODES - 1] * tension + offset
     state[_DRIVEN] = math.nan
     state[_RESTED:] = 1.0
     return state
@@ -342,7 +362,9 @@ def advance(
     smallest : float
         Share of a sample in which what has no balance yet is tried again; 1 for once only.
     """
-    law, holder, softness, weights, even, spread = _line(constants)
+    line = _line(constants)
+    law, holder, softness, weights, even, spread, shares = line
+    tied, own = _tied(line), shares[NODES - 1]
     out = np.empty((len(samples), 5))
     speeds_known = len(speeds) > 0
     late = law.stribeck != 0.0 and law.stribeck_memory > 0.0
@@ -355,11 +377,15 @@ def advance(
     q, v, a, load, before = memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN]
     for i in range(len(samples)):
         dt, friction, stretch = samples[i, DT], samples[i, FRICTION], samples[i, STRETCH]
-        compliance, target, rate = samples[i, COMPLIANCE], samples[i, TARGET], samples[i, SPEED]
+        compliance, target, rate = (
+            own * samples[i, COMPLIANCE],
+            samples[i, TARGET],
+            samples[i, SPEED],
+        )
         gain = -math.expm1(-dt / law.creep_time) if law.creep != 0.0 else 0.0
         kept = crept * (1.0 - gain) + even * stretch
         scale = 1.0 + law.creep * gain
-        tendon = Tendon(law, half, drag, dt, weights, scale, kept)
+        tendon = Tendon(law, half, drag, dt, weights, scale, kept, tied)
         tip = _tip_of(holder, compliance, samples[i, OFFSET], dt, q, v, a, load)
         if law.stribeck != 0.0 and not late:
             speed[:] = speeds if speeds_known else spread * (rate * softness if forced else rate)
@@ -385,11 +411,19 @@ def advance(
         q, before = new, target
         if gain > 0.0:
             crept *= 1.0 - gain
-            crept += law.creep * gain / scale * (lengths - kept)
-        out[i, 0], out[i, 1] = after[0], after[NODES - 1]
-        out[i, 2], out[i, 3], out[i, 4] = lengths.sum() + q, q, reach
+            crept += law.creep * gain / scale * (lengths - kept - tied * state)
+        out[i, 0], out[i, 1] = after[0], _dot(shares, after)
+        out[i, 2], out[i, 3], out[i, 4] = lengths.sum() + q, q + _dot(tied, after), reach
     memory[_Q], memory[_V], memory[_A], memory[_LOAD], memory[_DRIVEN] = q, v, a, load, before
     return out
+
+
+@compiled_in_caller
+def _dot(a: Array, b: Array) -> float:
+    total = 0.0
+    for j in range(len(a)):
+        total += a[j] * b[j]
+    return total
 
 
 @compiled_in_caller
@@ -447,7 +481,10 @@ def _slide_by_parts(
     gone[:] = 0.0
     while done < 1.0:
         goal = begin + (done + share) * (target - begin)
-        part = Tendon(law, half, drag, share * tendon.dt, tendon.weights, tendon.scale, tendon.kept)
+        part = Tendon(
+            law, half, drag, share * tendon.dt, tendon.weights, tendon.scale, tendon.kept,
+            tendon.tied,
+        )  # fmt: skip
         ended, reach = slide(part, tip, state, lengths, goal, forced, after, sliding, slid, work)
         if not ended:  # in circles: from rest, and if need be by a smaller step
             sliding[:] = 0.0

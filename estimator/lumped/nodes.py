@@ -50,6 +50,7 @@ class FrictionLaw(NamedTuple):
     creep_time: float
     compression: float
     threshold: float
+    depth: float  # friction coordinate of the last node, over K
 
 
 class Tip(NamedTuple):
@@ -75,6 +76,7 @@ class Tendon(NamedTuple):
     weights: Array  # [m/N] of each node
     scale: float  # of the elongation, by what creeps within the sample
     kept: Array  # [m] that each node's share is longer, whatever its tension
+    tied: Array  # [m/N] of the tip's load that each node but the last carries
 
 
 def even_weights() -> Array:
@@ -119,7 +121,7 @@ def fill_contacts(
             share *= 1.0 + law.stribeck * math.exp(-x * x)
         if law.static != 0.0:
             share *= 1.0 + law.static * rested[j]
-        ds = K * (PLACES[j + 1] - PLACES[j])
+        ds = K * law.depth * (PLACES[j + 1] - PLACES[j])
         half[j] = min(0.5 * ds * share, _STEEPEST / max(1.0, law.asymmetry))
         drag[j] = 2.0 * half[j] * law.drag
 
@@ -135,7 +137,10 @@ def take_hold(law: FrictionLaw, dt: float, slid: Array, rested: Array) -> None:
 
 @compiled
 def elongation(tendon: Tendon, j: int, tension: float) -> tuple[float, float]:
-    """Return the elongation [m] of a node's share of the tendon, and its slope [m/N]."""
+    """Return the elongation [m] of a node's share of the tendon, and its slope [m/N].
+
+    With what the tip gives under its part of the force there.
+    """
     law, weight = tendon.law, tendon.weights[j]
     e, slope = weight * tension, weight
     if law.toe != 0.0:
@@ -145,4 +150,5 @@ def elongation(tendon: Tendon, j: int, tension: float) -> tuple[float, float]:
     if j == 0 and law.compression != 0.0 and tension > law.threshold:
         e += law.compression * (tension - law.threshold) ** 2
         slope += 2.0 * law.compression * (tension - law.threshold)
-    return tendon.scale * e, tendon.scale * slope
+    tied = tendon.tied[j]
+    return tendon.scale * e + tied * tension, tendon.scale * slope + tied

@@ -84,7 +84,7 @@ def slide(
 def _linearise_at_rest(tendon: Tendon, lengths: Array, springs: _Springs) -> None:
     """Fill in the springs of a tendon whose elasticity is linear."""
     for j in range(len(lengths)):
-        springs.slope[j] = tendon.scale * tendon.weights[j]
+        springs.slope[j] = tendon.scale * tendon.weights[j] + tendon.tied[j]
         springs.stiff[j] = 1.0 / springs.slope[j]
         springs.zero[j] = (lengths[j] - tendon.kept[j]) * springs.stiff[j]
 

@@ -121,7 +121,7 @@ def push(constants: DynamicConstants, state: DynamicState, T: float, q: float, d
         closed = longer + state.tip_compliance * change
         state.travel += -math.expm1(-dt / CLOSED_OVER) * (closed - state.travel)
     state.tension, state.elongation = change, longer
-    _learn(constants, state, T > 0.0 and has_travel, q - elongation, T_out, q_d, dt)
+    _learn(constants, state, T > 0.0 and has_travel, q - elongation, T_out, dt)
 
 
 @compiled
@@ -148,10 +148,9 @@ def _learn(
     taut: bool,
     q: float,
     T: float,
-    at: float,
     dt: float,
 ) -> None:
-    """Note that the tip is measured at `q` under `T` [N]; what it pulls at leaves it `at` [m]."""
+    """Note that the tip is measured at `q` [m] under `T` [N], and let its own node stay there."""
     if taut and state.learns and abs(q - state.quick_displacement) < JUMP:
         quick, slow = -math.expm1(-dt / QUICK), -math.expm1(-dt / SLOW)
         state.quick_displacement += quick * (q - state.quick_displacement)
@@ -170,7 +169,9 @@ def _learn(
             state.sum_tension_squared + PRIOR_WEIGHT
         )
         state.tip_compliance = min(max(learnt, 0.0), SOFTEST)
-        state.tip_offset = at - state.tip_compliance * T
+        by_own = constants.with_effects[lumped_model.LAST_SHARE] * state.with_effects[NODES - 1]
+        at = state.with_effects[lumped_model.TIP]
+        state.tip_offset = at - state.tip_compliance * by_own
     elif taut:
         state.quick_displacement = state.slow_displacement = q
         state.quick_tension = state.slow_tension = T

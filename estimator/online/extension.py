@@ -46,6 +46,7 @@ _BESIDE = (
     "rise",
     "presliding",
     "presliding_tension",
+    "spectrum",
     "toe",
     "toe_tension",
     "creep",

@@ -2,7 +2,9 @@
 
 What counts is the share of a channel's span that is left; the angle counts as much as the two
 tensions together. A joint with friction rests anywhere in a band when its sensor is zeroed, so that
-each record has a neutral angle of its own; one that was not fitted is predicted with their mean.
+each record has a neutral angle of its own. One that was not fitted is predicted with that between
+its neighbours in bend, since a bend pulls at the two tendons unequally; outside of the bends that
+were fitted, with their mean.
 """
 
 from collections.abc import Sequence
@@ -65,10 +67,20 @@ class PairFit(NamedTuple):
     """A fitted pair."""
 
     law: PairVariant
-    model: PairModel  # for any record: its neutral angle is the mean of theirs
-    neutrals: tuple[float, ...]  # of the records fitted [rad]
+    model: PairModel  # its neutral angle is the mean of the records'
+    bends: tuple[float, ...]  # of the records fitted [rad]
+    neutrals: tuple[float, ...]  # of each [rad]
     frictions: tuple[float, ...]  # K of each
     friction_errors: tuple[float, ...]  # their standard uncertainties; NaN where K was not free
+
+    def at(self, bend: float) -> PairModel:
+        """Return the model at a bend [rad]: its neutral angle between those of its neighbours."""
+        bends, which = np.unique(self.bends, return_inverse=True)
+        each = np.bincount(which, self.neutrals) / np.bincount(which)
+        mean = self.model.neutral
+        return self.model._replace(
+            neutral=float(np.interp(bend, bends, each, left=mean, right=mean))
+        )
 
 
 def fit(
@@ -125,6 +137,7 @@ def fit(
     return PairFit(
         law,
         each[0]._replace(neutral=neutral),
+        tuple(record.bend for record in records),
         tuple(m.neutral for m in each),
         frictions,
         tuple(map(float, errors)),

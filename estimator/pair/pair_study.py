@@ -9,6 +9,7 @@ from scipy.stats import t as student
 from estimator.array_types import Array
 from estimator.pair.pair import PairModel, PairRecord
 from estimator.pair.pair_fit import PairError, PairFit, PairVariant, angle_of, check, fit
+from estimator.pair.simple_pair_models import simple_predictors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +44,7 @@ class Validation(NamedTuple):
 
     bend: float  # [rad]
     ours: HeldOutError
-    baseline: HeldOutError  # a fixed share of the command, by the records that were fitted
+    baselines: dict[str, HeldOutError]  # by method, of the records that were fitted
 
 
 class PairStudy(NamedTuple):
@@ -79,6 +80,13 @@ class PairStudy(NamedTuple):
 
         drawn = [(one.figure, one.caption) for one in figures.figures(self)]
         return html_report(report_text.sentence(self), report_text.tables(self), drawn)
+
+    @property
+    def best_simple(self) -> str:
+        """The method that knows no tendon and is off least, by the mean of held-out shares."""
+        laws = {law.value for law in PairVariant}
+        simple = [method for method in self.left_out if method not in laws]
+        return min(simple, key=lambda method: mean_share(self.left_out[method]))
 
 
 def quiet(_what: str, _share: float) -> None:
@@ -145,13 +153,14 @@ def study(records: Sequence[PairRecord], report: Report = quiet) -> PairStudy:
             rest = [record for j, record in enumerate(records) if j != i]
             others[law].append(fit(rest, law, whole[law].model))
         left_out[law.value] = tuple(
-            error_of(angle_of(one.model, record, law), record)
+            error_of(angle_of(one.at(record.bend), record, law), record)
             for one, record in zip(others[law], records, strict=True)
         )
     next_step("fitting a K for each")
     full = whole[PairVariant.FULL]
     free = fit(records, PairVariant.FULL, full.model, each_friction=True)
-    models = [one.model for one in others[PairVariant.FULL]]
+    without = others[PairVariant.FULL]
+    models = [one.at(record.bend) for one, record in zip(without, records, strict=True)]
     return PairStudy(
         tuple(records),
         full,
@@ -167,28 +176,37 @@ def study(records: Sequence[PairRecord], report: Report = quiet) -> PairStudy:
 
 
 def baselines(records: Sequence[PairRecord]) -> dict[str, tuple[HeldOutError, ...]]:
-    """Return the errors of predictions without a model of the pair."""
-    shares = [_share([other for other in records if other is not left]) for left in records]
-    return {
-        COMMAND: tuple(error_of(record.command, record) for record in records),
-        SHARE: tuple(
-            error_of(share * record.command, record)
-            for share, record in zip(shares, records, strict=True)
-        ),
-    }
+    """Return the errors of predictions without a model of the pair, each record left out once."""
+    found: dict[str, list[HeldOutError]] = {}
+    for left in records:
+        errors = _by_baselines([other for other in records if other is not left], left)
+        for method, error in errors.items():
+            found.setdefault(method, []).append(error)
+    return {method: tuple(errors) for method, errors in found.items()}
+
+
+def _by_baselines(records: Sequence[PairRecord], other: PairRecord) -> dict[str, HeldOutError]:
+    """Return the errors of one record by what is fitted to others without a model of the pair."""
+    angles = {COMMAND: other.command, SHARE: _share(records) * other.command}
+    angles |= {name: predict(other) for name, predict in simple_predictors(records).items()}
+    return {method: error_of(angle, other) for method, angle in angles.items()}
 
 
 def _validated(found: PairStudy, records: Sequence[PairRecord]) -> tuple[Validation, ...]:
     """Return the errors of further records, predicted from their command and bend."""
-    share = _share(found.records)
     return tuple(
         Validation(
             record.bend,
-            error_of(angle_of(found.fit.model, record, PairVariant.FULL), record),
-            error_of(share * record.command, record),
+            error_of(angle_of(found.fit.at(record.bend), record, PairVariant.FULL), record),
+            _by_baselines(found.records, record),
         )
         for record in records
     )
+
+
+def mean_share(errors: Sequence[HeldOutError]) -> float:
+    """Return the mean of errors as shares of the span."""
+    return float(np.mean([error.share for error in errors]))
 
 
 def error_of(angle: Array, record: PairRecord) -> HeldOutError:

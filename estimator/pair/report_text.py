@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.pair.pair_fit import PairVariant
 from estimator.pair.pair_structure import offset_share, structure
-from estimator.pair.pair_study import SHARE, HeldOutError, Number, PairStudy, Validation
+from estimator.pair.pair_study import HeldOutError, Number, PairStudy, Validation, mean_share
 from estimator.text_table import Table
 
 OURS = PairVariant.FULL.value
@@ -20,9 +20,21 @@ def sentence(found: PairStudy) -> str:
         f"K grows by {within(found.growth)} per radian of bend, from {found.friction.value:.2f} at "
         f"none; bends that were not fitted are predicted within {share:.1%} of the angle's span "
         f"({degrees(mean_rmse(found.left_out[OURS]))}), where one K for all leaves "
-        f"{mean_share(found.left_out[PairVariant.ONE_K.value]):.1%} and {SHARE} "
-        f"{mean_share(found.left_out[SHARE]):.1%}."
+        f"{mean_share(found.left_out[PairVariant.ONE_K.value]):.1%} and the best model without "
+        f"tendons ({found.best_simple}) {mean_share(found.left_out[found.best_simple]):.1%}."
     )
+
+
+def better_model(found: PairStudy) -> list[str]:
+    """Return a warning if a model without tendons predicts bends that were not fitted better."""
+    simple, ours = (mean_share(found.left_out[name]) for name in (found.best_simple, OURS))
+    if simple >= ours:
+        return []
+    return [
+        f"WARNING: {found.best_simple} predicts bends that were not fitted better than this model, "
+        f"{simple:.1%} against {ours:.1%} of the span; check the zero of the angle in each file, "
+        "and add bends between those that were measured."
+    ]
 
 
 def frictions(found: PairStudy) -> Table:
@@ -55,7 +67,7 @@ def parameters(found: PairStudy) -> Table:
         ("bedding", f"{model.bedding:.1f} N", "tendons are soft at small tensions"),
         ("stiffness", f"{model.stiffness * degree:.3f} N/deg", "of the joint"),
         ("joint friction", f"{model.joint_friction:.2f} N", "between the tendons' tips"),
-        ("neutral angle", degrees(model.neutral), "mean of the records"),
+        ("neutral angle", degrees(model.neutral), "mean; between two bends it is interpolated"),
     )
     return Table(("parameter", "value", "what it is"), rows)
 
@@ -86,11 +98,12 @@ def validation(kept: tuple[Validation, ...]) -> Table:
             degrees(one.bend, 0),
             f"{degrees(one.ours.rmse)} {one.ours.share:.1%}",
             f"{one.ours.zeroed:.1%}",
-            f"{degrees(one.baseline.rmse)} {one.baseline.share:.1%}",
+            *(f"{degrees(e.rmse)} {e.share:.1%}" for e in one.baselines.values()),
         )
         for one in kept
     )
-    return Table(("bend kept apart", "predicted by the model", "its zero known", SHARE), rows)
+    head = ("bend kept apart", "predicted by the model", "its zero known", *kept[0].baselines)
+    return Table(head, rows)
 
 
 def parts(found: PairStudy) -> Table:
@@ -139,7 +152,8 @@ def tables(found: PairStudy) -> list[Table]:
 
 def format_report(found: PairStudy) -> str:
     """Return the report for a terminal."""
-    pieces = [sentence(found), *(table.markdown() for table in tables(found))]
+    said = "\n".join([sentence(found), *better_model(found)])
+    pieces = [said, *(table.markdown() for table in tables(found))]
     pieces.append("What is wrong:\n" + "\n".join(f"- {line}" for line in wrong(found)))
     return "\n\n".join(pieces)
 
@@ -152,11 +166,6 @@ def within(number: Number) -> str:
 def degrees(angle: float, digits: int = 1) -> str:
     """Return an angle [rad] as text."""
     return f"{math.degrees(angle):.{digits}f}°"
-
-
-def mean_share(errors: tuple[HeldOutError, ...]) -> float:
-    """Return the mean of errors as shares of the span."""
-    return float(np.mean([error.share for error in errors]))
 
 
 def mean_rmse(errors: tuple[HeldOutError, ...]) -> float:

@@ -25,11 +25,16 @@ def render(
     names = file_tables.names_of(found, files, further)
     page = Page(report_text.sentence(found))
     page.text(f"Data: {', '.join(files)}.")
+    for what in report_text.better_models(found):
+        page.text(f"WARNING: {what}")
     page.heading("Next steps")
     page.points(report_text.next_steps(found))
     if found.steps:
         page.heading("Gain")
         page.table(report_text.gains(found), mark="")
+    page.heading("Beside models that know no sheath")
+    page.table(report_text.models(found), mark="")
+    page.table(report_text.over_simple(found), mark="")
     page.heading("Parameters of the model")
     page.table(report_text.parameters(found), mark="")
     for table in (report_text.laws(found), report_text.loads(found)):

@@ -66,6 +66,8 @@ def tree(
             for name, one in zip(names, found.forces, strict=False)
         ],
         "rivals": _rivals(found),
+        "simple_gain": {channel: gain._asdict() for channel, gain in found.simple_gain.items()},
+        "better_models": report_text.better_models(found),
         "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
         "noise": dict(found.noise),
         "driver": {

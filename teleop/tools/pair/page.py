@@ -12,6 +12,8 @@ from teleop.tools.report.page import Page
 def render(found: PairStudy) -> str:
     """Return the page."""
     page = Page(report_text.sentence(found))
+    for what in report_text.better_model(found):
+        page.text(what)
     page.heading("Friction against bend")
     page.table(report_text.frictions(found), mark="")
     with TemporaryDirectory() as folder:

@@ -18,6 +18,8 @@ def tree(found: PairStudy, seconds: float) -> dict[str, Any]:
         "growth": found.growth._asdict(),
         "model": {name: float(value) for name, value in found.fit.model._asdict().items()},
         "neutral": list(found.fit.neutrals),
+        "best_simple": found.best_simple,
+        "better_model": report_text.better_model(found),
         "left_out": {
             method: [error._asdict() for error in errors]
             for method, errors in found.left_out.items()
@@ -26,7 +28,7 @@ def tree(found: PairStudy, seconds: float) -> dict[str, Any]:
             {
                 "bend": one.bend,
                 "ours": one.ours._asdict(),
-                "baseline": one.baseline._asdict(),
+                "baselines": {name: e._asdict() for name, e in one.baselines.items()},
             }
             for one in found.validation
         ],

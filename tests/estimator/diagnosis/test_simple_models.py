@@ -85,6 +85,8 @@ def test_on_a_clean_bench_the_law_is_better_than_any(bench):
     made = hidden.make(71, (), bench=bench, duration=40.0, rate=50.0)
     found = diagnose([prepare(made.time, dict(made.channels))], ())
     assert report_text.better_models(found) == []
+    for channel in ("proximal_tension", "distal_tension"):
+        assert found.simple_gain[channel].low > 0.5
     for one in found.simple_models:
         for channel in ("proximal_tension", "distal_tension"):
             assert one.rmse[channel] > 5.0 * found.before.held_out[channel].rmse
@@ -96,5 +98,13 @@ def test_a_model_that_beats_the_law_is_named():
     found = diagnose([prepare(np.arange(len(T_in)) * 0.01, signals)], ())
     (said,) = report_text.better_models(found)
     assert said.startswith("tension at the tip: ")
-    assert "fits better than the law" in said
-    assert "the plain law" in report_text.summary(found)
+    assert "play operator with gain predicts it better than this model" in said
+    assert "--effects distributed_play" in said
+    gain = found.simple_gain["distal_tension"]
+    simple = next(one for one in found.simple_models if one.name == gain.model)
+    law = found.after.held_out["distal_tension"]
+    assert gain.high < 0.0
+    assert gain.value == pytest.approx(1.0 - law.rmse / simple.rmse["distal_tension"], rel=1e-6)
+    text = report_text.summary(found)
+    assert f"WARNING: {said}" in text.splitlines()
+    assert "the plain law" in text

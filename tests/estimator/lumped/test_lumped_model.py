@@ -6,12 +6,14 @@ import pytest
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import batch, slack_profile, tables
 from estimator.lumped.lumped_model import Physics, by_tension, by_travel
-from estimator.lumped.nodes import EDGES, even_weights
-from tests.brute.chain import Chain, Position, Spring
+from estimator.lumped.nodes import EDGES, PLACES, even_weights
+from tests.brute.chain import Chain, Force, Position, Spring
 
 K, LENGTH, EA = 0.9, 1.5, 9e3
 SECTIONS = [(LENGTH, 0.15 * LENGTH / K)]
 TIME = np.arange(300) * 0.02
+THRESHOLDS = PLACES[[15, 25, 32, 37, 40]] / PLACES[32]  # over K, at nodes
+SPECTRUM = np.column_stack([THRESHOLDS, [0.2, 0.1, 0.4, 0.2, 0.1]])
 DEPTHS = (0.0, 1.0, 0.1, 0.9, 0.3, 0.7, 0.02, 1.0, 0.5)  # of the largest travel, in turn
 
 
@@ -105,6 +107,44 @@ def test_beads_agree_where_the_environment_moves_the_tip():
     assert np.abs(done.distal_tension - T_out).max() < 0.006 * T_in.max()
 
 
+def strands(T_in, softness):
+    """Return q_p and T_out of chains of beads side by side, each of its own friction.
+
+    Each carries its share of T_in, and pulls its share of the spring at the tip.
+    """
+    q_p, T_out = np.zeros_like(T_in), np.zeros_like(T_in)
+    tip = Position(0.0) if softness == 0.0 else Spring(1.0 / softness)
+    for threshold, share in SPECTRUM:
+        beads = Chain(SECTIONS, 0.15 * threshold, EA, beads=120)
+        for i, tension in enumerate(T_in):
+            beads.move(Force(float(tension)), tip)
+            q_p[i] += share * beads.travel[0]
+            T_out[i] += share * beads.T_out
+    return q_p, T_out
+
+
+@pytest.mark.parametrize("softness", [0.0, 4e-4])
+def test_strands_side_by_side_that_let_go_one_after_another_are_one_chain(softness):
+    turns = [0.0, 12.0, 3.0, 11.0, 5.0, 9.0, 1.5, 13.0, 6.0]
+    T_in = np.interp(TIME, np.linspace(0.0, TIME[-1], len(turns)), turns)
+    q_p, T_out = strands(T_in, softness)
+    spread = physics(spectrum=SPECTRUM, tip_compliance=softness)
+    forced = by_tension(spread, TIME, T_in, 0.0 * TIME)
+    driven = by_travel(spread, TIME, q_p - q_p[0], 0.0 * TIME)
+    assert np.abs(forced.distal_tension - T_out).max() < 0.002 * T_in.max()
+    assert np.abs(driven.distal_tension - T_out).max() < 0.004 * T_in.max()
+    assert np.abs(driven.proximal_tension - T_in).max() < 0.01 * T_in.max()
+    assert driven.distal_displacement == pytest.approx(softness * driven.distal_tension, abs=1e-12)
+    plain = by_tension(physics(tip_compliance=softness), TIME, T_in, 0.0 * TIME)
+    assert np.abs(plain.distal_tension - T_out).max() > 0.05 * T_in.max()
+
+
+def test_a_spectrum_of_one_play_is_the_law_bit_for_bit():
+    plain, one = simulated(nested(2e-3)), simulated(nested(2e-3), spectrum=np.array([[1.0, 1.0]]))
+    for a, b in zip(plain, one, strict=True):
+        assert np.array_equal(a, b)
+
+
 def test_a_fall_of_friction_relaxes_a_tendon_at_rest_and_a_rise_does_nothing():
     travel = np.minimum(TIME / 2.0, 1.0) * 2e-3
     friction = np.where(TIME < 4.0, K, 0.75 * K)
@@ -142,6 +182,7 @@ def test_samples_left_out_between_turns_change_nothing():
         {"rise": 0.01},
         {"presliding": 3e-5},
         {"presliding": 3e-5, "presliding_tension": 10.0},
+        {"spectrum": SPECTRUM},
         {"toe": 1e-4},
         {"compression": 1e-6, "threshold": 3.0},
         {"load_low": -0.4, "load_high": 0.4},

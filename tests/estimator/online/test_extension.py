@@ -8,6 +8,8 @@ import pytest
 from estimator.effects import CATALOGUE, NAMES
 from estimator.effects.effect import EffectContext
 from estimator.law.sheath import Sheath
+from estimator.lumped.lumped_model import Physics, by_tension
+from estimator.lumped.nodes import even_weights
 from estimator.online import online
 from estimator.online.extension import LEFT_OUT, Extension, Use, extended, true_at_tip, why_left_out
 from estimator.online.online import ModelError, Status, TendonEstimate, TendonModel
@@ -142,6 +144,35 @@ def test_what_the_tip_pulls_at_is_learnt_where_it_is_not_what_the_bench_had(kind
     plain, more = models(data.truth, "viscous_friction", softness)
     settled = data.time > 6.0
     assert force_error(more, data, settled) < 0.7 * force_error(plain, data, settled)
+
+
+@pytest.mark.parametrize("values", [(0.4, 0.7), (0.2, 0.1, 0.5, 0.3)])
+@pytest.mark.parametrize("softness", [0.0, 3e-4])
+def test_distributed_play_has_in_the_loop_the_numbers_of_the_diagnosis(values, softness):
+    """What it adds is that of nodes to 1e-9; the rest is the closed law, which they come near."""
+    one = next(
+        e for e in CATALOGUE if e.name == "distributed_play" and len(e.parameters) == len(values)
+    )
+    time = np.arange(1500) * 0.01
+    turns = np.random.default_rng(SEED).uniform(0.5, 12.0, 30)
+    T = np.minimum(np.interp(time, np.linspace(0.0, 15.0, 30), turns), 24.0 * time)
+    found = extended((0.7, 1e-4, softness), [(one, values)], 15.0, 1.5)
+    prepared = online.prepare(TendonModel(found.sheath, extension=found.extension))
+    plain = Physics(np.full(len(time), 0.7), 1e-4, even_weights(), softness)
+    nodes = [
+        by_tension(physics, time, T, np.abs(np.diff(T, prepend=0.0)) / 0.01)
+        for physics in (plain, one.physics(plain, values, None))
+    ]
+    q = nodes[1].proximal_displacement
+    state = online.initial(prepared)
+    for i in range(len(time)):
+        dt = 0.01 if i else 0.0
+        row, state = online.step(prepared, state, T[i], q[i], dt)
+        adds = nodes[1].distal_tension[i] - nodes[0].distal_tension[i]
+        assert state.dynamics.tension == pytest.approx(adds, abs=1e-9)
+        assert row.distal_tension == pytest.approx(nodes[1].distal_tension[i], abs=2e-3)
+        assert row.low <= row.distal_tension <= row.high
+    assert np.abs(nodes[1].distal_tension - nodes[0].distal_tension).max() > 0.5
 
 
 def test_friction_is_that_of_the_record_s_end():

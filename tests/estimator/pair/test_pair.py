@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from estimator.pair import pair_fit, pair_study
-from estimator.pair.pair import PairModel, by_command, by_tensions
+from estimator.pair.pair import PairModel, PairRecord, by_command, by_tensions
 from estimator.pair.pair_fit import PairError, PairVariant, fit
 from estimator.pair.pair_structure import offset_share, structure
+from estimator.pair.simple_pair_models import ONE_PLAY, simple_predictors
+from estimator.signals import played
 from tests.estimator.pair import pair_bench as bench
 
 BENDS = tuple(map(math.radians, (0.0, 110.0, 220.0)))
@@ -78,6 +80,37 @@ def test_each_record_has_a_zero_of_its_own(found):
     np.testing.assert_allclose(found.fit.neutrals, NEUTRALS, atol=0.01)
 
 
+def test_a_bend_between_others_has_a_zero_between_theirs(found):
+    low, middle = found.fit.neutrals[:2]
+    between = found.fit.at(0.5 * (BENDS[0] + BENDS[1])).neutral
+    assert between == pytest.approx(0.5 * (low + middle))
+    assert found.fit.at(BENDS[-1] + 1.0).neutral == pytest.approx(np.mean(found.fit.neutrals))
+
+
+def test_models_without_tendons_are_beside_it_on_the_same_bends(found):
+    plays = next(name for name in found.left_out if name.startswith("one play"))
+    assert {"Prandtl-Ishlinskii", "LuGre"} <= {
+        name.split(",")[0] for name in found.left_out if "linear in the bend" in name
+    }
+    assert found.best_simple in found.left_out
+    assert pair_study.mean_share(found.left_out[found.best_simple]) <= pair_study.mean_share(
+        found.left_out[plays]
+    )
+
+
+def test_one_play_whose_numbers_are_linear_in_the_bend_is_found():
+    time = np.linspace(0.0, 12.6, 200)
+    command = np.sin(time)
+
+    def made(bend):
+        angle = (0.9 - 0.1 * bend) * played(command, 0.1 + 0.1 * bend) + 0.02 * bend
+        return PairRecord(bend, time, command, angle, command, command)
+
+    predict = simple_predictors([made(0.0), made(1.0), made(3.0)])[ONE_PLAY]
+    left = made(2.0)
+    assert np.abs(predict(left) - left.angle).max() < 1e-3
+
+
 def test_a_bend_that_was_left_out_is_predicted_but_for_its_zero(found):
     assert all(error.zeroed < 0.08 for error in found.left_out[PairVariant.FULL.value])
     ours, one_K = (found.left_out[law.value][2] for law in (PairVariant.FULL, PairVariant.ONE_K))
@@ -88,7 +121,7 @@ def test_a_bend_that_was_left_out_is_predicted_but_for_its_zero(found):
 def test_a_further_bend_is_predicted(found):
     (error,) = found.validation
     assert error.ours.zeroed < 0.06
-    assert error.ours.share < 0.12 < error.baseline.share
+    assert error.ours.share < 0.12 < error.baselines[pair_study.SHARE].share
 
 
 def test_a_notebook_shows_a_study_with_its_figures(found):

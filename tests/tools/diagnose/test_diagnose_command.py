@@ -30,6 +30,8 @@ KEYS = {
     "gain": dict,
     "noise": dict,
     "simple_models": dict,
+    "simple_gain": dict,
+    "better_models": list,
     "driver": dict,
     "seconds": float,
     "version": str,

@@ -37,6 +37,12 @@ def test_bends_left_out_are_predicted(found):
     assert np.all(ours[:4] < 0.07)  # the last is the farthest, its zero is odd and its span least
     for baseline in (COMMAND, SHARE, PairVariant.ONE_K.value):
         assert ours.mean() < 0.3 * shares(found, baseline).mean()
+    for share in ("rmse", "share"):  # at most that of the best model without tendons
+        mean, simple = (
+            np.mean([getattr(error, share) for error in found.left_out[method]])
+            for method in (PairVariant.FULL.value, found.best_simple)
+        )
+        assert mean < simple
     assert np.all(np.array([e.zeroed for e in found.left_out[PairVariant.FULL.value]]) < 0.08)
 
 

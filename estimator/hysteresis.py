@@ -1,0 +1,29 @@
+"""Hysteresis operators over a record that know no tendon."""
+
+import math
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+
+
+@compiled
+def in_proportion(tension: Array, K: float) -> Array:
+    """Return a tension after a play operator from T e^-K to T e^K, shape (n,)."""
+    out = tension.copy()
+    for i in range(1, len(tension)):
+        low, high = tension[i] * math.exp(-K), tension[i] * math.exp(K)
+        out[i] = min(max(out[i - 1], low), high)
+    return out
+
+
+@compiled
+def bristle(drive: Array, reach: Array) -> Array:
+    """Return LuGre's bristle deflection z over a drive, shape (n,); exact for steps of `drive`."""
+    z = np.zeros_like(drive)
+    for i in range(1, len(drive)):
+        step = drive[i] - drive[i - 1]
+        end = reach[i] if step > 0.0 else -reach[i]
+        z[i] = end + (z[i - 1] - end) * np.exp(-abs(step) / reach[i])
+    return z
