@@ -2,7 +2,7 @@
 
 An axis with `travel` gives the position of the hand: x = travel * share. One with `speed` gives its
 velocity while the engage button is held: x' = speed * share. The velocity of the former is that of
-its position through a first-order filter, smoothing * v' = x' - v, in backward-Euler steps.
+its positions in an adaptive window of at most `smoothing` (`master.velocity`).
 
 Inputs not reported yet are unknown. An unknown input moves nothing, and until every assigned button
 and every axis with `travel` is known, the engage button counts as held: a session that starts, or
@@ -14,9 +14,12 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from estimator.records import Records
+from master import velocity as velocity_window
 from master.device import Axes, DeviceFault, HandState
 from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.driver import Controls, Driver, Share
+from master.velocity import VelocityWindow
 
 
 class Lane(NamedTuple):
@@ -38,7 +41,7 @@ class Plan(NamedTuple):
     lanes: tuple[Lane, ...]
     forces: int
     buttons: tuple[tuple[str, int], ...]  # name in `HandState`, and mask
-    smoothing: float  # [s]
+    smoothing: float  # [s] longest window of a velocity
 
 
 class MappingState(NamedTuple):
@@ -47,6 +50,7 @@ class MappingState(NamedTuple):
     position: Axes  # [m]
     velocity: Axes  # [m/s]
     known: tuple[bool, ...]  # whether the position was reported
+    windows: Records  # VelocityWindow, shape (joints,)
     knows: bool = False  # whether all needed inputs are known
 
 
@@ -114,7 +118,8 @@ def _knows(plan: Plan, controls: Controls, switches: Controls) -> bool:
 
 def start(joints: int) -> MappingState:
     """Return the initial state."""
-    return MappingState((0.0,) * joints, (0.0,) * joints, (False,) * joints)
+    windows = VelocityWindow.array(joints)
+    return MappingState((0.0,) * joints, (0.0,) * joints, (False,) * joints, windows)
 
 
 def step(
@@ -125,7 +130,7 @@ def step(
     knows = _knows(plan, controls, switches)
     driven = held["engage"] and not held.get("clutch", False)
     position, velocity = list(memory.position), [0.0] * plan.joints
-    known = [False] * plan.joints
+    known, windows = [False] * plan.joints, memory.windows.copy()
     for lane in plan.lanes:
         share, joint = controls.axes[lane.axis], lane.joint
         if lane.rate:
@@ -135,17 +140,17 @@ def step(
         elif not math.isnan(share):
             position[joint] = lane.scale * beyond(share, lane.dead_zone)
             known[joint] = True
-            if memory.known[joint]:
-                way = position[joint] - memory.position[joint]
-                was = memory.velocity[joint]
-                blend = plan.smoothing + dt
-                velocity[joint] = (plan.smoothing * was + way) / blend if blend > 0.0 else was
+            if not memory.known[joint]:
+                velocity_window.forget(windows[joint])
+            velocity[joint] = velocity_window.update(
+                windows[joint], position[joint], dt, plan.smoothing
+            )
     hand = HandState(
         position=tuple(position),
         velocity=tuple(velocity),
         **{**held, "engage": held["engage"] or not knows},
     )
-    return hand, MappingState(hand.position, hand.velocity, tuple(known), knows)
+    return hand, MappingState(hand.position, hand.velocity, tuple(known), windows, knows)
 
 
 def beyond(share: Share, dead_zone: float) -> Share:
