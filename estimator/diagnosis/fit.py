@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import (
@@ -188,6 +187,8 @@ def _descended(
     *,
     robust: bool = False,
 ) -> Fit:
+    from scipy.optimize import least_squares  # here: the control processes import this module
+
     low, high = layout.bounds()
     at_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.diagnosis.spikes import without_spikes
+from estimator.effects.effect import CHANNELS
 from slave.rig import RigFinished, RigSample
 from teleop.data.table import Columns, read_tables
 from teleop.messages import MAX_JOINTS
@@ -59,7 +60,10 @@ class ReplayedRig:
         self._bench_tension = _beside([one.distal_tension for one in clean])
         self._bench_displacement = _beside([one.distal_displacement for one in clean])
         self._spikes = sum(
-            int(np.isnan(signal).sum()) for one in clean for signal in one[1:] if signal is not None
+            int(np.isnan(signal).sum())
+            for one in clean
+            for name in CHANNELS
+            if (signal := getattr(one, name)) is not None
         )
         self._next = self._played = 0
         self._lap = 0.0  # [s] added to the rows' times, in a loop

@@ -23,7 +23,7 @@ from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, NAMES
 from tests import hidden
 
-NAMES_ASKED_FOR = 34
+NAMES_ASKED_FOR = 35
 TWO = ("proximal_tension", "distal_tension")
 
 # seed, what is hidden, where; test_diagnosis_matrix.py has all of them

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis.baseline import again, baseline
 from estimator.diagnosis.dataset import dataset_of, whole
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.fit import own_only
@@ -98,7 +98,9 @@ def by_model(first, second, *begin):
         (next(e for e in CATALOGUE if e.name == name and len(e.parameters) == len(v)), v)
         for name, v in begin
     )
-    fit = baseline(whole(dataset_of([first.record])), effects)
+    dataset = whole(dataset_of([first.record]))
+    plain = baseline(dataset)
+    fit = again(dataset, plain._replace(model=plain.model._replace(effects=effects)))
     there = own_only(dataset_of([second.record]), fit)
     return rms(there.simulated[0].signals["distal_tension"] - second.T_out)
 

@@ -21,8 +21,9 @@ def before_and_after(time, channels):
     dataset = dataset_of([record])
     plain = baseline(dataset)
     record = with_driver_noise(record, simulated_by(plain, dataset, record))
-    plain = again(dataset_of([record]), plain)
-    return record, with_hidden_motion(record, plain.model.shared, plain.model.own[0])
+    dataset = dataset_of([record])
+    model = again(dataset, plain).model
+    return record, with_hidden_motion(record, dataset.base, model.shared, model.own[0])
 
 
 def excess(record):

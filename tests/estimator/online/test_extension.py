@@ -11,7 +11,7 @@ from estimator.law.sheath import Sheath
 from estimator.lumped.lumped_model import Physics, by_tension
 from estimator.lumped.nodes import even_weights
 from estimator.online import online
-from estimator.online.extension import LEFT_OUT, Extension, Use, extended, true_at_tip, why_left_out
+from estimator.online.extension import LEFT_OUT, Extension, Use, extended, why_left_out
 from estimator.online.online import ModelError, Status, TendonEstimate, TendonModel
 from estimator.online.reading_correction import (
     MAX_CORRECTIONS,
@@ -19,6 +19,7 @@ from estimator.online.reading_correction import (
     correct,
     corrections_of,
 )
+from estimator.online.tip_reading import reading_of, reading_table
 from tests import hidden
 
 NOISE, STEP = 0.02, 1.2e-7  # [N], [m] of the hidden sensors
@@ -261,13 +262,13 @@ def test_the_shape_of_the_sheath_is_in_its_sections():
     assert 3 < len(gradual.sections) <= 16
 
 
-def test_what_a_cell_at_the_tip_reads_is_put_right_and_the_force_is_not_touched():
+def test_what_a_cell_at_the_tip_reads_does_not_touch_the_force():
     gain = effect("distal_tension_gain")
     found = extended((0.9, 1e-4, 0.0), [(gain, (0.05,))], 60.0, 1.0)
     assert found.extension is None
-    T = np.linspace(0.0, 9.0, 5)
-    true = true_at_tip(found, np.arange(5.0), "distal_tension", 1.05 * T)
-    assert true == pytest.approx(T)
+    table = reading_table([(gain, (0.05,))])
+    for tension in (0.0, 0.3, 9.0, 2000.0):
+        assert reading_of(table, tension) == pytest.approx(1.05 * tension)
 
 
 def test_several_effects_of_readings_are_undone_in_the_opposite_order():

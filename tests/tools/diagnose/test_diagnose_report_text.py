@@ -42,7 +42,8 @@ def test_a_named_cause_is_said_with_size_and_gain(found):
     assert (
         "because the load cell at the tip has a wrong gain (distal_tension_gain: gain 0.04" in said
     )
-    assert said.endswith("%).")
+    assert "%), to " in said
+    assert "% below that of the best simple model (" in said
     assert report_text.next_steps(found) == [f"{FAULT}: {found.steps[0].effect.advice}"]
 
 
@@ -115,7 +116,7 @@ def test_samples_that_are_kept_out_are_said_by_file(found):
         records=(type(record)(**vars(record) | {"troubles": (spikes,), "thinned": 5}),)
     )
     first, second = report_text.remarks(found._replace(dataset=odd), ["a.csv"])
-    assert first == "a.csv: 3 single-sample spikes (distal tension), the first at 1.25 s"
+    assert first == "a.csv: 3 single-sample spikes (tension at the tip), the first at 1.25 s"
     assert "each 5 samples were averaged" in second
 
 
