@@ -153,10 +153,11 @@ def read(path):
     return entities
 
 
-def save(messages, path, block=163, config=CONFIG):
+def save(messages, path, block=163, config=CONFIG, stretch=1.0):
     """Feed packed messages through the pipeline to a file, `block` of them at a time."""
     with Sink("rrd", config, "test", path, live=False) as sink:
         scene = Scene(config, sink.stream, sink.lay_out)
+        scene.stretch(stretch)
         for start in range(0, len(messages), block):
             scene.send(decode(messages[start : start + block]))
     return read(path)
