@@ -105,7 +105,8 @@ class Session:
             mode = State.READY if k < 400 else State.ENGAGED
             told = SlaveState(state=mode, joints=1, position=travel, force=force, **ends)
             self.add(STATE, told, stamp)
-            self.add(HAND, Hand(joints=1, force=padded((-k * 0.003,), MAX_JOINTS)), stamp)
+            hand = padded((-k * 0.003,), MAX_JOINTS)
+            self.add(HAND, Hand(state=mode, joints=1, force=hand), stamp)
             self.add(COMMAND, Command(position=padded((k * 1e-5,), MAX_JOINTS)), stamp)
             if k % 20 == 0:
                 for tendon in (0, 1):
