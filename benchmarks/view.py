@@ -2,6 +2,7 @@
 
   python benchmarks/view.py [SECONDS [ROUNDS]]     both parts; 8 s of each state, 3 rounds
   python benchmarks/view.py FILE.mcap              the second part, with a recording
+  python benchmarks/view.py CONFIG.yaml [SECONDS]  processor time and memory of a live view
 
 First one session runs while a viewer is, in turn, absent, there, stopped (SIGSTOP) and just killed,
 several times over; a recorder beside it tells the period of both loops and the way from command
@@ -52,6 +53,9 @@ def main(*words: str) -> None:
     if words and words[0].endswith(".mcap"):
         hour(Path(words[0]))
         return
+    if words and words[0].endswith(".yaml"):
+        processes(Path(words[0]), float(words[1]) if len(words) > 1 else 20.0)
+        return
     seconds, rounds = (*map(float, words), *(8.0, 3.0)[len(words) :])
     with tempfile.TemporaryDirectory(prefix="view-benchmark-") as folder:
         recording, spans = session(Path(folder), seconds, int(rounds))
@@ -100,8 +104,8 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
     return path, spans
 
 
-def wait_until_engaged(overrides: list[str]) -> None:
-    run = config.load(CONFIG, RunConfig, None, overrides)
+def wait_until_engaged(overrides: list[str], file: Path = CONFIG) -> None:
+    run = config.load(file, RunConfig, None, overrides)
     patience = time.monotonic() + ENGAGED_S
     with Link(run.link, run.session, Role.VIEWER) as link:
         listener = link.listen([STATE])
@@ -215,6 +219,52 @@ def looped(recording: Path, period_s: float) -> Iterator[tuple[float, dict[AnyTo
             for rows in batch.values():
                 rows["stamp_ns"] += round(turn * LOOPED_S * 1e9)
             yield turn * LOOPED_S + (k + 1) * period_s, batch
+
+
+def processes(file: Path, seconds: float) -> None:
+    """Print processor time and memory of the view that `teleop run` starts, and of its spare."""
+    shared = ["--config", str(file), "--set", "session=view-benchmark"]
+    for side in ("master", "slave"):
+        shared += ["--set", f"link.{side}=tcp/127.0.0.1:{free_port(0)}"]
+    command = [sys.executable, "-m", "teleop", "run", *shared, "--view", "web"]
+    with ExitStack() as stack:
+        launcher = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        stack.callback(end, launcher)
+        wait_until_engaged(shared[3::2], file)
+        time.sleep(5 * SETTLE_S)  # the periods settle
+        views = [pid for pid in children(launcher.pid) if b"\0view\0" in command_of(pid)]
+        programs = [pid for view in views for pid in children(view)]
+        before, begin = [processor_s(pid) for pid in (*views, *programs)], time.monotonic()
+        time.sleep(seconds)
+        passed = time.monotonic() - begin
+        load = os.getloadavg()[0]
+        print(f"{file.name}, {seconds:g} s, load {load:.1f}: share of a core, resident and own MB")
+        for pid, earlier in zip((*views, *programs), before, strict=True):
+            name = "viewer program" if pid in programs else "view" if children(pid) else "its spare"
+            share = (processor_s(pid) - earlier) / passed
+            print(f"{name:14} {share:5.2f} {memory_mb(pid):6.0f} {own_memory_mb(pid):6.0f}")
+
+
+def children(parent: int) -> list[int]:
+    """Return the process ids of a process's children."""
+    files = Path(f"/proc/{parent}/task").glob("*/children")
+    return [int(pid) for file in files for pid in file.read_text().split()]
+
+
+def command_of(pid: int) -> bytes:
+    return Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
+def processor_s(pid: int) -> float:
+    """Return the processor time that a process has used [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def own_memory_mb(pid: int) -> float:
+    """Return the memory that a process shares with no other [MB]."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    return sum(int(line.split()[1]) for line in lines if line.startswith("Private_")) / 1e3
 
 
 def memory_mb(pid: int) -> float:

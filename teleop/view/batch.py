@@ -47,6 +47,17 @@ def thinned(rows: Rows, rate_hz: float) -> Rows:
     return kept
 
 
+class Thinning:
+    """Downsamples rows; to lower rates while drawing would take too much processor time."""
+
+    def __init__(self) -> None:
+        self.stretch = 1.0  # factor of all periods
+
+    def __call__(self, rows: Rows, rate_hz: float) -> Rows:
+        """Return about `rate_hz` rows a second over the factor, as `thinned`."""
+        return thinned(rows, rate_hz / self.stretch)
+
+
 def split(rows: Rows, key: str) -> dict[int, Rows]:
     """Return the rows of each value of the integer field `key`."""
     return {int(value): rows[rows[key] == value] for value in np.unique(rows[key])}

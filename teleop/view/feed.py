@@ -28,6 +28,9 @@ class Show(Protocol):
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Extend the curves."""
 
+    def stretch(self, factor: float) -> None:
+        """Draw fewer rows of a batch, by this factor."""
+
     def silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""
 
@@ -93,8 +96,8 @@ def from_link(
     drain_hz : float
         [Hz] rate of reading the listener.
     periods_s : tuple of two floats
-        [s] between updates of the scene, and of the curves; stretched where they would take more
-        than `processor_share`, of one processor.
+        [s] between updates of the scene, and of the curves; stretched, and rows thinned by the
+        same factor, where they would take more than `processor_share`, of one processor.
     """
     fed = FeedCounts()
     pictures, curves = PacedMessages(periods_s[0]), PacedMessages(periods_s[1])
@@ -119,7 +122,9 @@ def from_link(
             fed.fault = "" if sink.window else "the viewer program ended"
             stop.request("the viewer has ended")
             continue
-        pictures.stretch = curves.stretch = pacing.update(time.process_time(), time.monotonic())
+        factor = pacing.update(time.process_time(), time.monotonic())
+        pictures.stretch = curves.stretch = factor
+        show.stretch(factor)
         pass_on(tick.stamp_ns, all_of_it=False)
         if tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
@@ -157,6 +162,9 @@ class Discard:
         return 0
 
     curves = pictures
+
+    def stretch(self, factor: float) -> None:
+        """Show nothing."""
 
     def silence(self, silent_ns: int) -> None:
         """Show nothing."""

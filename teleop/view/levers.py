@@ -13,7 +13,7 @@ import rerun as rr
 from estimator.array_types import Array
 from teleop.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
-from teleop.view.batch import AnyTopic, Rows, thinned
+from teleop.view.batch import AnyTopic, Rows, Thinning
 from teleop.view.config import ViewConfig
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
@@ -26,10 +26,13 @@ _WEDGE_STEPS = 12
 class Levers:
     """Draws the moving ends of the session."""
 
-    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+    def __init__(
+        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, thinned: Thinning
+    ) -> None:
         self._config = config
         self._sender = sender
         self._sheaths = sheaths
+        self._thinned = thinned
         self._travel: dict[int, float] = {}  # joint -> [m] as last estimated
 
     def place(self) -> None:
@@ -80,7 +83,7 @@ class Levers:
             (HAND, self._hands),
         ):
             if topic in batches:
-                rows = thinned(batches[topic], self._config.rate_hz.levers)
+                rows = self._thinned(batches[topic], self._config.rate_hz.levers)
                 paint(rows)
                 drawn += len(rows)
         return drawn

@@ -1,13 +1,16 @@
-"""Stretches the periods of the view so that it takes no more than its share of a processor."""
+"""Stretches the periods of the view so that it takes no more than its share of a processor.
+
+Each call and each row has its cost, so the rows drawn of a second become fewer by the same factor.
+"""
 
 _SPAN_S = 1.0  # over which the share is measured
 _RELAX = 0.8  # per span, of the stretch, while the share is well below the limit
 _CALM = 0.8  # of the limit: below it the periods may shrink again
-_LONGEST = 20.0  # stretch at most
+_LONGEST = 10.0  # stretch at most: pieces of a loop must not look like gaps between two loops
 
 
 class Pacing:
-    """Factor of the drawing periods, from the processor time used so far.
+    """Factor of the periods of drawing and of rows, from the processor time used so far.
 
     Time is an argument, so live use and a test call the same code.
 

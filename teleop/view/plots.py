@@ -7,7 +7,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from teleop.topics import HAND, LEDGER, STATE, TENDONS, Role, role_name
-from teleop.view.batch import AnyTopic, Rows, split, thinned
+from teleop.view.batch import AnyTopic, Rows, Thinning, split
 from teleop.view.colours import BAND, TRUTH, lighter
 from teleop.view.config import ViewConfig
 from teleop.view.curves import CURVES, Band, Curve, CurveGroup
@@ -24,10 +24,13 @@ _BAND_WIDTH = 2.5  # [points], about a row of 100 Hz in a plot of 10 s on 600 po
 class Plots:
     """Draws the numbers against time."""
 
-    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+    def __init__(
+        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, thinned: Thinning
+    ) -> None:
         self._rates = config.rate_hz
         self._sender = sender
         self._sheaths = sheaths
+        self._thinned = thinned
         self._joints = 0
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
@@ -39,7 +42,7 @@ class Plots:
         for topic, batch in batches.items():
             if topic not in CURVES:
                 continue
-            kept = self._thinned(topic, batch)
+            kept = self._at_rate(topic, batch)
             for group in CURVES[topic]:
                 for curve, owner, label, rows, values in self._lines(topic, group, kept):
                     self._line(curve, owner, label, rows, values)
@@ -49,14 +52,14 @@ class Plots:
             shown += len(kept)
         return shown
 
-    def _thinned(self, topic: AnyTopic, rows: Rows) -> Rows:
+    def _at_rate(self, topic: AnyTopic, rows: Rows) -> Rows:
         rate = getattr(self._rates, topic.name, None)
         if rate is None:
             return rows
         if topic is LEDGER:
-            sides = [thinned(own, rate) for own in split(rows, "role").values()]
+            sides = [self._thinned(own, rate) for own in split(rows, "role").values()]
             return np.concatenate(sides)
-        return thinned(rows, rate)
+        return self._thinned(rows, rate)
 
     def _lines(
         self, topic: AnyTopic, group: CurveGroup, rows: Rows

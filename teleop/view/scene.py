@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping
 import rerun as rr
 
 from teleop.topics import HAND, PROFILE, SHEATH, STATE, TENDONS, Role
-from teleop.view.batch import AnyTopic, Rows, split, thinned
+from teleop.view.batch import AnyTopic, Rows, Thinning, split
 from teleop.view.config import ViewConfig
 from teleop.view.legend import draw_stage
 from teleop.view.levers import Levers
@@ -60,11 +60,12 @@ class Scene:
         self._lay_out = lay_out
         self._sender = Sender(stream)
         self._sheaths = Sheaths(config)
+        self._thinned = Thinning()
         self._tubes = Tubes(config, self._sender, self._sheaths)
-        self._levers = Levers(config, self._sender, self._sheaths)
+        self._levers = Levers(config, self._sender, self._sheaths, self._thinned)
         self._profiles = ProfileView(config, self._sender, self._sheaths)
         self._loops = LoopView(config, self._sender)
-        self._plots = Plots(config, self._sender, self._sheaths)
+        self._plots = Plots(config, self._sender, self._sheaths, self._thinned)
         self._lanes = StateLanes(self._sender)
         self._panel = Panel(config, self._sender, self._sheaths)
 
@@ -79,9 +80,9 @@ class Scene:
             shown += self._learn(batches[SHEATH])
         if TENDONS in batches:
             self._profiles.add(batches[TENDONS])
-            self._loops.draw(thinned(batches[TENDONS], self._config.rate_hz.loop))
+            self._loops.draw(self._thinned(batches[TENDONS], self._config.rate_hz.loop))
         for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
-            kept = thinned(rows, self._config.rate_hz.profile)
+            kept = self._thinned(rows, self._config.rate_hz.profile)
             self._profiles.draw(tendon, kept)
             self._tubes.draw(tendon, kept)
             shown += len(kept)
@@ -99,9 +100,13 @@ class Scene:
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Draw the curves over time, and send T(x) as numbers; returns the number of rows shown."""
         for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
-            kept = thinned(rows, self._config.rate_hz.profile)
+            kept = self._thinned(rows, self._config.rate_hz.profile)
             self._profiles.send_values(tendon, kept)
         return self._plots.draw(batches)
+
+    def stretch(self, factor: float) -> None:
+        """Draw fewer rows, by this factor, where the periods of drawing are stretched by it."""
+        self._thinned.stretch = factor
 
     def silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""

@@ -376,14 +376,14 @@ class StopAt:
 def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(family, monkeypatch):
     stream = io.StringIO()
     child = family.start("slave", ["import signal; signal.pause()"])
-    monkeypatch.setattr(watch, "START_S", 0.5)
+    monkeypatch.setattr(watch, "START_S", 600.0)
     waiting = (Mute(), Mute(), watch.Hearing(), family, console_on(stream))
     keyboard = watch.Keyboard(Keys(), Mute())
     assert watch.wait_for_slave(*waiting, StopAt(2), keyboard) is None
     assert stream.getvalue() == "12:34:56.7 [slave] off: calibrating\n"
-    child.heard_s += 1.0
+    child.heard_s -= 300.0
     assert watch.wait_for_slave(*waiting, StopAt(7), keyboard) is None
-    child.heard_s -= 2.0
+    child.heard_s -= 600.0
     with pytest.raises(TeleopError, match="did not start"):
         watch.wait_for_slave(*waiting, StopAt(7), keyboard)
 

@@ -105,6 +105,9 @@ class Seen:
         self.grown += sum(map(len, batches.values()))
         return 0
 
+    def stretch(self, factor):
+        pass
+
     def silence(self, silent_ns):
         pass
 

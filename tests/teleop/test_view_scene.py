@@ -67,6 +67,24 @@ def at(series, stamp):
     return series[max(s for s in series if s <= stamp)]
 
 
+def test_a_stretched_scene_draws_fewer_rows_in_proportion_and_always_the_newest(session, tmp_path):
+    saved, fewer = (
+        save(session.messages, tmp_path / "session.rrd", len(session.messages), stretch=stretch)
+        for stretch in (1.0, 5.0)
+    )
+    for path, component in (
+        ("/profile/tendon_0/tension", "tension"),
+        ("/scene/tendon_0/tube", "Capsules3D:colors"),
+        ("/scene/joint_0/link", "LineStrips3D:strips"),
+        ("/loop/tendon_0/curve", "LineStrips2D:strips"),
+        ("/tension/tendon_0/in", "Scalars:scalars"),
+    ):
+        whole = [stamp for stamp in saved[path][component] if stamp is not None]
+        few = [stamp for stamp in fewer[path][component] if stamp is not None]
+        assert len(few) == pytest.approx(len(whole) / 5, abs=2), path
+        assert max(few) == max(whole)
+
+
 # the tension along the sheath
 
 

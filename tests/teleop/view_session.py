@@ -105,7 +105,8 @@ class Session:
             mode = State.READY if k < 400 else State.ENGAGED
             told = SlaveState(state=mode, joints=1, position=travel, force=force, **ends)
             self.add(STATE, told, stamp)
-            self.add(HAND, Hand(joints=1, force=padded((-k * 0.003,), MAX_JOINTS)), stamp)
+            hand = padded((-k * 0.003,), MAX_JOINTS)
+            self.add(HAND, Hand(state=mode, joints=1, force=hand), stamp)
             self.add(COMMAND, Command(position=padded((k * 1e-5,), MAX_JOINTS)), stamp)
             if k % 20 == 0:
                 for tendon in (0, 1):
@@ -153,10 +154,11 @@ def read(path):
     return entities
 
 
-def save(messages, path, block=163, config=CONFIG):
+def save(messages, path, block=163, config=CONFIG, stretch=1.0):
     """Feed packed messages through the pipeline to a file, `block` of them at a time."""
     with Sink("rrd", config, "test", path, live=False) as sink:
         scene = Scene(config, sink.stream, sink.lay_out)
+        scene.stretch(stretch)
         for start in range(0, len(messages), block):
             scene.send(decode(messages[start : start + block]))
     return read(path)
