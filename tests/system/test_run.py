@@ -228,7 +228,10 @@ def test_a_slave_that_is_never_usable_is_told_why_and_exit_code_1(demo_config, t
     why = "c.yaml does not fit: it is for the rig 'another', this one is 'demo'"
     first, *repeated = [line for line in out.splitlines() if why in line]
     assert first.endswith(why)
-    assert [re.sub(r"\d+", "N", line.partition(why)[2]) for line in repeated] in ([], [" (N times)"])
+    assert [re.sub(r"\d+", "N", line.partition(why)[2]) for line in repeated] in (
+        [],
+        [" (N times)"],
+    )
     (line,) = err.splitlines()
     assert why in line
     summary = json.loads((tmp_path / "run.json").read_text())
