@@ -71,7 +71,7 @@ def _experiment(views: "_Views") -> Part:
         ),
         rrb.Vertical(
             views.joint_tabs(
-                "Tension [N]", views.tension, " measured at the housing, else the tip"
+                "Tension [N]", views.tension, " at the housing (measured) and at the tip"
             ),
             views.joint_tabs("Force at the tip [N]", views.tip_force, ", positive against pulling"),
             rrb.Tabs(

@@ -93,6 +93,8 @@ class Panel:
         before, said_ns = self._shown
         if now == before and stamp_ns - said_ns < _AGAIN_NS:
             return
+        # the sides' clocks and blocks differ: a later banner must not lie before an earlier one
+        stamp_ns = max(stamp_ns, said_ns)
         self._shown = now, stamp_ns
         _, top, _, bottom = BANNER
         background = STATES.get(now.state, STATES["off"])

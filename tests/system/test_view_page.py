@@ -117,7 +117,8 @@ def test_the_scene_shows_tubes_beside_the_scale(page):
     [
         (PROFILE, ESTIMATE),
         (LOOP, PHASES[4]),
-        (TENSION, TRUTH),  # drawn over the estimate
+        (TENSION, ESTIMATE),
+        (TENSION, TRUTH),
         (TENSION, HOUSING),
         (FORCE, ESTIMATE),
         (BANNER, STATES["engaged"]),

@@ -136,6 +136,19 @@ def test_the_banner_follows_the_state_and_says_when_nothing_comes(drawn):
     assert sorted(colours) == [T0, T0 + 500_000_000, T0 + 990_000_000 + 2_000_000_000]
 
 
+def test_the_newest_banner_is_that_of_the_last_message_whose_clock_is_behind(tmp_path):
+    master, slave = Session(0), Session(0)
+    master.add(HAND, Hand(state=State.ENGAGED, joints=1), T0 + 400_000_000)
+    slave.add(STATE, SlaveState(state=State.ENGAGED, joints=1), T0)
+    path = tmp_path / "panel.rrd"
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        for session in (master, slave):
+            scene.send(decode(session.messages))
+    colours = read(path)["/panel/banner/area"]["LineStrips2D:colors"]
+    assert colours[max(colours)][0] == STATES["engaged"]
+
+
 def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
     strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-1]
     left, _, right, _ = force_rows(1)[0].bar(0.5, two_way=False)

@@ -60,7 +60,7 @@ def tendon_state(k, bench=True):
         distal_tension_low=padded((value / 3, value / 4), MAX_TENDONS),
         distal_tension_high=padded((value, value / 2), MAX_TENDONS),
         bench_distal_tension=padded(
-            (value / 2 + 0.1 if bench else math.nan, math.nan), MAX_TENDONS
+            (value / 2 + 1.0 if bench else math.nan, math.nan), MAX_TENDONS
         ),
         bench_distal_displacement=(math.nan,) * MAX_TENDONS,
     )
