@@ -81,7 +81,7 @@ class HidConfig:
     pid: PidConfig = field(
         default_factory=PidConfig
     )  # effects rendered by a device of the PID class itself
-    smoothing: float = 0.020  # [s] longest window of the velocity
+    smoothing: float = 0.010  # [s] time constant of the velocity's filter
     signs: Path | None = None  # file of force signs; null = ~/.config/tendon-teleop/
 
     def __post_init__(self) -> None:

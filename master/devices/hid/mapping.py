@@ -2,7 +2,7 @@
 
 An axis with `travel` gives the position of the hand: x = travel * share. One with `speed` gives its
 velocity while the engage button is held: x' = speed * share. The velocity of the former is that of
-its positions in an adaptive window of at most `smoothing` (`master.velocity`).
+its position through a first-order filter, smoothing * v' = x' - v, in backward-Euler steps.
 
 Inputs not reported yet are unknown. An unknown input moves nothing, and until every assigned button
 and every axis with `travel` is known, the engage button counts as held: a session that starts, or
@@ -14,12 +14,9 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from estimator.records import Records
-from master import velocity as velocity_window
 from master.device import Axes, DeviceFault, HandState
 from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.driver import Controls, Driver, Share
-from master.velocity import VelocityWindow
 
 
 class Lane(NamedTuple):
@@ -41,7 +38,7 @@ class Plan(NamedTuple):
     lanes: tuple[Lane, ...]
     forces: int
     buttons: tuple[tuple[str, int], ...]  # name in `HandState`, and mask
-    smoothing: float  # [s] longest window of a velocity
+    smoothing: float  # [s]
 
 
 class MappingState(NamedTuple):
@@ -50,7 +47,6 @@ class MappingState(NamedTuple):
     position: Axes  # [m]
     velocity: Axes  # [m/s]
     known: tuple[bool, ...]  # whether the position was reported
-    windows: Records  # VelocityWindow, shape (joints,)
     knows: bool = False  # whether all needed inputs are known
 
 
@@ -118,8 +114,7 @@ def _knows(plan: Plan, controls: Controls, switches: Controls) -> bool:
 
 def start(joints: int) -> MappingState:
     """Return the initial state."""
-    windows = VelocityWindow.array(joints)
-    return MappingState((0.0,) * joints, (0.0,) * joints, (False,) * joints, windows)
+    return MappingState((0.0,) * joints, (0.0,) * joints, (False,) * joints)
 
 
 def step(
@@ -130,7 +125,7 @@ def step(
     knows = _knows(plan, controls, switches)
     driven = held["engage"] and not held.get("clutch", False)
     position, velocity = list(memory.position), [0.0] * plan.joints
-    known, windows = [False] * plan.joints, memory.windows.copy()
+    known = [False] * plan.joints
     for lane in plan.lanes:
         share, joint = controls.axes[lane.axis], lane.joint
         if lane.rate:
@@ -140,17 +135,17 @@ def step(
         elif not math.isnan(share):
             position[joint] = lane.scale * beyond(share, lane.dead_zone)
             known[joint] = True
-            if not memory.known[joint]:
-                velocity_window.forget(windows[joint])
-            velocity[joint] = velocity_window.update(
-                windows[joint], position[joint], dt, plan.smoothing
-            )
+            if memory.known[joint]:
+                way = position[joint] - memory.position[joint]
+                was = memory.velocity[joint]
+                blend = plan.smoothing + dt
+                velocity[joint] = (plan.smoothing * was + way) / blend if blend > 0.0 else was
     hand = HandState(
         position=tuple(position),
         velocity=tuple(velocity),
         **{**held, "engage": held["engage"] or not knows},
     )
-    return hand, MappingState(hand.position, hand.velocity, tuple(known), windows, knows)
+    return hand, MappingState(hand.position, hand.velocity, tuple(known), knows)
 
 
 def beyond(share: Share, dead_zone: float) -> Share:

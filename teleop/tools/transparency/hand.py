@@ -18,10 +18,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.linalg import expm
 
-from estimator.records import one
-from master import velocity as velocity_window
-from master.velocity import VelocityWindow
-
 DT = 0.001  # [s] of a tick
 
 Motion = Callable[[float], float]  # [m] at a time [s]
@@ -42,7 +38,7 @@ class Device:
     mass: float = 0.0  # [kg]
     damping: float = 0.0  # [N s/m]
     resolution: float = 0.0  # [m] of its encoder
-    smoothing: float = 0.0  # [s] longest window of its velocity, as in the HID drivers
+    smoothing: float = 0.0  # [s] time constant of its velocity's filter, as in the HID drivers
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -61,11 +57,11 @@ USUAL, IDEAL = HandModel(), Device()
 
 
 class Encoder:
-    """Encoder of a device, and the velocity as the HID drivers estimate it."""
+    """Encoder and velocity filter of a device."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._window: VelocityWindow = one(VelocityWindow.array())
+        self._last_position, self._velocity = math.nan, 0.0
 
     def read(self, position: float, velocity: float) -> tuple[float, float]:
         """Return the measured position [m] and velocity [m/s]; `velocity` is the true one."""
@@ -73,7 +69,10 @@ class Encoder:
         measured = round(position / step) * step if step > 0.0 else position
         if step == 0.0 and smoothing == 0.0:
             return measured, velocity
-        return measured, velocity_window.update(self._window, measured, DT, smoothing)
+        way = measured - self._last_position if math.isfinite(self._last_position) else 0.0
+        self._last_position = measured
+        self._velocity = (smoothing * self._velocity + way) / (smoothing + DT)
+        return measured, self._velocity
 
 
 class Hand(Protocol):

@@ -28,7 +28,7 @@ FRICTION = 1e-3  # K that the estimator is told; the rig has none
 PRETENSION, SPRING = 1.0, 200.0  # [N], [N/m] of the load besides
 
 HANDS = {"relaxed": HandModel(0.15, 100.0, 3.0), "firm": HandModel(0.3, 600.0, 12.0)}
-DEVICE = Device(mass=0.1, damping=0.5, resolution=10e-6, smoothing=0.020)
+DEVICE = Device(mass=0.1, damping=0.5, resolution=10e-6, smoothing=0.010)
 EXCITATION = Excitation()
 
 
