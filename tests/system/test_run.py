@@ -1,7 +1,6 @@
 """`teleop run`: the whole session, its summary, its recording, and how it ends."""
 
 import json
-import re
 import signal
 import socket
 import subprocess
@@ -227,11 +226,9 @@ def test_a_slave_that_is_never_usable_is_told_why_and_exit_code_1(demo_config, t
     assert code == 1
     why = "c.yaml does not fit: it is for the rig 'another', this one is 'demo'"
     first, *repeated = [line for line in out.splitlines() if why in line]
-    assert first.endswith(why)
-    assert [re.sub(r"\d+", "N", line.partition(why)[2]) for line in repeated] in (
-        [],
-        [" (N times)"],
-    )
+    assert not first.endswith(" times)")
+    assert len(repeated) <= 1
+    assert all(line.endswith(" times)") for line in repeated)
     (line,) = err.splitlines()
     assert why in line
     summary = json.loads((tmp_path / "run.json").read_text())
