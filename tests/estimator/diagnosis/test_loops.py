@@ -64,7 +64,8 @@ def expected(loop):
 def test_law_stiffness_and_friction_are_found(loop, law):
     found = diagnose(recorded(loop), effects=[])
     assert found.dataset.base.law is law
-    assert found.laws.alike == (law,)
+    wrong = Law.INDEPENDENT if law is Law.CAPSTAN else Law.CAPSTAN
+    assert wrong not in found.laws.alike  # both together have either within
     assert found.verdict is Verdict.CLEAN
     for name, true in expected(loop).items():
         number = found.parameters[name]
