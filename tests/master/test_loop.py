@@ -140,7 +140,7 @@ def test_after_a_stale_state_the_force_fades_and_nothing_couples_until_let_go(ho
         felt = output.force[0]
     assert felt == 0.0
     assert run.session == (State.HOLDING, Reason.PEER_SILENT)
-    for _ in range(5):  # it comes back, but the switch was never let go of
+    for _ in range(5):  # it comes back, but the switch was never released
         assert run.answered(hand()).force == (0.0,)
         assert run.session == (State.HOLDING, Reason.RELEASE_FIRST)
     run.answered(hand(engage=False), State.READY)

@@ -175,7 +175,7 @@ def test_hand_to_slave_and_back_unplugged_and_plugged_in_again(console, capsys):
     assert console.tip == pytest.approx(rest, abs=1e-4)
 
     console.replug()
-    console.press(ENGAGE)  # the button was never let go of
+    console.press(ENGAGE)  # the button was never released
     console.node.device.axes[0] = -1.0
     console.until(lambda: len(console.node.handles) > 0)
     console.run(500)
@@ -215,7 +215,7 @@ def test_power_that_goes_is_a_fault_and_its_return_a_new_engagement(console, cap
     assert console.side.reason == Reason.DEVICE_FAULT
     console.until(lambda: console.slave.state == State.FAULT)
 
-    console.node.device.powered = True  # the button was never let go of
+    console.node.device.powered = True  # the button was never released
     console.run(500)
     assert (console.side.state, console.slave.state) == (State.FAULT, State.FAULT)
     assert console.node.force() == (0.0,)

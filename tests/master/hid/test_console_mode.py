@@ -1,4 +1,4 @@
-"""A G923 in console mode: its one report by hand, what follows from it, and what is left alone."""
+"""A G923 in console mode: its one report as bytes, what follows it, and what is not switched."""
 
 import pytest
 
