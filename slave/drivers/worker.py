@@ -63,7 +63,7 @@ def serve(driver: Driver, end: socket.socket) -> None:
         _run(driver, end)
     except DriverFault as error:
         fault = str(error)
-    except Exception as error:  # noqa: BLE001 - of a library; the slave must hear of it
+    except Exception as error:
         fault = f"the driver failed: {type(error).__name__}: {error}"
     finally:
         driver.close()

@@ -250,7 +250,7 @@ class HardwareRig:
 
     @property
     def buses(self) -> tuple[Connection, ...]:
-        """Connections to the drivers: that of the motors, and that of the cells if it is another."""
+        """Connections to the drivers: of the motors, and of the cells if that is another."""
         return tuple(self._buses)
 
     def _received(self) -> Sequence[tuple[float, Counts, Counts]]:

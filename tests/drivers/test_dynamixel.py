@@ -49,7 +49,7 @@ def torque(servos):
 
 def test_what_one_sync_read_brings_fits_the_indirect_addresses():
     assert registers.STATUS_SIZE == len(registers.indirect_addresses()) <= 28
-    assert registers.STATUS_SIZE == sum(entry.size for entry in registers.STATUS)
+    assert sum(entry.size for entry in registers.STATUS) == registers.STATUS_SIZE
 
 
 def test_samples_come_in_order_and_motors_follow_from_where_they_are(servos):
@@ -138,7 +138,7 @@ def test_a_servo_that_is_not_there_or_has_a_fault_is_refused(servos):
     ):
         pass
     servos.servos[1].put(ERROR, 1, 32)
-    with pytest.raises(RigFault, match="servo 1 .*overload; remove the cause"), opened_on(servos):
+    with pytest.raises(RigFault, match=r"servo 1 .*overload; remove the cause"), opened_on(servos):
         pass
 
 
@@ -146,7 +146,7 @@ def test_an_unplugged_adapter_is_named(servos):
     with opened_on(servos) as rig:
         engage(rig, moving(servos))
         servos.ended = True
-        with pytest.raises(RigFault, match="unplugged|no answer"):
+        with pytest.raises(RigFault, match=r"unplugged|no answer"):
             read_for(rig, 5.0)
 
 

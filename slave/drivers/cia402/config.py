@@ -1,7 +1,7 @@
 """Config of CiA 402 drives on a CAN bus."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load
 
@@ -23,9 +23,9 @@ class BusConfig:
         if not 0.0 <= self.tty_wait <= 10.0:
             raise ValueError("tty_wait: must be 0 to 10 s")
 
-    def arguments(self) -> dict[str, object]:
+    def arguments(self) -> dict[str, Any]:
         """Return the arguments of `can.Bus`."""
-        found: dict[str, object] = {"interface": self.interface, "channel": self.channel}
+        found: dict[str, Any] = {"interface": self.interface, "channel": self.channel}
         if self.interface == "slcan":
             found |= {
                 "bitrate": self.bitrate,

@@ -88,7 +88,8 @@ class Cia402Driver:
         except can.CanError as error:
             raise self._bus_fault(error) from error
         finally:
-            network.notifier.stop()
+            if network.notifier is not None:
+                network.notifier.stop()
         now = time.monotonic()
         self._beat(now)
         for node in self._nodes.values():
@@ -160,10 +161,9 @@ class Cia402Driver:
             moving = node.state is DriveState.OPERATION_ENABLED and self._wish is Wish.MOVE
             if self._config.mode == "interpolation" and moving:
                 word |= INTERPOLATE
-            if not moving or not math.isfinite(value):
-                value = node.position if math.isfinite(node.position) else 0.0
-            goal = max(-LIMIT, min(LIMIT, round(value)))
-            self._send(RPDO1 + number, _COMMAND.pack(word, goal))
+            goal = value if moving and math.isfinite(value) else node.position
+            counts = max(-LIMIT, min(LIMIT, round(goal))) if math.isfinite(goal) else 0
+            self._send(RPDO1 + number, _COMMAND.pack(word, counts))
 
     def _collect(self, until_s: float) -> bool:
         """Receive until every node has answered or the time is over; return whether all have."""

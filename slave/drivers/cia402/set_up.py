@@ -1,5 +1,6 @@
 """Set up a CANopen node by SDO: PDOs, modes, limits, watchdog; each value is read back."""
 
+import contextlib
 import struct
 
 import canopen
@@ -23,11 +24,17 @@ QUICK_STOP_ON_LOSS = 3  # of 6007
 class NodeSetUp:
     """One node while it is set up, in the state pre-operational."""
 
-    def __init__(self, network: canopen.Network, number: int, config: Cia402Config) -> None:
+    def __init__(
+        self,
+        network: canopen.Network,
+        number: int,
+        config: Cia402Config,
+        timeout_s: float = SDO_TIMEOUT_S,
+    ) -> None:
         self._config, self._number = config, number
         node = network.add_node(number, canopen.ObjectDictionary())
         self._sdo = node.sdo
-        self._sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
+        self._sdo.RESPONSE_TIMEOUT = timeout_s
 
     def drive(self, with_cell: bool) -> None:
         """Set up a drive; `DriverFault` if it refuses, is not homed or has a fault."""
@@ -73,10 +80,8 @@ class NodeSetUp:
         """Return name, profile and state, as far as the node tells."""
         profile = self.get(0x1000, 0) & 0xFFFF
         name = ""
-        try:
+        with contextlib.suppress(SdoError):
             name = self._sdo.upload(0x1008, 0).rstrip(b"\0").decode("ascii", "replace")
-        except SdoError:
-            pass
         state = f", {drive_state(self.get(0x6041, 0)).text}" if profile == 402 else ""
         return f"node {self._number}: {name or 'no name'}, profile {profile}{state}"
 

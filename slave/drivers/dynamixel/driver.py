@@ -4,7 +4,8 @@ import contextlib
 import math
 import termios
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 import serial
@@ -15,6 +16,8 @@ from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.config import WATCHDOG_UNIT, DynamixelConfig
 from slave.drivers.dynamixel.port import WaitingPort, result_text
 from slave.drivers.dynamixel.registers import STATUS_SIZE, Register, Status
+
+Result = TypeVar("Result")
 
 TRIES = 3  # of a single register
 NEAR = 20  # [counts] of a goal from the position, when torque is switched on
@@ -60,12 +63,13 @@ class DynamixelDriver:
 
     def cycle(self, target: Counts | None) -> Sequence[Reading]:
         """Send the goals, read position, current and status of every servo."""
-        return self._call(self._exchange, target)
+        return self._call(lambda: self._exchange(target))
 
     def stop(self) -> None:
         """Torque off; `cycle` repeats it until every servo confirms it."""
         self._enabled = False
-        self._call(self._send, registers.TORQUE_ENABLE, [0] * len(self._channels.motors))
+        off = [0] * len(self._channels.motors)
+        self._call(lambda: self._send(registers.TORQUE_ENABLE, off))
 
     def counts(self) -> dict[str, int | float]:
         """Return the achieved rate, and the reads without an answer of every servo."""
@@ -82,10 +86,10 @@ class DynamixelDriver:
             with contextlib.suppress(serial.SerialException, OSError):
                 self._port.closePort()
 
-    def _call(self, action, *arguments):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN002, ANN202
+    def _call(self, action: Callable[[], Result]) -> Result:
         """Call with the errors of an unplugged adapter as a `DriverFault`."""
         try:
-            return action(*arguments)
+            return action()
         except (serial.SerialException, termios.error, OSError) as error:
             raise DriverFault(f"{self._config.port}: unplugged ({error})") from error
 

@@ -8,13 +8,17 @@ byte, so after any damage the next zero is the end of a frame. The payload is
 little-endian; the CRC is that of zlib and Ethernet, over the payload, u32. `sequence` counts the
 frames of each direction; `time_us` is the sender's clock, of a state the time when it was sampled.
 
-| kind | direction | body |
-|---|---|---|
-| HELLO 1 | to the board | watchdog_ms u16 |
-| SET 2 | to the board | flags u8 (1: motors enabled), count u8, target i32 each, MISSING: not used |
-| STOP 3 | to the board | none: motors off, until a SET that disables and then one that enables |
-| INFO 129 | from the board | watchdog_ms u16, rate_hz u16, motors u8, cells u8, name (ASCII) |
-| STATE 130 | from the board | flags u8, bad_frames u16, answered u16, motors u8, cells u8, position i32 each, cell i32 each |
+To the board:
+
+    HELLO 1    watchdog_ms u16
+    SET 2      flags u8 (1: motors enabled), count u8, target i32 each (MISSING: not used)
+    STOP 3     motors off, until a SET that disables and then one that enables
+
+From the board:
+
+    INFO 129   watchdog_ms u16, rate_hz u16, motors u8, cells u8, name (ASCII)
+    STATE 130  flags u8, bad_frames u16, answered u16, motors u8, cells u8,
+               position i32 each, cell i32 each
 """
 
 import binascii
@@ -144,7 +148,9 @@ def parse_info(body: bytes) -> Info:
     """Return the body of an INFO; `FrameError` if it is none."""
     if len(body) < _INFO.size:
         raise FrameError("INFO too short")
-    return Info(*_INFO.unpack_from(body), body[_INFO.size :].decode("ascii", "replace"))
+    watchdog_ms, rate_hz, motors, cells = _INFO.unpack_from(body)
+    name = body[_INFO.size :].decode("ascii", "replace")
+    return Info(watchdog_ms, rate_hz, motors, cells, name)
 
 
 def parse_state(body: bytes) -> State:

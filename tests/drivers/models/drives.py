@@ -9,7 +9,7 @@ import time
 
 import can
 from durand import Node, Record, Variable
-from durand.datatypes import DatatypeEnum as DT
+from durand.datatypes import DatatypeEnum as Kind
 from durand.network import NetworkABC
 from durand.node import NodeCapabilities
 from durand.object_dictionary import Array
@@ -57,29 +57,29 @@ class Drive:
         od = self.node.object_dictionary
         self.od = od
         for index, kind, access, value in (
-            (0x603F, DT.UNSIGNED16, "ro", 0),
-            (0x6007, DT.INTEGER16, "rw", 1),
-            (0x6040, DT.UNSIGNED16, "rw", 0),
-            (0x6041, DT.UNSIGNED16, "ro", DISABLED | HOMED),
-            (0x605A, DT.INTEGER16, "rw", 2),
-            (0x6060, DT.INTEGER8, "rw", 0),
-            (0x6064, DT.INTEGER32, "ro", round(ZERO)),
-            (0x6065, DT.UNSIGNED32, "rw", 2000),
-            (0x6066, DT.UNSIGNED16, "rw", 0),
-            (0x607A, DT.INTEGER32, "rw", 0),
-            (0x607F, DT.UNSIGNED32, "rw", 1000),
-            (0x6085, DT.UNSIGNED32, "rw", 1000),
-            (0x6502, DT.UNSIGNED32, "ro", 1 << 7 | 1 << 6),
+            (0x603F, Kind.UNSIGNED16, "ro", 0),
+            (0x6007, Kind.INTEGER16, "rw", 1),
+            (0x6040, Kind.UNSIGNED16, "rw", 0),
+            (0x6041, Kind.UNSIGNED16, "ro", DISABLED | HOMED),
+            (0x605A, Kind.INTEGER16, "rw", 2),
+            (0x6060, Kind.INTEGER8, "rw", 0),
+            (0x6064, Kind.INTEGER32, "ro", round(ZERO)),
+            (0x6065, Kind.UNSIGNED32, "rw", 2000),
+            (0x6066, Kind.UNSIGNED16, "rw", 0),
+            (0x607A, Kind.INTEGER32, "rw", 0),
+            (0x607F, Kind.UNSIGNED32, "rw", 1000),
+            (0x6085, Kind.UNSIGNED32, "rw", 1000),
+            (0x6502, Kind.UNSIGNED32, "ro", 1 << 7 | 1 << 6),
         ):
             od[index] = Variable(kind, access, value)
-        od[0x1000] = Variable(DT.UNSIGNED32, "ro", 0x0002_0192)
-        od[0x1008] = Variable(DT.VISIBLE_STRING, "ro", b"model of a drive")
-        od[0x1016] = Array(Variable(DT.UNSIGNED32, "rw", 0), 1)
+        od[0x1000] = Variable(Kind.UNSIGNED32, "ro", 0x0002_0192)
+        od[0x1008] = Variable(Kind.VISIBLE_STRING, "ro", b"model of a drive")
+        od[0x1016] = Array(Variable(Kind.UNSIGNED32, "rw", 0), 1)
         for index, entries in (
-            (0x607D, {1: (DT.INTEGER32, "rw", 0), 2: (DT.INTEGER32, "rw", 0)}),
-            (0x60C1, {1: (DT.INTEGER32, "rw", 0)}),
-            (0x60C2, {1: (DT.UNSIGNED8, "rw", 1), 2: (DT.INTEGER8, "rw", -3)}),
-            (0x3160, {1: (DT.INTEGER16, "ro", 0)}),
+            (0x607D, {1: (Kind.INTEGER32, "rw", 0), 2: (Kind.INTEGER32, "rw", 0)}),
+            (0x60C1, {1: (Kind.INTEGER32, "rw", 0)}),
+            (0x60C2, {1: (Kind.UNSIGNED8, "rw", 1), 2: (Kind.INTEGER8, "rw", -3)}),
+            (0x3160, {1: (Kind.INTEGER16, "ro", 0)}),
         ):
             record = Record()
             for subindex, (kind, access, value) in entries.items():
@@ -168,12 +168,14 @@ class Drives:
         set_scheduler(self._scheduler)
         self.drives = [Drive(bus, number, patience) for number in numbers]
         self.plant = plant or Springs(len(self.drives))
-        self.ended = self.silent = False
+        self.ended = self.silent = self.unplug = False
         self._start_s = time.monotonic()
 
     def serve(self) -> None:
         last_s = due_s = time.monotonic()
         while not self.ended:
+            if self.unplug:
+                self.bus.port.unplug()
             message = self.bus.recv(max(0.0, min(ROUND_S, due_s - time.monotonic())))
             now = time.monotonic()
             if message is not None and not self.silent:
@@ -230,7 +232,7 @@ class SlcanAdapter(can.BusABC):
             arbitration_id=int(line[1:4], 16), data=data, is_extended_id=False
         ), False
 
-    def send(self, msg, timeout=None) -> None:
+    def send(self, msg, timeout=None) -> None:  # noqa: ARG002 - of the base class
         if self._open:
             text = f"t{msg.arbitration_id:03X}{msg.dlc}{bytes(msg.data).hex().upper()}\r"
             self.port.write(text.encode())

@@ -4,6 +4,7 @@ import errno
 import os
 import select
 import termios
+import time
 import tty
 
 
@@ -19,9 +20,13 @@ class PseudoPort:
         tty.setraw(self._far)
         os.set_blocking(self._far, False)
         self.name = os.ttyname(self._near)
+        self._plugged = True
 
     def read(self, wait_s: float = 0.0) -> bytes:
         """Return what has arrived, after at most `wait_s` [s]."""
+        if not self._plugged:
+            time.sleep(wait_s)
+            return b""
         try:
             if wait_s > 0.0:
                 select.select([self._far], [], [], wait_s)
@@ -35,12 +40,17 @@ class PseudoPort:
 
     def write(self, data: bytes) -> None:
         """Send; what finds no room is lost, as nobody reads it."""
+        if not self._plugged:
+            return
         try:
             os.write(self._far, data)
         except BlockingIOError:
             termios.tcflush(self._near, termios.TCIFLUSH)
 
     def unplug(self) -> None:
-        """Hang up."""
+        """Hang up, once; call it from the thread that reads and writes."""
+        if not self._plugged:
+            return
+        self._plugged = False
         for end in (self._far, self._near):
             os.close(end)
