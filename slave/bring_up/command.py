@@ -30,6 +30,7 @@ from teleop.config import load
 from teleop.errors import TeleopError, UsageError
 from teleop.options import add_options
 from teleop.process import seconds
+from teleop.realtime import go_realtime
 from teleop.run_config import RunConfig
 
 READ_S = 2.0  # [s]
@@ -84,6 +85,8 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
     config = load(args.config, SlaveConfig, "slave", args.overrides)
     move = requested_move(args)
     with ExitStack() as stack:
+        if isinstance(config.rig, HardwareRigConfig):
+            go_realtime(shared.realtime)  # before the rig: its processes inherit the priority
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         start_ns, ticks = now_ns(), iter(Grid(shared.rate_hz, lambda: False))
