@@ -9,6 +9,7 @@ import yaml
 
 from tests.drivers.models.plant import COUNTS, NEWTONS, RADIUS, ZERO
 
+TIMEOUT_S = 0.09  # of the buses: the model beside the session is held up at times
 TRUE_K = 0.15 * 1.5 / 0.225  # of the plant's sheaths
 
 
@@ -60,7 +61,8 @@ def rig_tree(buses: dict, motors: int, paired: bool) -> dict:
     ]
     size = 2 if paired else 1
     joints = [{"tendons": tendons[k : k + size]} for k in range(0, motors, size)]
-    return {"type": "hardware", "name": "bench", **buses, "joints": joints}
+    patient = {name: bus | {"timeout": TIMEOUT_S} for name, bus in buses.items()}
+    return {"type": "hardware", "name": "bench", **patient, "joints": joints}
 
 
 def write_config(path: Path, buses: dict, motors: int, **slave: object) -> Path:

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.rigs.bench import TRUE_K, Model, write_config
@@ -22,6 +23,7 @@ from tests.system.processes import START_S, Processes
 
 DRIVERS = ("microcontroller", "dynamixel", "cia402")
 MODEL_TENDON = [{"effective_friction": TRUE_K, "tension_noise": 0.01}]
+ATTEMPTS = 3
 RUN_S = 5.0
 TRAVEL = 200.0  # [counts] a motor must have moved in a run
 WATCHDOG_S = 0.050
@@ -39,13 +41,24 @@ def main() -> int:
             for name, job in JOBS.items():
                 if name in args.skip:
                     continue
-                with tempfile.TemporaryDirectory() as folder:
-                    try:
-                        text = job(driver, motors, Path(folder))
-                    except (AssertionError, OSError, ValueError) as error:
-                        text, failed = f"FAILED: {error}", failed + 1
+                text = attempt(job, driver, motors)
+                failed += text.startswith("FAILED")
                 print(f"{driver:16} {motors} motors  {name:12} {text}", flush=True)
     return 1 if failed else 0
+
+
+def attempt(job: Callable[[str, int, Path], str], driver: str, motors: int) -> str:
+    """Run a job, again if it fails: a busy machine holds up models and loops."""
+    reasons = []
+    while len(reasons) < ATTEMPTS:
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                text = job(driver, motors, Path(folder))
+            except (AssertionError, OSError, ValueError) as error:
+                reasons.append(" ".join(str(error).split())[-200:])
+                continue
+        return text + (f" (after {len(reasons)} failed: {reasons[-1]})" if reasons else "")
+    return f"FAILED: {' | '.join(reasons)}"
 
 
 def calibrate(driver: str, motors: int, folder: Path) -> str:
