@@ -89,8 +89,9 @@ class Session:
         self.slave = self.processes.start("slave", "--json", str(self.processes.folder / "s.json"))
         self.processes.start("master")
         with self.processes.look() as link:
-            engaged = wait_for(lambda: self.processes.engaged(link), START_S)
-            assert engaged, self.processes.outputs()
+            over = lambda: self.slave.poll() is not None  # noqa: E731
+            wait_for(lambda: self.processes.engaged(link) or over(), START_S)
+            assert not over(), self.processes.outputs()
         assert wait_for(lambda: all(self.state()["moving"]), 5.0), "the motors are not enabled"
         return self
 

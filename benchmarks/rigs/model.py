@@ -3,8 +3,8 @@
   python -m benchmarks.rigs.model DRIVER MOTORS PLANT       PLANT: tendons or springs
 
 The first line that it prints is the buses of a config, as JSON. Orders on standard input: fault,
-unplug, state. Each prints which motors follow, where they are, and when the last one was stopped, on
-the monotonic clock.
+unplug, state; each prints which motors follow, where they are, and when the last one was stopped
+(monotonic clock).
 """
 
 import json
@@ -140,7 +140,7 @@ def main(driver: str, count: str, kind: str) -> None:
         plant = Tendons(max(1, motors // 2), paired=motors > 1)
     plant.motors = motors
     library = compile_firmware(Path(tempfile.mkdtemp()))
-    go_realtime(RealtimeConfig(priority=10, cores=()))
+    go_realtime(RealtimeConfig(priority=30, cores=()))
     model = MODELS[driver](motors, plant, library)
     threads = [threading.Thread(target=one.serve, daemon=True) for one in model.models]
     for thread in threads:

@@ -94,12 +94,14 @@ def test_samples_come_in_order_and_drives_follow_from_where_they_are(drives):
         assert np.all(np.diff([sample.time_s for sample in read_some(rig)]) > 0.0)
 
 
+@pytest.mark.slow
 def test_interpolated_position_moves_too(drives):
     with opened_on(drives, mode="interpolation") as rig:
         start = engage(rig, moving(drives))
         follow(rig, start + 0.001)
 
 
+@pytest.mark.slow
 def test_limits_and_watchdog_are_in_the_drive(drives):
     with opened_on(drives, following_error=777, position_max=123_456, watchdog=0.03):
         od = drives.drives[1].od
@@ -110,6 +112,7 @@ def test_limits_and_watchdog_are_in_the_drive(drives):
         assert od.read(0x60C2, 1) == 20
 
 
+@pytest.mark.slow
 def test_a_value_that_the_drive_changes_is_refused(drives):
     od = drives.drives[1].od
     od.set_read_callback(0x6065, 0, lambda: 5)
@@ -158,6 +161,7 @@ def test_a_motor_that_does_not_follow_is_stopped_by_its_drive(drives):
             read_for(rig, 5.0, start + 0.001)
 
 
+@pytest.mark.slow
 def test_a_drive_that_is_not_homed_or_no_drive_is_refused(drives):
     drives.drives[0].homed = 0
     drives.drives[0].od.write(0x6041, 0, DISABLED)
@@ -186,6 +190,7 @@ def test_silence_and_unplugging_are_named(drives):
             read_for(rig, 5.0)
 
 
+@pytest.mark.slow
 def test_positions_are_counts_from_the_zero_of_the_config(drives):
     drives.plant.position[:] = ZERO + 100.0
     with opened_on(drives) as rig:

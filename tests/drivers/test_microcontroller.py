@@ -70,10 +70,11 @@ def test_nothing_is_enabled_before_the_first_target(board):
         assert not board.flags & ENABLED
 
 
-@pytest.mark.parametrize("targets", [[np.nan, 0.0], [0.0], [0.0, np.inf]])
-def test_targets_that_are_none_are_refused(board, targets):
-    with opened_on(board) as rig, pytest.raises(RigFault, match="invalid motor targets"):
-        rig.write(np.array(targets))
+def test_targets_that_are_none_are_refused(board):
+    with opened_on(board) as rig:
+        for targets in ([np.nan, 0.0], [0.0], [0.0, np.inf]):
+            with pytest.raises(RigFault, match="invalid motor targets"):
+                rig.write(np.array(targets))
 
 
 def test_a_killed_driver_leaves_the_motors_to_the_board_which_stops_them(board):
@@ -104,8 +105,10 @@ def test_an_emergency_stop_switches_the_motors_off_until_the_next_target(board):
     ("cause", "said"),
     [
         ({"silent": True}, "silent for"),
-        ({"flip": 200}, "damaged or lost frames within a second"),
-        ({"fault": True}, "fault of its motors"),
+        pytest.param(
+            {"flip": 200}, "damaged or lost frames within a second", marks=pytest.mark.slow
+        ),
+        pytest.param({"fault": True}, "fault of its motors", marks=pytest.mark.slow),
         ({"ended": True}, "unplugged"),
     ],
 )
@@ -119,6 +122,7 @@ def test_a_failure_is_named_and_the_motors_stop(board, cause, said):
         assert board.ended or wait_until(lambda: not board.flags & ENABLED)
 
 
+@pytest.mark.slow
 def test_a_few_damaged_frames_cost_their_samples_and_nothing_else(board):
     with opened_on(board) as rig:
         engage(rig, moving(board))
@@ -128,6 +132,7 @@ def test_a_few_damaged_frames_cost_their_samples_and_nothing_else(board):
         assert bad()
 
 
+@pytest.mark.slow
 def test_what_is_missing_on_the_board_is_said(board):
     config = rig_config(microcontroller(board.port.name), count=3)
     with pytest.raises(RigFault, match="has 2 motors, there is no motor 3"), opened(config):
