@@ -21,7 +21,6 @@ from tests.drivers.bench import (
 from tests.drivers.models.board import (
     COMPILER,
     ENABLED,
-    STOPPED,
     WATCHDOG,
     Board,
     compile_firmware,
@@ -95,7 +94,7 @@ def test_an_emergency_stop_switches_the_motors_off_until_the_next_target(board):
     with opened_on(board) as rig:
         start = engage(rig, moving(board))
         rig.emergency_stop()
-        assert wait_until(lambda: board.flags & STOPPED)
+        assert wait_until(lambda: not board.flags & ENABLED)
         read_some(rig)  # the encoders are read on
         assert not board.flags & ENABLED
         engage(rig, moving(board), start)

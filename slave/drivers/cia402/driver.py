@@ -25,7 +25,7 @@ from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 
 SYNC, EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x80, 0x180, 0x280, 0x200, 0x700
 OPERATIONAL, BOOT_UP = 5, 0  # NMT states in a heartbeat
-ENABLE_S = 1.0  # [s] in which a drive must be enabled
+ENABLE_S = 2.0  # [s] in which a drive must be enabled, its brake released
 EMERGENCY_S = 0.02  # [s] to wait for the reason of a fault
 STOPS = 3  # quick stops sent at the end
 BUS_OFF = 0x40  # class of an error frame

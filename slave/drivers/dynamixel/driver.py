@@ -19,7 +19,7 @@ from slave.drivers.dynamixel.registers import STATUS_SIZE, Register, Status
 
 Result = TypeVar("Result")
 
-TRIES = 3  # of a single register
+TRIES = 5  # of a single register
 NEAR = 20  # [counts] of a goal from the position, when torque is switched on
 ENABLE_S = 0.5  # [s] in which torque must be on
 LIMIT = (1 << 31) - 1  # [counts]
