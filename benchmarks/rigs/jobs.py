@@ -86,6 +86,14 @@ class Session:
         self.processes = Processes(folder, config)
 
     def __enter__(self) -> "Session":
+        try:
+            self._engage()
+        except AssertionError:
+            self.__exit__()
+            raise
+        return self
+
+    def _engage(self) -> None:
         self.slave = self.processes.start("slave", "--json", str(self.processes.folder / "s.json"))
         self.processes.start("master")
         with self.processes.look() as link:
@@ -93,7 +101,6 @@ class Session:
             wait_for(lambda: self.processes.engaged(link) or over(), START_S)
             assert not over(), self.processes.outputs()
         assert wait_for(lambda: all(self.state()["moving"]), 5.0), "the motors are not enabled"
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.processes.__exit__()
