@@ -94,7 +94,8 @@ def cpu_s(process: int) -> float:
 def line_bound(driver: str, motors: int) -> float:
     """Return the highest rate [Hz] that the bits of the line allow."""
     if driver == "cia402":
-        return 1.0 / (bus_load(1e6, 1.0, motors, motors, motors, wide=False))
+        loads = [bus_load(1e6, hz, motors, motors, motors, wide=False) for hz in (0.0, 1.0)]
+        return (1.0 - loads[0]) / (loads[1] - loads[0])
     if driver == "dynamixel":
         # sync read 14 + n bytes, answers of 11 + 16, sync write of 14 + 5 n, 10 bits a byte
         return BAUD / 10.0 / (14 + motors + 27 * motors + 14 + 5 * motors)

@@ -99,8 +99,8 @@ class DynamixelDriver:
 
     def _set_up(self, number: int) -> None:
         """Set up one servo, torque off: the order matters, its EEPROM is locked with torque on."""
-        model, result, _ = self._packets.ping(self._port, number)
-        if text := result_text(result):
+        model, text = self._ping(number)
+        if text:
             raise DriverFault(
                 f"{self._config.port}: servo {number}: {text} at {self._config.baud} baud; "
                 "`teleop rig scan` lists what is there"
@@ -126,6 +126,16 @@ class DynamixelDriver:
             self._put(number, registers.CURRENT_LIMIT, limit)
         velocity = max(1, round(self._config.velocity_max / registers.VELOCITY_UNIT))
         self._put(number, registers.PROFILE_VELOCITY, velocity)
+
+    def _ping(self, number: int) -> tuple[int, str]:
+        """Return the model of a servo, and why there is none."""
+        model, text = 0, ""
+        for _ in range(TRIES):
+            model, result, _ = self._packets.ping(self._port, number)
+            text = result_text(result)
+            if not text:
+                break
+        return model, text
 
     def _exchange(self, target: Counts | None) -> Sequence[Reading]:
         self._cycles += 1
