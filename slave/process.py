@@ -95,6 +95,7 @@ class SlaveProcess(LoopProcess):
         requests: RequestListener | None = None,
     ) -> None:
         self._rig, self._model = rig, model
+        self._emergency_stop = getattr(rig, "emergency_stop", None)  # of a `StoppableRig`
         past = past or Past(now_ns(), ())
         self._slave = loop.start(model, config, bilateral, rig.starts_at_zero, past.samples)
         self.memory: SlaveMemory = one(self._slave.memory)
@@ -132,7 +133,7 @@ class SlaveProcess(LoopProcess):
             verdict = self._step(now + late_ns, tick.dt + late_ns * 1e-9, fault, requests)
         if self._has_motor[0] and fault is Reason.NONE:
             try:
-                self._rig.write(self._motor[: self._rig.tendons].copy())
+                self._move_rig()
             except RigFault as error:
                 self._take_back()
                 verdict = self._step(now_ns(), tick.dt, self._failed(error), requests)
@@ -166,6 +167,14 @@ class SlaveProcess(LoopProcess):
             "force_error": self._score.summary(),
             "rig": self._rig.summary(),
         }
+
+    def _move_rig(self) -> None:
+        """Write the gated positions; in an emergency stop use the motors' own, if they have one."""
+        if self._emergency_stop is None or self._outline().state is not State.STOPPED:
+            self._rig.write(self._motor[: self._rig.tendons].copy())
+            return
+        self._has_motor[0] = False  # the next engagement begins where the encoders are by then
+        self._emergency_stop()
 
     def _take_back(self) -> None:
         """Forget the tick that was just stepped, and what was estimated ahead for it."""

@@ -86,5 +86,16 @@ class Rig(Protocol):
         """Stop the motors where they are and release the hardware; never raises."""
 
 
+class StoppableRig(Rig, Protocol):
+    """A rig whose motors have a stop of their own, beyond being held where they are."""
+
+    def emergency_stop(self) -> None:
+        """Stop the motors by their own means, called once as the session is stopped.
+
+        Nothing is written until an operator has reset the stop and engages again; then the first
+        positions are those that the encoders have given last.
+        """
+
+
 class RigFinished(Exception):
     """A replayed rig has played its last row; the session ends without a fault."""

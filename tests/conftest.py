@@ -15,6 +15,10 @@ settings.load_profile("short")
 REAL_TIME = (  # loops, sockets, clocks
     "examples/test_session_examples.py",
     "system",
+    "drivers/test_cia402.py",
+    "drivers/test_composed.py",
+    "drivers/test_dynamixel.py",
+    "drivers/test_microcontroller.py",
     "master/test_process.py",
     "master/test_unplug.py",
     "master/hid/test_command.py",
@@ -22,6 +26,7 @@ REAL_TIME = (  # loops, sockets, clocks
     "master/hid/test_guard.py",
     "master/hid/test_seeker.py",
     "master/hid/test_writer.py",
+    "slave/test_emergency_stop.py",
     "slave/test_process.py",
     "tools/bench/test_benchmarks.py",
     "teleop/test_clock.py",

@@ -82,6 +82,9 @@ def main(args: argparse.Namespace) -> int:
             "estimate DATA --fit --save FILE"
         )
     stop = Stop()
+    is_real = not isinstance(config.rig, SimulatedRigConfig)
+    if is_real:
+        go_realtime(shared.realtime)  # before the rig: its processes inherit the priority
     with ExitStack() as stack:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
@@ -90,7 +93,7 @@ def main(args: argparse.Namespace) -> int:
         replaced = replaceable(out, args.config)
         require_other(args.figure, (out, args.config))
         earlier = replaced or earlier_file(config, needed=bool(joints))
-        start_ns, ticks = pace(config, shared)
+        start_ns, ticks = pace(shared.rate_hz, is_real)
         found = initialise(
             rig,
             config,
@@ -162,12 +165,11 @@ def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
         return None
 
 
-def pace(config: SlaveConfig, shared: RunConfig) -> tuple[int, Iterator[Tick]]:
+def pace(rate_hz: float, is_real: bool) -> tuple[int, Iterator[Tick]]:
     """Return the start of session time [ns] and the ticks: real time except for simulated rigs."""
-    if isinstance(config.rig, SimulatedRigConfig):
-        return 0, fast_ticks(shared.rate_hz)
-    go_realtime(shared.realtime)
-    return now_ns(), iter(Grid(shared.rate_hz, lambda: False))
+    if not is_real:
+        return 0, fast_ticks(rate_hz)
+    return now_ns(), iter(Grid(rate_hz, lambda: False))
 
 
 def show_bar(rig: Rig) -> Callable[[Progress], None]:

@@ -5,19 +5,25 @@ from typing import Any
 
 from slave.rig import Rig, RigFault
 from slave.rigs.extension import RigExtension
+from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.errors import UsageError
 from teleop.extensions import opening_failed
 
-RigConfig = SimulatedRigConfig | ReplayedRigConfig | RigExtension
+RigConfig = SimulatedRigConfig | ReplayedRigConfig | HardwareRigConfig | RigExtension
 
 RIGS: dict[type[Any], Callable[[Any], Rig]] = {
     SimulatedRigConfig: SimulatedRig,
     ReplayedRigConfig: ReplayedRig,
+    HardwareRigConfig: HardwareRig,
 }
 
-RIG_COMPILE_S: dict[type[Any], float] = {SimulatedRigConfig: 4.0, ReplayedRigConfig: 0.0}
+RIG_COMPILE_S: dict[type[Any], float] = {
+    SimulatedRigConfig: 4.0,
+    ReplayedRigConfig: 0.0,
+    HardwareRigConfig: 0.0,
+}
 """Additional compile time of a slave with this rig [s], on two processors."""
 
 

@@ -34,6 +34,7 @@ COMMANDS = {
         "master.devices.hid.command",
         "list, probe, dump and test haptic devices; print udev rules",
     ),
+    "rig": ("slave.bring_up.command", "bring up real motors and load cells: scan, check, reset"),
     "calibrate": ("slave.calibration.command", "measure a rig's sheaths: friction and stiffness"),
     "estimate": ("teleop.tools.estimate", "estimate the distal tension in measured data"),
     "diagnose": (
@@ -54,7 +55,7 @@ COMMANDS = {
 
 
 # commands that import the estimator
-COMPILED = {"run", "slave", "calibrate", "estimate", "diagnose", "pair", "simulate", "bench"}
+COMPILED = {"run", "slave", "rig", "calibrate", "estimate", "diagnose", "pair", "simulate", "bench"}
 
 
 class Parser(argparse.ArgumentParser):

@@ -30,7 +30,8 @@ from slave import model_files
 from slave.calibration import file
 from slave.calibration.file import Calibration, JointTendons
 from slave.config import SlaveConfig, tendon_configs
-from slave.rigs.simulated.simulated import SimulatedRigConfig, joint_tendons
+from slave.rigs.joint_layout import joint_tendons
+from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.tendon_config import TendonConfig
 from teleop.config import as_tree, load
 from teleop.data.table import Columns, MeasuredTable, check_destination, read_table, write_table

@@ -6,14 +6,18 @@ from pathlib import Path
 
 import pytest
 
+from master.config import MasterConfig
 from slave.calibration import file
 from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs import open_rig
 from teleop.app import cli
 from teleop.config import load
+from teleop.errors import UsageError
 
 FOLDER = Path(__file__).parents[2] / "configs"
-NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml") if "\nslave:" in path.read_text())
+WHOLE = {path.stem: path.read_text() for path in sorted(FOLDER.glob("*.yaml"))}
+HARDWARE = [name for name, text in WHOLE.items() if "type: hardware" in text]
+NAMES = [name for name in WHOLE if "\nslave:" in WHOLE[name] and name not in HARDWARE]
 SURE = 3.0  # standard uncertainties
 UNCERTAIN = 0.03  # of K: an uncertainty above says nothing
 
@@ -72,6 +76,16 @@ def test_the_slave_of_the_config_as_it_is_takes_the_file(done):
     for tendon, (K, _) in zip(tendon_configs(config, rig.tendons), true, strict=True):
         accepted = tendon.model().sheath.K
         assert abs(accepted - K) <= SURE / 2.0 * tendon.friction_error * K  # that is two sigma
+
+
+@pytest.mark.parametrize("name", HARDWARE)
+def test_a_config_to_start_from_is_right_but_for_the_port(name):
+    config = load(FOLDER / f"{name}.yaml", SlaveConfig, "slave")
+    load(FOLDER / f"{name}.yaml", MasterConfig, "master")
+    assert config.rig.motors.type == name
+    assert config.control.tension_max < config.gate.tension_max <= 10.0
+    with pytest.raises(UsageError, match="cannot be opened"):
+        open_rig(config.rig)
 
 
 @pytest.mark.parametrize("name", ["bowden", "demo"])

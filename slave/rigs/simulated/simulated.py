@@ -9,6 +9,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.rig import RigFault, RigSample
+from slave.rigs.joint_layout import joint_tendons
 from slave.rigs.simulated.plant.body import BodyConfig, build_body
 from slave.rigs.simulated.plant.effects import EffectConfig
 from slave.rigs.simulated.plant.effects.ends import AntagonistTension
@@ -274,12 +275,3 @@ class SimulatedRig:
             if joint is not None:
                 replace(self._joints, i, joint)
         self._sensors = self._sensor_schedule.at(time) or self._sensors
-
-
-def joint_tendons(counts: list[int]) -> tuple[tuple[int, ...], ...]:
-    """Return which tendons each joint has: numbered from 0, joint after joint."""
-    joints, first = [], 0
-    for count in counts:
-        joints.append(tuple(range(first, first + count)))
-        first += count
-    return tuple(joints)

@@ -1,0 +1,1 @@
+"""Rigs on models of their hardware: the main job of each driver, achieved rates and CPU."""

@@ -1,0 +1,161 @@
+"""Bring up a rig of real hardware, step by step (docs/hardware.md).
+
+  teleop rig scan                          list serial ports and CAN interfaces
+  teleop rig scan --config my-rig.yaml     list what answers on the buses of a config
+  teleop rig check --config my-rig.yaml    read rates, noise and signs; then, after a typed
+                                           confirmation, move one motor at a time, a little
+  teleop rig reset --config my-rig.yaml    reset the faults of the drives, their cause removed
+
+Then calibrate: teleop calibrate --config my-rig.yaml
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from slave.bring_up.moving import Move, move_one, verdict
+from slave.bring_up.reading import AtRest, format_at_rest, measure_at_rest
+from slave.config import SlaveConfig
+from slave.drivers import configs
+from slave.drivers.configs import DriverConfig
+from slave.drivers.driver import DriverFault
+from slave.rig import Rig, RigFault
+from slave.rigs import open_rig
+from slave.rigs.hardware import HardwareRigConfig
+from teleop.clock import Grid, Tick, now_ns
+from teleop.config import load
+from teleop.errors import TeleopError, UsageError
+from teleop.options import add_options
+from teleop.process import seconds
+from teleop.realtime import go_realtime
+from teleop.run_config import RunConfig
+
+READ_S = 2.0  # [s]
+TRAVEL_MM, FORCE_N = 0.5, 2.0
+TRAVEL_MAX_MM, FORCE_MAX_N = 5.0, 20.0
+CONFIRMATION = "move"
+_CAN_INTERFACE = "280"  # ARPHRD_CAN
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the subcommands of `teleop rig`."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    scan = actions.add_parser("scan", help="list what is on the buses; moves nothing")
+    check = actions.add_parser("check", help="read, then move one motor at a time, a little")
+    reset = actions.add_parser("reset", help="reset the faults of the drives")
+    for action in (scan, check, reset):
+        add_options(action, "--config", "--set")
+    check.add_argument("--duration", type=seconds, default=READ_S, help="of reading [s]")
+    check.add_argument(
+        "--travel", type=float, default=TRAVEL_MM, metavar="MM", help="of each motor (0.5)"
+    )
+    check.add_argument(
+        "--force", type=float, default=FORCE_N, metavar="N", help="above rest; then it stops (2)"
+    )
+    check.add_argument("--read-only", action="store_true", help="do not ask, move nothing")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run a subcommand; returns the exit code."""
+    if args.action == "check":
+        return check(args, input)
+    if args.action == "scan" and args.config is None and not args.overrides:
+        print("\n".join(interfaces() or ["no serial port and no CAN interface"]))
+        return 0
+    rig = hardware(load(args.config, SlaveConfig, "slave", args.overrides))
+    buses = [rig.motors] if rig.cells is None else [rig.motors, rig.cells]
+    try:
+        for bus in buses:
+            if args.action == "scan":
+                lines = configs.scan(bus) or [f"{bus.type}: nothing answers"]
+            else:
+                lines = configs.reset(bus, _motors_on(rig, bus))
+            print("\n".join(lines))
+    except DriverFault as fault:
+        raise TeleopError(f"rig: {fault}") from fault
+    return 0
+
+
+def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
+    """Check the rig of a config; 1 if a motor or a cell does not answer as it should."""
+    shared = load(args.config, RunConfig, None, args.overrides)
+    config = load(args.config, SlaveConfig, "slave", args.overrides)
+    move = requested_move(args)
+    with ExitStack() as stack:
+        if isinstance(config.rig, HardwareRigConfig):
+            go_realtime(shared.realtime)  # before the rig: its processes inherit the priority
+        rig = open_rig(config.rig)
+        stack.callback(rig.close)
+        start_ns, ticks = now_ns(), iter(Grid(shared.rate_hz, lambda: False))
+        try:
+            rest = measure_at_rest(rig, ticks, start_ns, args.duration)
+            print("\n".join([*format_at_rest(rest), *_format_summary(rig)]))
+            if args.read_only:
+                return 0
+            if not np.all(np.isfinite([rest.displacement, rest.tension])):
+                raise TeleopError("rig: a tendon gives no reading, so nothing is moved")
+            print(
+                f"Next, each motor pulls by {args.travel:g} mm and returns, at most "
+                f"{args.force:g} N above its tension now. Keep clear of the rig."
+            )
+            if prompt(f"Type '{CONFIRMATION}' to go on: ").strip() != CONFIRMATION:
+                print("nothing was moved")
+                return 0
+            return move_all(rig, config, ticks, start_ns, rest, move)
+        except RigFault as fault:
+            raise TeleopError(f"rig: {fault}") from fault
+
+
+def move_all(
+    rig: Rig, config: SlaveConfig, ticks: Iterator[Tick], start_ns: int, rest: AtRest, move: Move
+) -> int:
+    """Move one motor after the other; stops at the first that does not answer as it should."""
+    for tendon in range(rig.tendons):
+        moved = move_one(rig, config.gate, ticks, start_ns, rest, tendon, move)
+        is_right, text = verdict(moved, rest)
+        print(text, flush=True)
+        if not is_right:
+            return 1
+    print("all motors and cells answer; next: teleop calibrate")
+    return 0
+
+
+def requested_move(args: argparse.Namespace) -> Move:
+    """Return the move that was asked for; `UsageError` if it is not a small one."""
+    if not 0.0 < args.travel <= TRAVEL_MAX_MM:
+        raise UsageError(f"--travel {args.travel:g}: must be above 0, at most {TRAVEL_MAX_MM:g} mm")
+    if not 0.0 < args.force <= FORCE_MAX_N:
+        raise UsageError(f"--force {args.force:g}: must be above 0, at most {FORCE_MAX_N:g} N")
+    return Move(args.travel * 1e-3, args.force)
+
+
+def hardware(config: SlaveConfig) -> HardwareRigConfig:
+    """Return the rig's config; `UsageError` if it has no buses."""
+    if not isinstance(config.rig, HardwareRigConfig):
+        raise UsageError(
+            f"slave.rig.type: {config.rig.type} has no buses; {{type: hardware, ...}} is needed "
+            "(docs/hardware.md, and configs/ to start from)"
+        )
+    return config.rig
+
+
+def interfaces() -> list[str]:
+    """Return serial ports by their lasting names, and CAN interfaces."""
+    ports = sorted(Path("/dev/serial/by-id").glob("*"))
+    lines = [f"{port} -> /dev/{port.resolve().name}" for port in ports]
+    for kind in sorted(Path("/sys/class/net").glob("*/type")):
+        if kind.read_text().strip() == _CAN_INTERFACE:
+            state = (kind.parent / "operstate").read_text().strip()
+            lines.append(f"CAN {kind.parent.name}: {state}")
+    return lines
+
+
+def _motors_on(rig: HardwareRigConfig, bus: DriverConfig) -> tuple[int, ...]:
+    return rig.motor_ids if bus is rig.motors else ()
+
+
+def _format_summary(rig: Rig) -> list[str]:
+    return [f"{key}: {value}" for key, value in rig.summary().items()]

@@ -1,0 +1,154 @@
+"""Second part of a check: one motor after the other is moved a little, at low force.
+
+Every position has passed `slave.gate`. The motor pulls in by the stated travel, holds, and returns;
+it pulls no further once the tension has risen by the stated force.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.records import as_record
+from slave import gate
+from slave.bring_up.reading import AtRest, displacement_of
+from slave.gate import GateConfig
+from slave.rig import Rig, RigSample
+from teleop.clock import Tick
+
+SPEED = 0.002  # [m/s]
+HOLD_S = 0.5  # [s] of which the second half is averaged
+BEFORE_S = 0.5  # [s] in which the motors are enabled where they are
+SURE = 5.0  # standard deviations of the noise
+TRAVEL_ERROR = 0.1  # relative, of the travel
+
+
+class Move(NamedTuple):
+    """How far and how strongly a motor is moved."""
+
+    travel: float  # [m]
+    force: float  # [N] above the tension at rest
+
+
+class Moved(NamedTuple):
+    """One motor's answer."""
+
+    tendon: int  # from 0
+    commanded: float  # [m] that it was really moved
+    travel: float  # [m] measured
+    tension: Array  # [N] change of every tendon, shape (tendons,)
+
+
+def move_one(
+    rig: Rig,
+    limits: GateConfig,
+    ticks: Iterator[Tick],
+    start_ns: int,
+    rest: AtRest,
+    tendon: int,
+    move: Move,
+) -> Moved:
+    """Move one motor and back; the others hold."""
+    mover = _Mover(rig, limits, ticks, start_ns, rest.displacement.copy(), rest.tension)
+    mover.run(BEFORE_S, mover.last)
+    top = mover.pull(tendon, move)
+    mover.run(HOLD_S / 2.0, mover.last)
+    held = mover.run(HOLD_S / 2.0, mover.last)
+    travel, tension = _means(held)
+    mover.pull(tendon, Move(-top, np.inf))
+    mover.run(HOLD_S / 2.0, mover.last)
+    return Moved(
+        tendon, top, float(travel[tendon] - rest.displacement[tendon]), tension - rest.tension
+    )
+
+
+class _Mover:
+    """A rig whose motors are moved through the gate."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        limits: GateConfig,
+        ticks: Iterable[Tick],
+        start_ns: int,
+        position: Array,
+        tension: Array,
+    ) -> None:
+        self.last = position
+        self._rig, self._gate, self._start_ns = rig, as_record(limits), start_ns
+        self._ticks = iter(ticks)
+        self._tension, self._silence = tension, 0.0
+        self._no_reach = gate.Reach.array(0)
+
+    def run(self, duration_s: float, wanted: Array) -> list[RigSample]:
+        """Ask for a position for a while; return the samples."""
+        samples: list[RigSample] = []
+        while duration_s > 0.0:
+            dt, new = self._tick(wanted)
+            duration_s -= dt
+            samples += new
+        return samples
+
+    def pull(self, tendon: int, move: Move) -> float:
+        """Move a motor by a travel, or until its tension has risen; return by how much."""
+        begin, limit = self.last[tendon], self._tension[tendon] + move.force
+        wanted, target = self.last.copy(), self.last[tendon] + move.travel
+        sign = 1.0 if move.travel > 0.0 else -1.0
+        while sign * (target - wanted[tendon]) > 0.0 and not self._tension[tendon] > limit:
+            dt, _ = self._tick(wanted)
+            wanted[tendon] += sign * min(SPEED * dt, abs(target - wanted[tendon]))
+        self._tick(wanted)
+        return float(self.last[tendon] - begin)
+
+    def _tick(self, wanted: Array) -> tuple[float, list[RigSample]]:
+        tick = next(self._ticks)
+        samples = list(self._rig.read((tick.stamp_ns - self._start_ns) * 1e-9))
+        self._silence += tick.dt
+        if samples:
+            self._tension, self._silence = samples[-1].proximal_tension, 0.0
+        passed = np.empty(self._rig.tendons)
+        gate.step(
+            self._gate,
+            self._rig.tendons,
+            self.last,
+            wanted,
+            self._tension,
+            self._silence,
+            True,
+            tick.dt,
+            self._no_reach,
+            False,
+            False,
+            passed,
+        )
+        self.last = passed
+        self._rig.write(passed.copy())
+        self._rig.advance()
+        return tick.dt, samples
+
+
+def verdict(moved: Moved, rest: AtRest) -> tuple[bool, str]:
+    """Return whether a motor has answered as it should, and what it did."""
+    k, name = moved.tendon, f"tendon {moved.tendon + 1}"
+    did = f"{name}: moved {moved.travel * 1e3:+.2f} of {moved.commanded * 1e3:+.2f} mm, "
+    did += f"tension {moved.tension[k]:+.2f} N"
+    noise = np.maximum(rest.tension_noise, 1e-3)
+    answers = moved.tension / noise
+    if abs(moved.travel - moved.commanded) > TRAVEL_ERROR * abs(moved.commanded):
+        return False, f"{did}: the motor does not follow: power, limits, motor.counts_per_turn?"
+    if answers[k] > SURE:
+        return True, f"{did}: right"
+    if answers[k] < -SURE:
+        return False, f"{did}: the tension falls: motor.direction, or the sign of cell.scale"
+    other = int(np.argmax(answers))
+    if answers[other] > SURE:
+        return False, f"{did}: the cell of tendon {other + 1} answers in its place"
+    return False, f"{did}: no tension: a slack tendon, or a cell that is not on it"
+
+
+def _means(samples: list[RigSample]) -> tuple[Array, Array]:
+    return (
+        np.mean([displacement_of(sample) for sample in samples], axis=0),
+        np.mean([sample.proximal_tension for sample in samples], axis=0),
+    )

@@ -1,0 +1,159 @@
+"""Set up a CANopen node by SDO: PDOs, modes, limits, watchdog; each value is read back."""
+
+import contextlib
+import struct
+
+import canopen
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from slave.drivers.cia402.config import Cia402Config
+from slave.drivers.cia402.emergency import emergency_text
+from slave.drivers.cia402.state_machine import Control, DriveState, drive_state
+from slave.drivers.driver import DriverFault
+
+SDO_TIMEOUT_S = 0.3
+HEARTBEAT_MS = 100  # of the nodes
+_MODES = {"position": (8, 7), "interpolation": (7, 6)}  # value of 6060, bit of 6502
+_OFF = 1 << 31  # of a PDO's identifier
+_NO_OBJECT = (0x06020000, 0x06090011)
+SYNCHRONOUS = 1  # transmission type: at every SYNC
+QUICK_STOP_AND_HOLD = 6  # of 605A
+QUICK_STOP_ON_LOSS = 3  # of 6007
+
+
+class NodeSetUp:
+    """One node while it is set up, in the state pre-operational."""
+
+    def __init__(
+        self,
+        network: canopen.Network,
+        number: int,
+        config: Cia402Config,
+        timeout_s: float = SDO_TIMEOUT_S,
+    ) -> None:
+        self._config, self._number = config, number
+        node = network.add_node(number, canopen.ObjectDictionary())
+        self._sdo = node.sdo
+        self._sdo.RESPONSE_TIMEOUT = timeout_s
+
+    def drive(self, with_cell: bool) -> None:
+        """Set up a drive; `DriverFault` if it refuses, is not homed or has a fault."""
+        self._require_drive()
+        config = self._config
+        mode, bit = _MODES[config.mode]
+        if not self.get(0x6502, 0) >> bit & 1:
+            raise self._fault(f"has no mode '{config.mode}' (object 6502)")
+        self.put(0x6060, 0, 1, mode)
+        self.put(0x6065, 0, 4, config.following_error)
+        self.put(0x6066, 0, 2, round(config.following_time * 1e3))
+        self.put(0x607D, 1, 4, config.position_min)
+        self.put(0x607D, 2, 4, config.position_max)
+        self.put(0x607F, 0, 4, config.velocity_max)
+        self.put(0x6085, 0, 4, config.quick_stop_deceleration)
+        self.put(0x605A, 0, 2, QUICK_STOP_AND_HOLD)
+        self.put(0x6007, 0, 2, QUICK_STOP_ON_LOSS)
+        self.put(0x60C2, 1, 1, round(1e3 / config.rate_hz))
+        self.put(0x60C2, 2, 1, -3)
+        self._heartbeats(consumed=True)
+        target = (0x60C1, 1, 32) if config.mode == "interpolation" else (0x607A, 0, 32)
+        self._map(0x1400, 0x200, [(0x6040, 0, 16), target])
+        cell = self._cell()
+        sent = [(0x6041, 0, 16), (0x6064, 0, 32)]
+        beside = with_cell and cell[2] == 16
+        self._map(0x1800, 0x180, [*sent, cell] if beside else sent)
+        self._map(0x1801, 0x280, [cell] if with_cell and not beside else [])
+
+    def cell(self) -> None:
+        """Set up a node that has a load cell and no motor in use."""
+        self._heartbeats(consumed=False)
+        self._map(0x1800, 0x180, [])
+        self._map(0x1801, 0x280, [self._cell()])
+
+    def reset_fault(self) -> str:
+        """Reset a fault by the rising edge of its bit; return the state after it, in words."""
+        self.put(0x6040, 0, 2, Control.DISABLE_VOLTAGE, check=False)
+        self.put(0x6040, 0, 2, Control.RESET_FAULT, check=False)
+        self.put(0x6040, 0, 2, Control.DISABLE_VOLTAGE, check=False)
+        return drive_state(self.get(0x6041, 0)).text
+
+    def description(self) -> str:
+        """Return name, profile and state, as far as the node tells."""
+        profile = self.get(0x1000, 0) & 0xFFFF
+        name = ""
+        with contextlib.suppress(SdoError):
+            name = self._sdo.upload(0x1008, 0).rstrip(b"\0").decode("ascii", "replace")
+        state = f", {drive_state(self.get(0x6041, 0)).text}" if profile == 402 else ""
+        return f"node {self._number}: {name or 'no name'}, profile {profile}{state}"
+
+    def get(self, index: int, subindex: int) -> int:
+        """Read an unsigned value; `DriverFault` if the node has none."""
+        try:
+            return int.from_bytes(self._sdo.upload(index, subindex), "little")
+        except SdoAbortedError as error:
+            raise self._fault(f"object {index:04X}:{subindex}: {error}") from error
+        except SdoError as error:
+            raise self._fault(f"does not answer ({error})") from error
+
+    def put(self, index: int, subindex: int, size: int, value: int, check: bool = True) -> None:
+        """Write a value of `size` bytes and read it back; `DriverFault` if it is not taken."""
+        data = (int(value) % (1 << (8 * size))).to_bytes(size, "little")
+        try:
+            self._sdo.download(index, subindex, data)
+            again = self._sdo.upload(index, subindex) if check else data
+        except SdoAbortedError as error:
+            raise self._fault(f"object {index:04X}:{subindex} = {value}: {error}") from error
+        except SdoError as error:
+            raise self._fault(f"does not answer ({error})") from error
+        if again[:size] != data:
+            read = int.from_bytes(again[:size], "little", signed=value < 0)
+            raise self._fault(f"object {index:04X}:{subindex}: set to {value}, reads back {read}")
+
+    def _require_drive(self) -> None:
+        if self.get(0x1000, 0) & 0xFFFF != 402:
+            raise self._fault("is no CiA 402 drive (object 1000)")
+        status = self.get(0x6041, 0)
+        if drive_state(status) in (DriveState.FAULT, DriveState.FAULT_REACTION):
+            code = emergency_text(self.get(0x603F, 0))
+            raise self._fault(f"has a fault: {code}; remove its cause, then `teleop rig reset`")
+        bit = self._config.homed_bit
+        if bit is not None and not status >> bit & 1:
+            raise self._fault(
+                f"is not homed (bit {bit} of its status word): home it by its own tool, or set "
+                "homed_bit to null if its encoder is absolute"
+            )
+
+    def _heartbeats(self, consumed: bool) -> None:
+        self.put(0x1017, 0, 2, HEARTBEAT_MS)
+        if consumed:
+            milliseconds = round(self._config.watchdog * 1e3)
+            self.put(0x1016, 1, 4, self._config.master << 16 | milliseconds)
+
+    def _cell(self) -> tuple[int, int, int]:
+        analogue = self._config.analogue
+        return analogue.index, analogue.subindex, analogue.bits
+
+    def _map(self, index: int, base: int, objects: list[tuple[int, int, int]]) -> None:
+        """Map objects (index, subindex, bits) to the PDO of communication object `index`.
+
+        The order is that of CiA 301: PDO off, mapping off, objects, their number, PDO on.
+        """
+        identifier = base + self._number
+        try:
+            self._sdo.download(index, 1, struct.pack("<I", identifier | _OFF))
+        except SdoAbortedError as error:
+            if not objects and error.code in _NO_OBJECT:
+                return
+            raise self._fault(f"object {index:04X}:1: {error}") from error
+        except SdoError as error:
+            raise self._fault(f"does not answer ({error})") from error
+        self.put(index + 0x200, 0, 1, 0)
+        if not objects:
+            return
+        self.put(index, 2, 1, SYNCHRONOUS)
+        for k, (mapped, subindex, bits) in enumerate(objects, 1):
+            self.put(index + 0x200, k, 4, mapped << 16 | subindex << 8 | bits)
+        self.put(index + 0x200, 0, 1, len(objects))
+        self.put(index, 1, 4, identifier)
+
+    def _fault(self, text: str) -> DriverFault:
+        return DriverFault(f"drive {self._number} {text}")

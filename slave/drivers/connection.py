@@ -1,0 +1,139 @@
+"""The slave's end of a driver's process: newest readings in, newest targets out, never waiting."""
+
+import json
+import select
+import socket
+import subprocess
+import sys
+import time
+
+from slave.drivers import packets
+from slave.drivers.configs import DriverConfig
+from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from teleop.config import as_tree
+
+START_S = 20.0  # [s] in which a bus must be set up
+END_S = 2.0  # [s] in which it must be released
+
+
+class Connection:
+    """A driver in a process of its own.
+
+    Parameters
+    ----------
+    config : DriverConfig
+        The bus.
+    channels : Channels
+        What is used on it.
+
+    Raises
+    ------
+    DriverFault
+        The bus cannot be opened or set up, or something is missing on it.
+
+    Attributes
+    ----------
+    counts : dict
+        Of the driver, every second and when it ends.
+    """
+
+    def __init__(self, config: DriverConfig, channels: Channels) -> None:
+        self.counts: dict[str, int | float] = {}
+        self._place = config.type
+        self._end, other = packets.pair()
+        self._process = _start(other, config, channels)
+        other.close()
+        try:
+            self._await_ready()
+        except DriverFault:
+            self.close()
+            raise
+
+    def read(self) -> list[Reading]:
+        """Return the readings since the last call, oldest first; `DriverFault` if it failed."""
+        readings = []
+        while (packet := packets.receive(self._end)) is not None:
+            if packet[:1] == packets.READING:
+                readings.append(packets.unpack_reading(packet))
+            else:
+                self._take(packet)
+        return readings
+
+    def write(self, target: Counts) -> None:
+        """Send targets; the driver uses the newest."""
+        self._send(packets.pack_target(target))
+
+    def stop(self) -> None:
+        """Stop the motors by their own means; the next target enables them again."""
+        self._send(packets.STOP)
+
+    def close(self) -> None:
+        """Let the driver stop its motors and release the bus; never raises."""
+        try:
+            self._end.shutdown(socket.SHUT_WR)
+            self._drain()
+            self._process.wait(END_S)
+        except (OSError, subprocess.TimeoutExpired):
+            self._process.kill()
+            self._process.wait()
+        self._end.close()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the driver."""
+        return self._process.pid
+
+    def _drain(self) -> None:
+        """Read what the driver still sends, its counts, until it ends."""
+        until_s = time.monotonic() + END_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            select.select([self._end], [], [], left_s)
+            packet = packets.receive(self._end)
+            if packet == b"":
+                return
+            if packet is not None and packet[:1] == packets.COUNTS:
+                self.counts = json.loads(packet[1:])
+
+    def _send(self, packet: bytes) -> None:
+        try:
+            self._end.send(packet)
+        except BlockingIOError as error:  # the driver has not read for a hundred targets
+            raise DriverFault(f"{self._place}: the driver's process hangs") from error
+        except ConnectionError:
+            self.read()  # its last packet says why
+            raise DriverFault(f"{self._place}: the driver's process has ended") from None
+
+    def _await_ready(self) -> None:
+        until_s = time.monotonic() + START_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            select.select([self._end], [], [], left_s)
+            packet = packets.receive(self._end)
+            if packet == packets.READY:
+                return
+            if packet is not None:
+                self._take(packet)
+        raise DriverFault(f"{self._place}: not ready within {START_S:g} s")
+
+    def _take(self, packet: bytes) -> None:
+        """Take a packet that is no reading; `DriverFault` if the driver has ended."""
+        if packet[:1] == packets.COUNTS:
+            self.counts = json.loads(packet[1:])
+        elif packet[:1] == packets.FAULT:
+            raise DriverFault(packet[1:].decode(errors="replace"))
+        elif not packet:
+            raise DriverFault(f"{self._place}: the driver's process has ended")
+
+
+def _start(
+    end: socket.socket, config: DriverConfig, channels: Channels
+) -> "subprocess.Popen[bytes]":
+    words = [as_tree(config), list(channels.motors), list(channels.cells)]
+    number = end.fileno()
+    return subprocess.Popen(
+        [
+            *(sys.executable, "-m", "slave.drivers.worker", str(number)),
+            *map(json.dumps, words),
+        ],
+        pass_fds=[number],
+        stdin=subprocess.DEVNULL,
+    )

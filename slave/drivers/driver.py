@@ -1,0 +1,74 @@
+"""The driver interface: one bus with motors and load cells, used by the process of its own.
+
+A driver works in the units of its bus, whole counts; directions, pulleys, zeros and scales belong
+to `slave.rigs.hardware`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Counts = NDArray[np.float64]
+"""Values in counts of the bus; NaN if missing."""
+
+
+class DriverFault(Exception):
+    """A failure of bus, motors or load cells; the message names the place and the reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """Addresses of the motors and load cells that a rig uses on one bus."""
+
+    motors: tuple[int, ...] = ()
+    cells: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the bus told at one time."""
+
+    time_s: float  # [s] machine's monotonic clock, when it was sampled
+    position: Counts  # shape (motors,)
+    cell: Counts  # shape (cells,)
+
+
+class Driver(Protocol):
+    """One bus, used from one thread: `start`, any number of `cycle` and `stop`, `close`.
+
+    `start` and `cycle` raise `DriverFault`; then only `close` is called. A driver moves nothing
+    before the first target, and enables its motors where they are.
+
+    Attributes
+    ----------
+    period_s : float
+        Time between two cycles [s]; 0 if `cycle` waits for the bus itself.
+    """
+
+    period_s: float
+
+    def start(self) -> None:
+        """Open the bus, set up and check what is on it, watchdogs of the motors included."""
+
+    def cycle(self, target: Counts | None) -> Sequence[Reading]:
+        """Exchange values once; return the new readings, oldest first.
+
+        Waits for the bus, less than a third of the motors' watchdog.
+
+        Parameters
+        ----------
+        target : array, shape (motors,), or None
+            Newest targets; None before the first one and after `stop`: the motors stay disabled.
+        """
+
+    def stop(self) -> None:
+        """Emergency stop by the motors' own means; the next target enables them again."""
+
+    def counts(self) -> dict[str, int | float]:
+        """Return the driver's counts for the summary, lost frames for example."""
+
+    def close(self) -> None:
+        """Stop the motors, release the bus; never raises, also before `start`."""

@@ -1,0 +1,120 @@
+"""Control table of the X series (ROBOTIS e-manual, XM430-W350 and relatives), and what it means."""
+
+import math
+from enum import IntFlag
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slave.drivers.dynamixel.config import DynamixelConfig
+
+Status = NDArray[np.void]
+"""Status of servos, shape (servos,) of `STATUS_DTYPE`."""
+
+
+class Register(NamedTuple):
+    """One entry of the control table."""
+
+    name: str
+    address: int
+    size: int  # [B]
+
+
+MODEL = Register("Model Number", 0, 2)
+BAUD_RATE = Register("Baud Rate", 8, 1)
+RETURN_DELAY = Register("Return Delay Time", 9, 1)  # [2 us]
+OPERATING_MODE = Register("Operating Mode", 11, 1)
+CURRENT_LIMIT = Register("Current Limit", 38, 2)  # [2.69 mA]
+TORQUE_ENABLE = Register("Torque Enable", 64, 1)
+STATUS_RETURN = Register("Status Return Level", 68, 1)
+HARDWARE_ERROR = Register("Hardware Error Status", 70, 1)
+BUS_WATCHDOG = Register("Bus Watchdog", 98, 1)  # [20 ms]; 255 after it has triggered
+PROFILE_VELOCITY = Register("Profile Velocity", 112, 4)  # [0.229 rev/min]
+GOAL_POSITION = Register("Goal Position", 116, 4)
+PRESENT_CURRENT = Register("Present Current", 126, 2)
+PRESENT_POSITION = Register("Present Position", 132, 4)
+INPUT_VOLTAGE = Register("Present Input Voltage", 144, 2)  # [0.1 V]
+TEMPERATURE = Register("Present Temperature", 146, 1)  # [deg C]
+INDIRECT_ADDRESS = 168  # of the first, two bytes each
+INDIRECT_DATA = 224  # of the first
+
+EXTENDED_POSITION = 4  # operating mode: several turns
+WATCHDOG_TRIGGERED = 255
+CURRENT_UNIT = 2.69e-3  # [A]
+VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # [rad/s]
+BAUD_CODES = {57600: 1, 115200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}
+
+STATUS = (
+    PRESENT_POSITION,
+    GOAL_POSITION,
+    PRESENT_CURRENT,
+    HARDWARE_ERROR,
+    INPUT_VOLTAGE,
+    TEMPERATURE,
+    TORQUE_ENABLE,
+    BUS_WATCHDOG,
+)
+"""What one sync read brings, through the indirect addresses, in this order."""
+
+STATUS_DTYPE = np.dtype(
+    [
+        ("position", "<i4"),
+        ("goal", "<i4"),
+        ("current", "<i2"),
+        ("error", "u1"),
+        ("voltage", "<u2"),
+        ("temperature", "u1"),
+        ("torque", "u1"),
+        ("watchdog", "u1"),
+    ]
+)
+STATUS_SIZE = STATUS_DTYPE.itemsize
+
+
+class HardwareError(IntFlag):
+    """Bits of `HARDWARE_ERROR`."""
+
+    INPUT_VOLTAGE = 1
+    OVERHEATING = 4
+    MOTOR_ENCODER = 8
+    ELECTRICAL_SHOCK = 16
+    OVERLOAD = 32
+
+
+ERROR_TEXT = {
+    HardwareError.INPUT_VOLTAGE: "input voltage out of range",
+    HardwareError.OVERHEATING: "too hot",
+    HardwareError.MOTOR_ENCODER: "motor encoder fails",
+    HardwareError.ELECTRICAL_SHOCK: "electrical shock or too little power",
+    HardwareError.OVERLOAD: "overload",
+}
+
+
+def indirect_addresses() -> list[int]:
+    """Return the address behind each byte of `STATUS`, for the indirect address registers."""
+    return [register.address + k for register in STATUS for k in range(register.size)]
+
+
+def parse_status(data: bytes) -> Status:
+    """Return the status of servos from their bytes in a row."""
+    return np.frombuffer(data, STATUS_DTYPE)
+
+
+def error_text(bits: int) -> str:
+    """Return a hardware error in words; empty if there is none."""
+    return ", ".join(text for bit, text in ERROR_TEXT.items() if bits & bit) or (
+        f"unknown hardware error {bits}" if bits else ""
+    )
+
+
+def status_fault(status: "np.void", config: DynamixelConfig) -> str:
+    """Return what is wrong with one servo, in words; empty if nothing is."""
+    if text := error_text(int(status["error"])):
+        return f"hardware error: {text}"
+    volts, (least, most) = int(status["voltage"]) * 0.1, config.voltage
+    if not least <= volts <= most:
+        return f"supply of {volts:.1f} V, must be {least:g} to {most:g} V"
+    if int(status["temperature"]) > config.temperature_max:
+        return f"{int(status['temperature'])} deg C, {config.temperature_max:g} at most"
+    return ""

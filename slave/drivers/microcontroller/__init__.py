@@ -1,0 +1,1 @@
+"""A microcontroller on a serial line: motors and load cells, or load cells alone."""

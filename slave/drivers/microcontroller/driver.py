@@ -1,0 +1,242 @@
+"""The driver of a microcontroller: takes its states as they come, answers each with the targets."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+import serial
+
+from slave.drivers.clock_map import ClockMap
+from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.microcontroller import frames
+from slave.drivers.microcontroller.config import MicrocontrollerConfig
+from slave.drivers.microcontroller.frames import Flags, Frame, FrameReader, Info, Kind, State
+
+HELLO_S = 0.2  # [s] between two greetings; a board that was just opened may reset itself
+GREETING_S = 6.0  # [s] within which it must answer
+WAIT_S = 0.010  # [s] of one cycle without a state
+SECOND = 1.0  # [s] over which errors are counted
+ENABLE_S = 0.5  # [s] in which the motors must be enabled
+LIMIT = (1 << 31) - 1  # [counts]
+
+
+class MicrocontrollerDriver:
+    """A `slave.drivers.driver.Driver`; the board samples on its own clock and sends every sample.
+
+    The board enables its motors at the first target. Once it has stopped them by itself (watchdog,
+    emergency stop), they stay off until a SET that disables them was answered.
+    """
+
+    period_s = 0.0
+
+    def __init__(self, config: MicrocontrollerConfig, channels: Channels) -> None:
+        self._config, self._channels = config, channels
+        self._reader = FrameReader()
+        self._clock = ClockMap()
+        self._port: serial.Serial | None = None
+        self._info: Info | None = None
+        self._sequence = self._states = 0
+        self._heard_s = self._wanted_s = math.inf
+        self._errors: deque[tuple[float, int]] = deque([(0.0, 0)])
+        self._enable = False  # whether the motors are told to follow
+        self._obeyed = False  # whether they do
+        self._began_s = 0.0
+
+    def start(self) -> None:
+        """Open the port, greet the board, check what it has; its motors are disabled."""
+        config = self._config
+        try:
+            self._port = serial.Serial(
+                config.port, config.baud, timeout=WAIT_S, write_timeout=0.1, exclusive=True
+            )
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise DriverFault(f"{config.port}: cannot be opened: {_reason(error)}") from error
+        self._info = info = self._greet()
+        for name, wanted, count in (
+            ("motor", self._channels.motors, info.motors),
+            ("cell", self._channels.cells, info.cells),
+        ):
+            for number in wanted:
+                if not 1 <= number <= count:
+                    raise DriverFault(
+                        f"{config.port}: the board has {count} {name}s, there is no {name} {number}"
+                    )
+        if self._channels.motors and info.watchdog_ms != round(config.watchdog * 1e3):
+            raise DriverFault(
+                f"{config.port}: the board's watchdog is {info.watchdog_ms} ms, "
+                f"{config.watchdog * 1e3:g} ms was asked for"
+            )
+        self._began_s = self._heard_s = time.monotonic()
+        self._send_targets(None)
+
+    def cycle(self, target: Counts | None) -> Sequence[Reading]:
+        """Take the states that have come, and answer them."""
+        readings = []
+        arrived = self._receive()
+        now = time.monotonic()
+        for frame in arrived:
+            if frame.kind != Kind.STATE:
+                continue
+            state = self._parse(frame)
+            self._states += 1
+            self._heard_s = now
+            readings.append(self._reading(state, self._clock(frame.time_us, now)))
+            self._check(state, now)
+        if now - self._heard_s > self._config.timeout:
+            raise DriverFault(
+                f"{self._config.port}: silent for {(now - self._heard_s) * 1e3:.0f} ms"
+            )
+        self._check_errors(now)
+        if readings:
+            self._send_targets(target)
+        return readings
+
+    def stop(self) -> None:
+        """Let the board switch its motors off."""
+        self._enable = self._obeyed = False
+        self._send(Kind.STOP)
+
+    def counts(self) -> dict[str, int | float]:
+        """Return frames, damaged and lost frames, and the rate."""
+        span = self._heard_s - self._began_s if self._states else 0.0
+        return {
+            "rate_hz": round(self._states / span, 1) if span > 0.0 else 0.0,
+            "bad_frames": self._reader.bad,
+            "lost_frames": self._reader.lost,
+        }
+
+    def close(self) -> None:
+        """Switch the motors off."""
+        if self._port is None:
+            return
+        try:
+            if self._channels.motors:
+                self._port.write(self._frame(Kind.STOP))
+            self._port.close()
+        except (serial.SerialException, OSError):
+            pass  # it is unplugged: its watchdog stops the motors
+        self._port = None
+
+    @property
+    def info(self) -> Info | None:
+        """What the board said it is, once started."""
+        return self._info
+
+    def _greet(self) -> Info:
+        until_s, due_s = time.monotonic() + GREETING_S, 0.0
+        version = ""
+        while (now := time.monotonic()) < until_s:
+            if now >= due_s:
+                due_s = now + HELLO_S
+                self._send(Kind.HELLO, frames.hello(self._config.watchdog))
+            for frame in self._receive():
+                if frame.kind == Kind.INFO:
+                    self._reader.bad = self._reader.lost = 0  # the rest of a frame cut at opening
+                    return frames.parse_info(frame.body)
+        version = f", {self._reader.bad} damaged frames" if self._reader.bad else ""
+        raise DriverFault(
+            f"{self._config.port}: no answer within {GREETING_S:g} s{version}: "
+            "is the firmware of firmware/ on the board, and the baud rate right?"
+        )
+
+    def _receive(self) -> list[Frame]:
+        if self._port is None:
+            return []
+        try:
+            data = self._port.read(self._port.in_waiting or 1)
+        except (serial.SerialException, OSError) as error:
+            raise DriverFault(f"{self._config.port}: unplugged ({_reason(error)})") from error
+        return self._reader.feed(data)
+
+    def _parse(self, frame: Frame) -> State:
+        try:
+            return frames.parse_state(frame.body)
+        except frames.FrameError as error:
+            raise DriverFault(f"{self._config.port}: {error}") from error
+
+    def _reading(self, state: State, time_s: float) -> Reading:
+        return Reading(
+            time_s,
+            _selected(state.position, self._channels.motors),
+            _selected(state.cell, self._channels.cells),
+        )
+
+    def _check(self, state: State, now: float) -> None:
+        """Raise `DriverFault` for what the board reports."""
+        port = self._config.port
+        if self._channels.motors and state.flags & Flags.MOTOR_FAULT:
+            raise DriverFault(f"{port}: the board reports a fault of its motors")
+        if self._channels.cells and state.flags & Flags.CELL_FAULT:
+            raise DriverFault(f"{port}: the board's converter of the load cells does not answer")
+        if not self._enable:
+            return
+        if state.flags & Flags.ENABLED:
+            self._obeyed = True
+        elif self._obeyed and state.flags & Flags.WATCHDOG:
+            raise DriverFault(
+                f"{port}: the board stopped the motors: no target for "
+                f"{self._config.watchdog * 1e3:g} ms"
+            )
+        elif self._obeyed:
+            raise DriverFault(f"{port}: the board stopped the motors by itself")
+        elif now - self._wanted_s > ENABLE_S:
+            raise DriverFault(f"{port}: the board does not enable its motors")
+
+    def _check_errors(self, now: float) -> None:
+        total = self._reader.bad + self._reader.lost
+        if total != self._errors[-1][1]:
+            self._errors.append((now, total))
+        while len(self._errors) > 1 and self._errors[1][0] < now - SECOND:
+            self._errors.popleft()
+        count = total - self._errors[0][1]
+        if count > self._config.errors_max:
+            raise DriverFault(
+                f"{self._config.port}: {count} damaged or lost frames within a second: "
+                "check cable, shield and baud rate"
+            )
+
+    def _send_targets(self, target: Counts | None) -> None:
+        count = self._info.motors if self._info else 0
+        if not self._channels.motors:
+            return
+        values = [frames.MISSING] * count
+        if target is not None:
+            for number, value in zip(self._channels.motors, target.tolist(), strict=True):
+                values[number - 1] = max(-LIMIT, min(LIMIT, round(value)))
+        enable = target is not None
+        if enable and not self._enable:
+            self._wanted_s = time.monotonic()
+        self._enable = enable
+        self._obeyed = self._obeyed and enable
+        self._send(Kind.SET, frames.set_targets(tuple(values), enable))
+
+    def _send(self, kind: Kind, body: bytes = b"") -> None:
+        if self._port is None:
+            return
+        try:
+            self._port.write(self._frame(kind, body))
+        except (serial.SerialException, OSError) as error:
+            raise DriverFault(f"{self._config.port}: unplugged ({_reason(error)})") from error
+
+    def _frame(self, kind: Kind, body: bytes = b"") -> bytes:
+        self._sequence += 1
+        return frames.encode(kind, self._sequence, time.monotonic_ns() // 1000, body)
+
+
+def _selected(values: tuple[int, ...], numbers: tuple[int, ...]) -> Counts:
+    """Return the values of the channels in use; NaN if the board could not read one."""
+    return np.array(
+        [
+            math.nan if values[k - 1] == frames.MISSING else float(values[k - 1])
+            for k in numbers
+            if k <= len(values)
+        ]
+    )
+
+
+def _reason(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    strerror = getattr(error, "strerror", None)
+    return strerror or (str(error) if number is None else f"error {number}")

@@ -1,0 +1,90 @@
+"""Packets between the slave and the process of a driver: one kind byte and its values.
+
+Both ends hold a socket of one pair (`SOCK_SEQPACKET`): packets stay whole and in order, and the
+end of either process is the end of the file at the other.
+"""
+
+import json
+import socket
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slave.drivers.driver import Counts, Reading
+
+READY, READING, FAULT, COUNTS = b"R", b"S", b"F", b"C"  # from the driver
+TARGET, STOP = b"T", b"E"  # to the driver
+LARGEST = 4096  # [B] of a packet
+
+Values = NDArray[np.float64]
+
+
+class Orders(NamedTuple):
+    """What the slave has sent since the last look."""
+
+    target: Counts | None  # the newest
+    stop: bool  # an emergency stop, after which no target came
+    ended: bool  # the slave is gone
+
+
+def pair() -> tuple[socket.socket, socket.socket]:
+    """Return the sockets of the slave and of the driver, neither of which ever waits."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in ends:
+        end.setblocking(False)
+    return ends
+
+
+def pack_reading(reading: Reading) -> bytes:
+    """Return a reading as a packet."""
+    head = np.array([reading.time_s, len(reading.position)])
+    return READING + np.concatenate([head, reading.position, reading.cell]).tobytes()
+
+
+def unpack_reading(packet: bytes) -> Reading:
+    """Return the reading in a packet."""
+    values: Values = np.frombuffer(packet, np.float64, offset=1)
+    first = 2 + int(values[1])
+    return Reading(float(values[0]), values[2:first], values[first:])
+
+
+def pack_target(target: Counts) -> bytes:
+    """Return targets as a packet."""
+    return TARGET + np.asarray(target, np.float64).tobytes()
+
+
+def pack_counts(counts: dict[str, int | float]) -> bytes:
+    """Return counts as a packet."""
+    return COUNTS + json.dumps(counts).encode()
+
+
+def pack_fault(text: str) -> bytes:
+    """Return a fault as a packet."""
+    return FAULT + text.encode()[: LARGEST - 1]
+
+
+def receive(end: socket.socket) -> bytes | None:
+    """Return the next packet, empty if the other end is gone; None if there is none yet."""
+    for _ in range(2):
+        try:
+            return end.recv(LARGEST)
+        except BlockingIOError:
+            return None
+        except ConnectionError:  # told once; what the other end has sent before is still there
+            continue
+    return b""
+
+
+def receive_orders(end: socket.socket) -> Orders:
+    """Return what the slave has sent since the last look."""
+    target: Counts | None = None
+    stop = False
+    while (packet := receive(end)) is not None:
+        if not packet:
+            return Orders(None, stop, True)
+        if packet[:1] == TARGET:
+            target, stop = np.frombuffer(packet, np.float64, offset=1), False
+        else:
+            target, stop = None, True
+    return Orders(target, stop, False)

@@ -1,0 +1,118 @@
+"""The process of one driver: cycles of its bus, and packets to and from the slave.
+
+It is a process and not a thread: compiled code of the slave holds the interpreter's lock for as
+long as it runs, seconds in the analysis of a calibration, and the motors' watchdogs would end.
+
+  python -m slave.drivers.worker FD DRIVER MOTORS CELLS     started by slave.drivers.connection
+"""
+
+import contextlib
+import signal
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from slave.drivers import packets
+from slave.drivers.configs import DriverConfig, open_driver
+from slave.drivers.driver import Channels, Counts, Driver, DriverFault, Reading
+from teleop.config import load
+from teleop.errors import TeleopError
+
+COUNTS_S = 1.0  # [s] between two packets of counts
+KEPT = 64  # readings that wait for a slave that does not read; the oldest are dropped
+
+
+@dataclass(frozen=True)
+class WorkerConfig:
+    """What a driver's process is started with."""
+
+    driver: DriverConfig
+    motors: tuple[int, ...] = ()
+    cells: tuple[int, ...] = ()
+
+
+def main(words: Sequence[str]) -> int:
+    """Serve the driver described by the words of the command; return the exit code."""
+    number, driver, motors, cells = words
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal: the slave ends this process
+    end = socket.socket(fileno=int(number))
+    try:
+        texts = [f"driver={driver}", f"motors={motors}", f"cells={cells}"]
+        config = load(None, WorkerConfig, None, texts)
+        serve(open_driver(config.driver, Channels(config.motors, config.cells)), end)
+    except (DriverFault, TeleopError) as error:
+        _send(end, packets.pack_fault(str(error)))
+        return 1
+    finally:
+        end.close()
+    return 0
+
+
+def serve(driver: Driver, end: socket.socket) -> None:
+    """Run a driver until the slave's end is closed or the driver fails.
+
+    A fault is sent as the last packet; the motors are then stopped already.
+    """
+    fault = ""
+    try:
+        driver.start()
+        _send(end, packets.READY)
+        _run(driver, end)
+    except DriverFault as error:
+        fault = str(error)
+    except Exception as error:
+        fault = f"the driver failed: {type(error).__name__}: {error}"
+    finally:
+        driver.close()
+        with contextlib.suppress(OSError):
+            end.send(packets.pack_counts(driver.counts()))
+        if fault:
+            _send(end, packets.pack_fault(fault))
+
+
+def _run(driver: Driver, end: socket.socket) -> None:
+    target: Counts | None = None
+    waiting: deque[Reading] = deque(maxlen=KEPT)
+    due_s = counts_s = time.monotonic()
+    while True:
+        orders = packets.receive_orders(end)
+        if orders.ended:
+            return
+        if orders.stop:
+            target = None
+            driver.stop()
+        elif orders.target is not None:
+            target = orders.target
+        waiting.extend(driver.cycle(target))
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while waiting:
+                end.send(packets.pack_reading(waiting[0]))
+                waiting.popleft()
+            if time.monotonic() >= counts_s:
+                counts_s = time.monotonic() + COUNTS_S
+                end.send(packets.pack_counts(driver.counts()))
+        if driver.period_s:
+            due_s = _wait(due_s, driver.period_s)
+
+
+def _wait(due_s: float, period_s: float) -> float:
+    """Wait for the next point of an absolute grid; whole periods are skipped if late."""
+    now = time.monotonic()
+    due_s += period_s * max(1, -int((due_s - now) // period_s))
+    time.sleep(max(0.0, due_s - now))
+    return due_s
+
+
+def _send(end: socket.socket, packet: bytes) -> None:
+    """Send a packet that matters: the slave reads, or is gone."""
+    with contextlib.suppress(OSError):
+        end.settimeout(1.0)
+        end.send(packet)
+        end.setblocking(False)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,279 @@
+"""A rig of real motors and load cells, on one bus or on two."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from estimator.array_types import Array
+from slave.drivers.configs import DriverConfig
+from slave.drivers.connection import Connection
+from slave.drivers.driver import Channels, Counts, DriverFault, Reading
+from slave.drivers.dynamixel.config import DynamixelConfig
+from slave.rig import RigFault, RigSample
+from slave.rigs.alignment import Aligner
+from slave.rigs.joint_layout import joint_tendons
+from teleop.messages import MAX_JOINTS
+
+AGE_MAX_S = 0.1  # older readings, behind a stall of the loop, are not handed over
+FIRST_STEP_MAX = 0.002  # [m] from where a motor is to its first target
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotorConfig:
+    """A motor and the pulley that winds its tendon."""
+
+    id: int  # on its bus
+    pulley_radius: float  # [m]
+    counts_per_turn: float  # of the motor's shaft
+    gear: float = 1.0  # turns of the motor a turn of the pulley
+    direction: Literal[1, -1] = 1  # 1: counts grow as the tendon is pulled in
+    zero: float = 0.0  # [counts] where the tendon's displacement is 0
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        if not 1e-4 <= self.pulley_radius <= 1.0:
+            raise ValueError("pulley_radius: must be 0.0001 to 1 m")
+        if not 1.0 <= self.counts_per_turn <= 1e9:
+            raise ValueError("counts_per_turn: must be 1 to 1e9")
+        if not 1e-3 <= self.gear <= 1e5:
+            raise ValueError("gear: must be 0.001 to 100000")
+
+    @property
+    def metres_per_count(self) -> float:
+        """Displacement of the tendon [m] a count, with its sign."""
+        turn = 2.0 * math.pi * self.pulley_radius
+        return self.direction * turn / (self.gear * self.counts_per_turn)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellConfig:
+    """A load cell at the housing, or a motor current in its place."""
+
+    id: int  # on its bus
+    scale: float  # [N/count], of either sign
+    offset: float = 0.0  # [counts] without load
+    uncertainty: float | None = None  # [N] standard; required where a current is read
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        if self.scale == 0.0:
+            raise ValueError("scale: must not be 0 [N/count]")
+        if self.uncertainty is not None and not self.uncertainty > 0.0:
+            raise ValueError("uncertainty: must be above 0 [N]")
+
+
+@dataclass(frozen=True, slots=True)
+class HardwareTendonConfig:
+    """One tendon: its motor and its load cell."""
+
+    motor: MotorConfig
+    cell: CellConfig
+
+
+@dataclass(frozen=True, slots=True)
+class HardwareJointConfig:
+    """One joint, pulled by one tendon against a spring or by two against each other."""
+
+    tendons: tuple[HardwareTendonConfig, ...]  # a, or a and b
+
+    def __post_init__(self) -> None:
+        """Check the number of tendons; raises `ValueError`."""
+        if len(self.tendons) not in (1, 2):
+            raise ValueError("tendons: must be 1 or 2")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HardwareRigConfig:
+    """Real motors and load cells: buses, and what each tendon has on them."""
+
+    type: Literal["hardware"] = "hardware"
+    name: str  # of the rig in calibration files
+    motors: DriverConfig
+    cells: DriverConfig | None = None  # bus of the load cells, if not that of the motors
+    joints: tuple[HardwareJointConfig, ...]
+
+    def __post_init__(self) -> None:
+        """Check joints and addresses; raises `ValueError`."""
+        if not self.name.strip():
+            raise ValueError("name: must not be empty")
+        if not 1 <= len(self.joints) <= MAX_JOINTS:
+            raise ValueError(f"joints: must be 1 to {MAX_JOINTS}")
+        for what, ids in (
+            ("motor", [t.motor.id for t in self.tendons]),
+            ("cell", [t.cell.id for t in self.tendons]),
+        ):
+            for number in ids:
+                if ids.count(number) > 1:
+                    raise ValueError(f"joints: {what} {number} belongs to two tendons")
+        if self.reads_currents and any(t.cell.uncertainty is None for t in self.tendons):
+            raise ValueError(
+                "joints: tensions from motor currents need cell.uncertainty [N] of each tendon, or "
+                "load cells on a bus of their own (cells)"
+            )
+
+    @property
+    def tendons(self) -> tuple[HardwareTendonConfig, ...]:
+        """All tendons, joint after joint."""
+        return tuple(tendon for joint in self.joints for tendon in joint.tendons)
+
+    @property
+    def reads_currents(self) -> bool:
+        """Whether tensions come from motor currents."""
+        return isinstance(self.cells or self.motors, DynamixelConfig)
+
+    @property
+    def motor_ids(self) -> tuple[int, ...]:
+        """Motors in the order of the tendons."""
+        return tuple(tendon.motor.id for tendon in self.tendons)
+
+    @property
+    def cell_ids(self) -> tuple[int, ...]:
+        """Load cells in the order of the tendons."""
+        return tuple(tendon.cell.id for tendon in self.tendons)
+
+
+class Transmission:
+    """Counts of the buses as tensions [N] and displacements [m], and back."""
+
+    def __init__(self, tendons: Sequence[HardwareTendonConfig]) -> None:
+        motors, cells = [t.motor for t in tendons], [t.cell for t in tendons]
+        self._metres = np.array([motor.metres_per_count for motor in motors])
+        self._zero = np.array([motor.zero for motor in motors])
+        self._newtons = np.array([cell.scale for cell in cells])
+        self._offset = np.array([cell.offset for cell in cells])
+
+    def displacement(self, position: Counts) -> Array:
+        """Return the tendons' displacements [m] of motor positions."""
+        metres: Array = (position - self._zero) * self._metres
+        return metres
+
+    def tension(self, cell: Counts) -> Array:
+        """Return the tensions [N] of cell readings."""
+        newtons: Array = (cell - self._offset) * self._newtons
+        return newtons
+
+    def target(self, displacement: Array) -> Counts:
+        """Return the motor positions of displacements [m]."""
+        counts: Counts = displacement / self._metres + self._zero
+        return counts
+
+
+class HardwareRig:
+    """A `slave.rig.Rig` whose drivers run in processes of their own.
+
+    `read` hands over what they have received since, each sample once; `write` leaves the newest
+    targets with them. Any failure of a driver is a `RigFault` with the driver's own words; its
+    motors are then stopped already.
+    """
+
+    starts_at_zero = False
+
+    def __init__(self, config: HardwareRigConfig) -> None:
+        self.name = config.name
+        self.joints = joint_tendons([len(joint.tendons) for joint in config.joints])
+        self.tendons = len(config.tendons)
+        self._transmission = Transmission(config.tendons)
+        self._aligner = Aligner() if config.cells is not None else None
+        self._buses: list[Connection] = []
+        self._position: Array | None = None  # [m] newest
+        self._moving = False  # whether the motors are enabled
+        self._late = self._samples = 0
+        self._start_s = time.monotonic()
+        motors, cells = config.motor_ids, config.cell_ids
+        try:
+            if config.cells is None:
+                self._buses = [Connection(config.motors, Channels(motors, cells))]
+            else:
+                self._buses.append(Connection(config.motors, Channels(motors)))
+                self._buses.append(Connection(config.cells, Channels((), cells)))
+        except DriverFault as fault:
+            self.close()
+            raise RigFault(str(fault)) from fault
+
+    def read(self, time_s: float) -> tuple[RigSample, ...]:  # noqa: ARG002 - the rig's own clock
+        """Return the samples received since the last call."""
+        oldest_s = time.monotonic() - AGE_MAX_S
+        samples = []
+        for sampled_s, position, cell in self._received():
+            if sampled_s < oldest_s:
+                self._late += 1
+                continue
+            displacement = self._transmission.displacement(position)
+            tension = self._transmission.tension(cell)
+            samples.append(RigSample(sampled_s - self._start_s, tension, displacement))
+            self._position = displacement
+        self._samples += len(samples)
+        return tuple(samples)
+
+    def write(self, proximal_displacement: Array) -> None:
+        """Leave targets [m] with the driver; the first ones must be where the motors are."""
+        if proximal_displacement.shape != (self.tendons,) or not np.all(
+            np.isfinite(proximal_displacement)
+        ):
+            raise RigFault(f"invalid motor targets {proximal_displacement.tolist()}")
+        if not self._moving:
+            self._require_near(proximal_displacement)
+            self._moving = True
+        try:
+            self._buses[0].write(self._transmission.target(proximal_displacement))
+        except DriverFault as fault:
+            raise RigFault(str(fault)) from fault
+
+    def emergency_stop(self) -> None:
+        """Stop the motors by their own means; the next `write` enables them again."""
+        self._moving = False
+        try:
+            self._buses[0].stop()
+        except DriverFault as fault:
+            raise RigFault(str(fault)) from fault
+
+    def advance(self) -> None:
+        """Do nothing: the drivers have processes of their own."""
+
+    def summary(self) -> dict[str, int | float | str]:
+        """Return samples, those too old to be used, the alignment error and the drivers' counts."""
+        found: dict[str, int | float | str] = {"samples": self._samples, "late": self._late}
+        if self._aligner is not None:
+            found["alignment_error_ms"] = round(self._aligner.worst_s * 1e3, 3)
+        for name, bus in zip(("motors", "cells"), self._buses, strict=False):
+            found |= {f"{name}_{key}": value for key, value in bus.counts.items()}
+        return found
+
+    def close(self) -> None:
+        """Let the drivers stop their motors and release their buses."""
+        for bus in self._buses:
+            bus.close()
+
+    @property
+    def buses(self) -> tuple[Connection, ...]:
+        """Connections to the drivers: of the motors, and of the cells if that is another."""
+        return tuple(self._buses)
+
+    def _received(self) -> Sequence[tuple[float, Counts, Counts]]:
+        try:
+            readings = [bus.read() for bus in self._buses]
+        except DriverFault as fault:
+            raise RigFault(str(fault)) from fault
+        if self._aligner is None:
+            return [_as_sample(reading) for reading in readings[0]]
+        return list(self._aligner.samples(*readings))
+
+    def _require_near(self, target: Array) -> None:
+        """Refuse targets that would make a motor jump as it is enabled."""
+        if self._position is None or not np.all(np.isfinite(self._position)):
+            raise RigFault("no position of every motor is known, so none is enabled")
+        distance = np.abs(target - self._position)
+        worst = int(np.argmax(distance))
+        if distance[worst] > FIRST_STEP_MAX:
+            raise RigFault(
+                f"the first target of tendon {worst + 1} is {distance[worst] * 1e3:.1f} mm from "
+                f"where its motor is, {FIRST_STEP_MAX * 1e3:g} mm at most"
+            )
+
+
+def _as_sample(reading: Reading) -> tuple[float, Counts, Counts]:
+    return reading.time_s, reading.position, reading.cell

@@ -1,0 +1,243 @@
+"""CiA 402 drives: the CANopen stack is `durand`, which knows nothing of this project.
+
+On it a small state machine written from the profile's tables, the following error, the quick stop,
+the consumer of our heartbeat, and a plant.
+"""
+
+import threading
+import time
+
+import can
+from durand import Node, Record, Variable
+from durand.datatypes import DatatypeEnum as Kind
+from durand.network import NetworkABC
+from durand.node import NodeCapabilities
+from durand.object_dictionary import Array
+from durand.scheduler import VirtualScheduler, set_scheduler
+
+from tests.drivers.models.plant import ZERO, Springs
+
+NOT_READY, DISABLED, READY, ON, ENABLED, QUICK_STOP, REACTION, FAULT = (
+    0x00, 0x40, 0x21, 0x23, 0x27, 0x07, 0x0F, 0x08,
+)  # fmt: skip
+HOMED = 1 << 15
+HEARTBEAT_LOST, FOLLOWING = 0x8130, 0x8611
+SLICE_S = 0.010  # [s] of the stack's timers at once
+ROUND_S = 0.0005  # [s] between two looks at the plant
+
+
+class Subscriptions(NetworkABC):
+    """The part of the bus that one node sees."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus, self.callbacks = bus, {}
+
+    def add_subscription(self, cob_id, callback) -> None:
+        self.callbacks[cob_id] = callback
+
+    def remove_subscription(self, cob_id) -> None:
+        self.callbacks.pop(cob_id, None)
+
+    def send(self, cob_id, msg) -> None:
+        self._bus.send(can.Message(arbitration_id=cob_id, data=msg, is_extended_id=False))
+
+
+class Drive:
+    """One node with its state machine; positions in counts."""
+
+    def __init__(self, bus: can.BusABC, number: int, patience: float) -> None:
+        self.number, self._patience = number, patience
+        self.network = Subscriptions(bus)
+        self.node = Node(self.network, number, capabilities=NodeCapabilities(1, 4, 4))
+        self.state = DISABLED
+        self.homed = HOMED
+        self.obeys = True  # whether the motor follows
+        self.beat_s = 0.0
+        self.stopped_s = 0.0
+        self._off_s = 0.0
+        od = self.node.object_dictionary
+        self.od = od
+        for index, kind, access, value in (
+            (0x603F, Kind.UNSIGNED16, "ro", 0),
+            (0x6007, Kind.INTEGER16, "rw", 1),
+            (0x6040, Kind.UNSIGNED16, "rw", 0),
+            (0x6041, Kind.UNSIGNED16, "ro", DISABLED | HOMED),
+            (0x605A, Kind.INTEGER16, "rw", 2),
+            (0x6060, Kind.INTEGER8, "rw", 0),
+            (0x6064, Kind.INTEGER32, "ro", round(ZERO)),
+            (0x6065, Kind.UNSIGNED32, "rw", 2000),
+            (0x6066, Kind.UNSIGNED16, "rw", 0),
+            (0x607A, Kind.INTEGER32, "rw", 0),
+            (0x607F, Kind.UNSIGNED32, "rw", 1000),
+            (0x6085, Kind.UNSIGNED32, "rw", 1000),
+            (0x6502, Kind.UNSIGNED32, "ro", 1 << 7 | 1 << 6),
+        ):
+            od[index] = Variable(kind, access, value)
+        od[0x1000] = Variable(Kind.UNSIGNED32, "ro", 0x0002_0192)
+        od[0x1008] = Variable(Kind.VISIBLE_STRING, "ro", b"model of a drive")
+        od[0x1016] = Array(Variable(Kind.UNSIGNED32, "rw", 0), 1)
+        for index, entries in (
+            (0x607D, {1: (Kind.INTEGER32, "rw", 0), 2: (Kind.INTEGER32, "rw", 0)}),
+            (0x60C1, {1: (Kind.INTEGER32, "rw", 0)}),
+            (0x60C2, {1: (Kind.UNSIGNED8, "rw", 1), 2: (Kind.INTEGER8, "rw", -3)}),
+            (0x3160, {1: (Kind.INTEGER16, "ro", 0)}),
+        ):
+            record = Record()
+            for subindex, (kind, access, value) in entries.items():
+                record[subindex] = Variable(kind, access, value)
+            od[index] = record
+        od.download_callbacks[(0x6040, 0)].add(self._control)
+        self._last_word = 0
+
+    @property
+    def powered(self) -> bool:
+        return self.state == ENABLED and self.obeys
+
+    @property
+    def target(self) -> int:
+        return self.od.read(0x60C1, 1) if self.od.read(0x6060, 0) == 7 else self.od.read(0x607A, 0)
+
+    def fail(self, code: int) -> None:
+        """Go to fault, and say so."""
+        self.od.write(0x603F, 0, code)
+        self._enter(FAULT)
+        self.node.emcy.set(code, 1)
+
+    def hear(self, identifier: int, data: bytes, now: float) -> None:
+        """Take a message of the bus."""
+        consumed = self.od.read(0x1016, 1)
+        if identifier == 0x700 + (consumed >> 16 & 0x7F):
+            self.beat_s = now
+        callback = self.network.callbacks.get(identifier)
+        if callback is not None:
+            callback(identifier, data)
+
+    def advance(self, position: float, cell: float, now: float) -> None:
+        """Take the plant's values, and watch heartbeat and following error."""
+        self.od.write(0x6064, 0, round(position))
+        self.od.write(0x3160, 1, max(-32768, min(32767, round(cell))))
+        limit_s = (self.od.read(0x1016, 1) & 0xFFFF) * 1e-3 * self._patience
+        if self.state == ENABLED and limit_s and now - self.beat_s > limit_s:
+            self.stopped_s = now
+            self._enter(QUICK_STOP)
+            self.node.emcy.set(HEARTBEAT_LOST, 0x10)
+        near = abs(self.target - position) <= self.od.read(0x6065, 0)
+        if self.state != ENABLED or near:
+            self._off_s = now
+        elif now - self._off_s > self.od.read(0x6066, 0) * 1e-3:
+            self.fail(FOLLOWING)
+
+    def _control(self, word: int) -> None:
+        """Take one transition of the profile's state machine."""
+        rising = word & ~self._last_word
+        self._last_word = word
+        state = self.state
+        if state == FAULT:
+            if rising & 0x80:
+                self.od.write(0x603F, 0, 0)
+                self._enter(DISABLED)
+        elif not word & 0x02:  # disable voltage
+            self._enter(DISABLED)
+        elif not word & 0x04:  # quick stop
+            if state in (READY, ON):
+                self._enter(DISABLED)
+            elif state == ENABLED:
+                self._enter(QUICK_STOP)
+        elif word & 0x0F == 0x06 and state in (DISABLED, ON, ENABLED):
+            self._enter(READY)
+        elif word & 0x0F == 0x07 and state in (READY, ENABLED):
+            self._enter(ON)
+        elif word & 0x0F == 0x0F and state == ON:
+            self._enter(ENABLED)
+
+    def _enter(self, state: int) -> None:
+        self.state = state
+        if state == ENABLED:
+            self._off_s = time.monotonic()
+        self.od.write(0x6041, 0, state | self.homed)
+
+
+class Drives:
+    """Drives on one bus with their plant; `serve` runs until `ended` is set.
+
+    They wait `patience` times as long for our heartbeat as told, for a busy machine.
+    """
+
+    def __init__(self, bus: can.BusABC, numbers=(1,), plant=None, patience: float = 10.0) -> None:
+        self.bus = bus
+        self._scheduler = VirtualScheduler()
+        set_scheduler(self._scheduler)
+        self.drives = [Drive(bus, number, patience) for number in numbers]
+        self.plant = plant or Springs(len(self.drives))
+        self.ended = self.silent = self.unplug = False
+        self._start_s = time.monotonic()
+
+    def serve(self) -> None:
+        last_s = due_s = time.monotonic()
+        while not self.ended:
+            if self.unplug:
+                self.bus.port.unplug()
+            message = self.bus.recv(max(0.0, min(ROUND_S, due_s - time.monotonic())))
+            now = time.monotonic()
+            if message is not None and not self.silent:
+                for drive in self.drives:
+                    drive.hear(message.arbitration_id, bytes(message.data), now)
+            if now < due_s:
+                continue
+            due_s = now + ROUND_S
+            self._advance(now)
+            while last_s < now and not self.silent:  # it never ends a run beyond one heartbeat
+                self._scheduler.run(min(SLICE_S, now - last_s))
+                last_s += SLICE_S
+
+    def start(self) -> threading.Thread:
+        thread = threading.Thread(target=self.serve, daemon=True)
+        thread.start()
+        return thread
+
+    def _advance(self, now: float) -> None:
+        self.plant.advance(
+            now - self._start_s,
+            [drive.target for drive in self.drives],
+            [drive.powered for drive in self.drives],
+        )
+        cells = self.plant.cells()
+        for drive, position, cell in zip(self.drives, self.plant.position, cells, strict=True):
+            drive.advance(position, cell, now)
+
+
+class SlcanAdapter(can.BusABC):
+    """A bus whose near end is an slcan adapter on a pty: 't', identifier, length, data, return."""
+
+    def __init__(self, port) -> None:
+        self.port = port
+        self._received = b""
+        self._open = False
+        super().__init__(channel="slcan model")
+
+    def _recv_internal(self, timeout):
+        end_s = time.monotonic() + (timeout or 0.0)
+        while b"\r" not in self._received:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                return None, False
+            self._received += self.port.read(left_s)
+        line, _, self._received = self._received.partition(b"\r")
+        if line[:1] in (b"O", b"C"):
+            self._open = line[:1] == b"O"
+        if line[:1] != b"t" or not self._open:
+            return None, False
+        length = int(line[4:5])
+        data = bytes.fromhex(line[5 : 5 + 2 * length].decode())
+        return can.Message(
+            arbitration_id=int(line[1:4], 16), data=data, is_extended_id=False
+        ), False
+
+    def send(self, msg, timeout=None) -> None:  # noqa: ARG002 - of the base class
+        if self._open:
+            text = f"t{msg.arbitration_id:03X}{msg.dlc}{bytes(msg.data).hex().upper()}\r"
+            self.port.write(text.encode())
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self.port.unplug()

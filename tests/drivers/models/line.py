@@ -1,0 +1,56 @@
+"""A serial line with a model at its far end."""
+
+import errno
+import os
+import select
+import termios
+import time
+import tty
+
+
+class PseudoPort:
+    """The far end of a pty; `name` is the device that a driver opens.
+
+    Closing it is what unplugging an adapter is to the driver.
+    """
+
+    def __init__(self) -> None:
+        self._far, self._near = os.openpty()
+        tty.setraw(self._near)
+        tty.setraw(self._far)
+        os.set_blocking(self._far, False)
+        self.name = os.ttyname(self._near)
+        self._plugged = True
+
+    def read(self, wait_s: float = 0.0) -> bytes:
+        """Return what has arrived, after at most `wait_s` [s]."""
+        if not self._plugged:
+            time.sleep(wait_s)
+            return b""
+        try:
+            if wait_s > 0.0:
+                select.select([self._far], [], [], wait_s)
+            return os.read(self._far, 4096)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            if error.errno in (errno.EIO, errno.EBADF):
+                return b""
+            raise
+
+    def write(self, data: bytes) -> None:
+        """Send; what finds no room is lost, as nobody reads it."""
+        if not self._plugged:
+            return
+        try:
+            os.write(self._far, data)
+        except BlockingIOError:
+            termios.tcflush(self._near, termios.TCIFLUSH)
+
+    def unplug(self) -> None:
+        """Hang up, once; call it from the thread that reads and writes."""
+        if not self._plugged:
+            return
+        self._plugged = False
+        for end in (self._far, self._near):
+            os.close(end)

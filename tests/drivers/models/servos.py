@@ -1,0 +1,202 @@
+"""Dynamixel servos of the X series on a pty, written from the e-manual without the SDK.
+
+Packets: FF FF FD 00, id, length (2), instruction, parameters, CRC-16 (poly 0x8005), with FD after
+each FF FF FD of the body. Control table: the registers that the driver may use, as bytes.
+"""
+
+import struct
+import threading
+import time
+
+import numpy as np
+
+from tests.drivers.models.line import PseudoPort
+from tests.drivers.models.plant import ZERO, Springs
+
+PING, READ, WRITE, REBOOT, SYNC_READ, SYNC_WRITE, STATUS = 1, 2, 3, 8, 0x82, 0x83, 0x55
+BROADCAST = 254
+HEADER = b"\xff\xff\xfd\x00"
+EEPROM_END = 64
+DATA_RANGE, ACCESS, ALERT = 4, 7, 0x80
+TORQUE, ERROR, WATCHDOG, GOAL, CURRENT, POSITION, VOLTAGE, TEMPERATURE = (
+    64, 70, 98, 116, 126, 132, 144, 146,
+)  # fmt: skip
+WATCHDOG_UNIT_S = 0.020
+
+
+def crc16(data: bytes) -> int:
+    """Return the CRC of protocol 2.0, bit by bit."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = ((crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
+
+
+class Servo:
+    """The control table of one servo."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.table = bytearray(256 + 512)
+        self.put(0, 2, 1020)  # XM430-W350
+        self.put(POSITION, 4, int(ZERO))
+        self.put(GOAL, 4, 777_777)  # an old one, far away
+        self.put(VOLTAGE, 2, 120)
+        self.put(TEMPERATURE, 1, 35)
+        self.heard_s = 0.0
+
+    def put(self, address: int, size: int, value: int) -> None:
+        self.table[address : address + size] = (value % (1 << 8 * size)).to_bytes(size, "little")
+
+    def get(self, address: int, size: int, signed: bool = False) -> int:
+        return int.from_bytes(self.table[address : address + size], "little", signed=signed)
+
+    def where(self, address: int) -> int:
+        """Return the address behind an indirect one."""
+        return self.get(168 + 2 * (address - 224), 2) if 224 <= address < 252 else address
+
+    def read(self, address: int, size: int) -> bytes:
+        return bytes(self.table[self.where(address + k)] for k in range(size))
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write; return the error number."""
+        if address < EEPROM_END and self.table[TORQUE]:
+            return ACCESS
+        if address == GOAL and self.table[WATCHDOG] == 255:
+            return DATA_RANGE
+        for k, byte in enumerate(data):
+            self.table[self.where(address + k)] = byte
+        return 0
+
+    @property
+    def moving(self) -> bool:
+        return bool(self.table[TORQUE]) and self.table[WATCHDOG] != 255
+
+
+class Servos:
+    """Servos with their motors' plant; `serve` runs until `ended` is set.
+
+    Their watchdogs wait `patience` times as long as told: a busy machine holds up the driver, too.
+
+    Attributes
+    ----------
+    lose, damage : int
+        Answers to swallow, or to send with a wrong byte.
+    stopped_s : float
+        When a watchdog has triggered last, on the monotonic clock.
+    """
+
+    def __init__(self, numbers=(1,), plant=None, patience: float = 10.0) -> None:
+        self._patience = patience
+        self.port = PseudoPort()
+        self.servos = {number: Servo(number) for number in numbers}
+        self.plant = plant or Springs(len(self.servos))
+        self.lose = 0
+        self.damage = 0
+        self.stopped_s = 0.0
+        self.instructions = 0
+        self.ended = False
+        self._received = b""
+        self._start_s = time.monotonic()
+
+    def serve(self) -> None:
+        while not self.ended:
+            data = self.port.read(0.001)
+            now = time.monotonic()
+            self._advance(now)
+            self._received += data
+            while (packet := self._next()) is not None:
+                self._obey(packet, now)
+        self.port.unplug()
+
+    def start(self) -> threading.Thread:
+        thread = threading.Thread(target=self.serve, daemon=True)
+        thread.start()
+        return thread
+
+    def _advance(self, now: float) -> None:
+        servos = list(self.servos.values())
+        for servo in servos:
+            limit_s = servo.table[WATCHDOG] * WATCHDOG_UNIT_S * self._patience
+            if 0 < servo.table[WATCHDOG] < 255 and now - servo.heard_s > limit_s:
+                servo.table[WATCHDOG] = 255
+                self.stopped_s = now
+        goals = [servo.get(GOAL, 4, signed=True) for servo in servos]
+        self.plant.advance(now - self._start_s, goals, [servo.moving for servo in servos])
+        cells = self.plant.cells()
+        for servo, position, tension in zip(servos, self.plant.position, cells, strict=True):
+            servo.put(POSITION, 4, round(position))
+            servo.put(CURRENT, 2, round(min(tension, 30_000)))
+
+    def _next(self) -> bytes | None:
+        """Cut the next valid packet, from its id on and without CRC, off what was received."""
+        while True:
+            at = self._received.find(HEADER)
+            if at < 0 or len(self._received) < at + 7:
+                return None
+            self._received = self._received[at:]
+            (length,) = struct.unpack_from("<H", self._received, 5)
+            whole = self._received[: 7 + length]
+            if len(whole) < 7 + length:
+                return None
+            self._received = self._received[7 + length :]
+            if crc16(whole[:-2]) == struct.unpack("<H", whole[-2:])[0]:
+                return whole[4:5] + whole[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+
+    def _obey(self, packet: bytes, now: float) -> None:
+        number, instruction, body = packet[0], packet[1], packet[2:]
+        self.instructions += 1
+        if instruction == SYNC_READ:
+            address, size = struct.unpack_from("<HH", body)
+            for one in body[4:]:
+                if one in self.servos:
+                    self._hear(one, now)
+                    self._answer(one, self.servos[one].read(address, size))
+        elif instruction == SYNC_WRITE:
+            address, size = struct.unpack_from("<HH", body)
+            for k in range(4, len(body), size + 1):
+                if body[k] in self.servos:
+                    self._hear(body[k], now)
+                    self.servos[body[k]].write(address, body[k + 1 : k + 1 + size])
+        elif number in self.servos or number == BROADCAST:
+            for one in [number] if number in self.servos else list(self.servos):
+                self._hear(one, now)
+                self._single(one, instruction, body)
+
+    def _hear(self, number: int, now: float) -> None:
+        self.servos[number].heard_s = now
+
+    def _single(self, number: int, instruction: int, body: bytes) -> None:
+        servo = self.servos[number]
+        if instruction == PING:
+            self._answer(number, bytes(servo.table[0:2]) + b"\x2d")
+        elif instruction == READ:
+            address, size = struct.unpack_from("<HH", body)
+            self._answer(number, servo.read(address, size))
+        elif instruction == WRITE:
+            (address,) = struct.unpack_from("<H", body)
+            self._answer(number, b"", servo.write(address, body[2:]))
+        elif instruction == REBOOT:
+            servo.put(TORQUE, 1, 0)
+            servo.put(ERROR, 1, 0)
+            servo.put(WATCHDOG, 1, 0)
+            self._answer(number, b"")
+
+    def _answer(self, number: int, data: bytes, error: int = 0) -> None:
+        if self.lose > 0:
+            self.lose -= 1
+            return
+        error |= ALERT if self.servos[number].table[ERROR] else 0
+        body = bytes([STATUS, error]) + data.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+        whole = HEADER + bytes([number]) + struct.pack("<H", len(body) + 2) + body
+        whole += struct.pack("<H", crc16(whole))
+        if self.damage > 0:
+            self.damage -= 1
+            whole = whole[:-1] + bytes([whole[-1] ^ 1])
+        self.port.write(whole)
+
+
+def positions(servos: Servos):
+    return np.array([servo.get(POSITION, 4, signed=True) for servo in servos.servos.values()])

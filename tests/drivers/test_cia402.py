@@ -1,0 +1,198 @@
+"""A rig on CiA 402 drives whose CANopen stack nobody here wrote: what moves, stops, and is said."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load, frame_bits
+from slave.drivers.cia402.config import BusConfig, Cia402Config
+from slave.drivers.cia402.emergency import emergency_text
+from slave.drivers.cia402.state_machine import Control, DriveState, Wish, control_word, drive_state
+from slave.rig import RigFault
+from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
+from tests.drivers.models.drives import DISABLED, ENABLED, FAULT, QUICK_STOP, Drives, SlcanAdapter
+from tests.drivers.models.line import PseudoPort
+from tests.drivers.models.plant import ZERO
+
+
+@pytest.fixture
+def drives():
+    port = PseudoPort()
+    drives = Drives(SlcanAdapter(port), numbers=(1, 2))
+    drives.port_name = port.name
+    thread = drives.start()
+    yield drives
+    drives.ended = True
+    thread.join()
+    drives.bus.shutdown()
+
+
+def opened_on(drives, count=2, **settings):
+    bus = BusConfig(interface="slcan", channel=drives.port_name, tty_wait=0.0)
+    config = Cia402Config(bus=bus, rate_hz=50.0, timeout=0.5, **settings)
+    return opened(rig_config(config, count=count))
+
+
+def moving(drives):
+    return lambda: all(drive.state == ENABLED for drive in drives.drives)
+
+
+def test_every_status_word_has_one_state():
+    found = {drive_state(word) for word in range(1 << 7)}
+    assert found == set(DriveState)
+    for state in DriveState:
+        assert drive_state(state.value[1] | 0x8600) is state  # other bits do not matter
+
+
+def test_no_wish_ever_resets_a_fault():
+    for state in DriveState:
+        for wish in Wish:
+            word = control_word(state, wish)
+            assert not word & Control.RESET_FAULT
+            if state in (DriveState.FAULT, DriveState.FAULT_REACTION, DriveState.NOT_READY):
+                assert word == Control.DISABLE_VOLTAGE
+            if wish is not Wish.MOVE:
+                assert word != Control.ENABLE_OPERATION
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "fits"), [(1000.0, 3), (500.0, 7)]
+)  # with a cell at each drive, worst case of bit stuffing
+def test_the_bus_carries_as_many_drives_as_its_bits_allow(rate_hz, fits):
+    assert frame_bits(8) == 135
+    assert bus_load(1e6, rate_hz, fits, fits, fits, wide=False) <= LOAD_MAX
+    assert bus_load(1e6, rate_hz, fits + 1, fits + 1, fits + 1, wide=False) > LOAD_MAX
+
+
+def test_a_bus_that_cannot_carry_the_drives_is_refused_before_it_is_opened():
+    config = Cia402Config(bus=BusConfig(channel="none"), rate_hz=1000.0)
+    with (
+        pytest.raises(RigFault, match=r"the bus would be 10\d% full at 1000 Hz"),
+        opened(rig_config(config, count=4)),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [(0x8611, "following error (0x8611)"), (0x3299, "voltage"), (0x0042, "error 0x0042")],
+)
+def test_emergencies_are_in_words(code, said):
+    assert said in emergency_text(code)
+
+
+def test_samples_come_in_order_and_drives_follow_from_where_they_are(drives):
+    with opened_on(drives) as rig:
+        before = read_some(rig)[-1].proximal_displacement
+        assert [drive.state for drive in drives.drives] == [DISABLED, DISABLED]
+        engage(rig, moving(drives))
+        assert follow(rig, before).proximal_displacement == pytest.approx(before, abs=5e-5)
+        sample = follow(rig, before + 0.001)
+        assert sample.proximal_tension == pytest.approx([3.0, 3.0], abs=0.3)
+        assert np.all(np.diff([sample.time_s for sample in read_some(rig)]) > 0.0)
+
+
+@pytest.mark.slow
+def test_interpolated_position_moves_too(drives):
+    with opened_on(drives, mode="interpolation") as rig:
+        start = engage(rig, moving(drives))
+        follow(rig, start + 0.001)
+
+
+@pytest.mark.slow
+def test_limits_and_watchdog_are_in_the_drive(drives):
+    with opened_on(drives, following_error=777, position_max=123_456, watchdog=0.03):
+        od = drives.drives[1].od
+        assert od.read(0x6065, 0) == 777
+        assert od.read(0x607D, 2) == 123_456
+        assert od.read(0x1016, 1) == 127 << 16 | 30
+        assert (od.read(0x605A, 0), od.read(0x6007, 0)) == (6, 3)
+        assert od.read(0x60C2, 1) == 20
+
+
+@pytest.mark.slow
+def test_a_value_that_the_drive_changes_is_refused(drives):
+    od = drives.drives[1].od
+    od.set_read_callback(0x6065, 0, lambda: 5)
+    with (
+        pytest.raises(RigFault, match="drive 2 object 6065:0: set to 2000, reads back 5"),
+        opened_on(drives),
+    ):
+        pass
+
+
+def test_a_killed_driver_leaves_the_drives_to_their_heartbeat_consumer(drives):
+    with opened_on(drives) as rig:
+        engage(rig, moving(drives))
+        os.kill(rig.buses[0].pid, signal.SIGKILL)
+        assert wait_until(lambda: all(drive.state == QUICK_STOP for drive in drives.drives))
+    with opened_on(drives) as rig:
+        read_some(rig)
+        assert not any(drive.state == ENABLED for drive in drives.drives)
+
+
+def test_an_emergency_stop_is_a_quick_stop_until_the_next_target(drives):
+    with opened_on(drives) as rig:
+        start = engage(rig, moving(drives))
+        rig.emergency_stop()
+        assert wait_until(lambda: all(drive.state == QUICK_STOP for drive in drives.drives))
+        read_some(rig)
+        engage(rig, moving(drives), start)
+
+
+def test_a_fault_is_named_and_stays_until_the_operator_resets_it(drives):
+    with opened_on(drives) as rig:
+        engage(rig, moving(drives))
+        drives.drives[1].fail(0x4310)
+        with pytest.raises(RigFault, match=r"drive 2: fault: drive or motor too hot \(0x4310\)"):
+            read_for(rig, 5.0)
+    with pytest.raises(RigFault, match=r"drive 2 has a fault.*teleop rig reset"), opened_on(drives):
+        pass
+    assert drives.drives[1].state == FAULT
+
+
+def test_a_motor_that_does_not_follow_is_stopped_by_its_drive(drives):
+    with opened_on(drives, following_error=50) as rig:
+        start = engage(rig, moving(drives))
+        drives.drives[0].obeys = False
+        with pytest.raises(RigFault, match=r"drive 1: f.*following error"):
+            read_for(rig, 5.0, start + 0.001)
+
+
+@pytest.mark.slow
+def test_a_drive_that_is_not_homed_or_no_drive_is_refused(drives):
+    drives.drives[0].homed = 0
+    drives.drives[0].od.write(0x6041, 0, DISABLED)
+    with pytest.raises(RigFault, match="drive 1 is not homed"), opened_on(drives):
+        pass
+    with opened_on(drives, homed_bit=None) as rig:
+        read_some(rig, 1)
+    with (
+        pytest.raises(RigFault, match="drive 3 does not answer"),
+        opened_on(drives, count=3, homed_bit=None),
+    ):
+        pass
+
+
+def test_silence_and_unplugging_are_named(drives):
+    with opened_on(drives) as rig:
+        engage(rig, moving(drives))
+        drives.silent = True
+        with pytest.raises(RigFault, match=r"node \d silent for"):
+            read_for(rig, 5.0)
+    drives.silent = False
+    with opened_on(drives) as rig:
+        read_some(rig, 1)
+        drives.unplug = True
+        with pytest.raises(RigFault, match=r"CAN .*unplugged|silent"):
+            read_for(rig, 5.0)
+
+
+@pytest.mark.slow
+def test_positions_are_counts_from_the_zero_of_the_config(drives):
+    drives.plant.position[:] = ZERO + 100.0
+    with opened_on(drives) as rig:
+        displacement = read_some(rig)[-1].proximal_displacement
+        assert displacement == pytest.approx(100.0 * 2.0 * np.pi * 0.010 / 4096.0)

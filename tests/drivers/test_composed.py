@@ -1,0 +1,106 @@
+"""Motors of one bus and load cells of another, and settings that cannot be."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from slave.config import SlaveConfig
+from slave.rig import RigFault
+from slave.rigs.hardware import Transmission
+from teleop.config import load
+from teleop.errors import UsageError
+from tests.drivers.bench import (
+    dynamixel,
+    engage,
+    follow,
+    microcontroller,
+    opened,
+    read_for,
+    read_some,
+    rig_config,
+    tendon,
+)
+from tests.drivers.models.board import COMPILER, Board, compile_firmware
+from tests.drivers.models.plant import ZERO
+from tests.drivers.models.servos import Servos
+
+TENDON = "{motor: {id: 1, pulley_radius: 0.01, counts_per_turn: 4096}, cell: {id: 1, scale: 0.001}}"
+RIG = (
+    "slave.rig={type: hardware, name: x, motors: {type: microcontroller, port: /dev/x}, "
+    "joints: [{tendons: [%s]}]}"
+)
+
+
+@pytest.fixture
+def buses(tmp_path):
+    if COMPILER is None:
+        pytest.skip("no C++ compiler, so the firmware is not compiled")
+    servos = Servos(numbers=(1,))
+    board = Board(compile_firmware(tmp_path), motors=0, cells=1, plant=servos.plant)
+    board.plant = Followed(servos)
+    threads = [servos.start(), board.start()]
+    yield servos, board
+    servos.ended = board.ended = True
+    for thread in threads:
+        thread.join()
+
+
+class Followed:
+    """The cells of a plant that the servos move."""
+
+    def __init__(self, servos):
+        self._servos, self.position = servos, np.zeros(1)
+
+    def advance(self, *_):
+        pass
+
+    def cells(self):
+        return self._servos.plant.cells()
+
+
+def test_one_sample_comes_of_both_buses_and_the_error_of_its_time_is_stated(buses):
+    servos, board = buses
+    motors = dynamixel(servos.port.name, wait=0.02, rate_hz=100.0)
+    with opened(rig_config(motors, microcontroller(board.port.name))) as rig:
+        start = engage(rig, lambda: servos.servos[1].moving)
+        sample = follow(rig, start + 0.001)
+        assert sample.proximal_tension == pytest.approx([3.0], abs=0.5)
+        assert np.all(np.diff([sample.time_s for sample in read_some(rig)]) > 0.0)
+        assert 0.0 < rig.summary()["alignment_error_ms"] < 1000.0
+        board.ended = True
+        with pytest.raises(RigFault, match="unplugged"):
+            read_for(rig, 5.0)
+
+
+def test_counts_become_metres_and_newtons_and_targets_the_same_counts_again():
+    right = tendon(1, 1)
+    left = dataclasses.replace(
+        right, motor=dataclasses.replace(right.motor, direction=-1, gear=4.0, zero=-10.0)
+    )
+    change = Transmission((right, left))
+    counts = np.array([ZERO + 4096.0, -10.0 - 4.0 * 4096.0])
+    turn = 2.0 * np.pi * 0.010
+    assert change.displacement(counts) == pytest.approx([turn, turn])
+    assert change.target(change.displacement(counts)) == pytest.approx(counts)
+    assert change.tension(np.array([1500.0, -20.0])) == pytest.approx([1.5, -0.02])
+
+
+@pytest.mark.parametrize(
+    ("rig", "said"),
+    [
+        (RIG % f"{TENDON}, {TENDON}", "slave.rig.joints: motor 1 belongs to two tendons"),
+        (RIG % TENDON.replace("0.001", "0"), "cell.scale: 0.0: must not be 0"),
+        (RIG % TENDON.replace("0.01,", "-1,"), "pulley_radius: -1.0: must be 0.0001 to 1 m"),
+        (RIG % TENDON.replace("id: 1, s", "s"), "cell.id: is missing"),
+        (RIG.replace("microcontroller", "arduino") % TENDON, "slave.rig.motors.type: 'arduino'"),
+        (RIG.replace("port: /dev/x", "watchdog: 1") % TENDON, "motors.port: is missing"),
+        (
+            RIG.replace("port: /dev/x", "port: x, watchdog: 1") % TENDON,
+            "motors.watchdog: 1.0: must be 0.005 to 0.05 s",
+        ),
+    ],
+)
+def test_a_mistake_in_the_config_is_one_line_with_its_place(rig, said):
+    with pytest.raises(UsageError, match=said.replace("(", r"\(").replace(".", r"\.")):
+        load(None, SlaveConfig, "slave", [rig])

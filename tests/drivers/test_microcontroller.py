@@ -1,0 +1,146 @@
+"""A rig on the firmware's own protocol code, over a pty: what moves, what stops, what is said."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from slave.rig import RigFault
+from tests.drivers.bench import (
+    engage,
+    follow,
+    microcontroller,
+    opened,
+    read_for,
+    read_some,
+    rig_config,
+    wait_until,
+)
+from tests.drivers.models.board import (
+    COMPILER,
+    ENABLED,
+    WATCHDOG,
+    Board,
+    compile_firmware,
+)
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    if COMPILER is None:
+        pytest.skip("no C++ compiler, so the firmware is not compiled")
+    return compile_firmware(tmp_path_factory.mktemp("firmware"))
+
+
+@pytest.fixture
+def board(library):
+    board = Board(library, motors=2, cells=2)
+    thread = board.start()
+    yield board
+    board.ended = True
+    thread.join()
+
+
+def moving(board):
+    return lambda: board.flags & ENABLED
+
+
+def opened_on(board, **settings):
+    return opened(rig_config(microcontroller(board.port.name, **settings), count=2))
+
+
+def test_samples_come_once_and_in_order_and_motors_follow(board):
+    with opened_on(board) as rig:
+        start = engage(rig, moving(board))
+        sample = follow(rig, start + 0.001)
+        assert sample.proximal_tension == pytest.approx([3.0, 3.0], abs=0.3)
+        times = [sample.time_s for sample in read_some(rig, 50)]
+        assert np.all(np.diff(times) > 0.0)
+
+
+def test_nothing_is_enabled_before_the_first_target(board):
+    with opened_on(board) as rig:
+        read_some(rig)
+        assert not board.flags & ENABLED
+        with pytest.raises(RigFault, match="first target of tendon 2"):
+            rig.write(np.array([0.0, 0.01]))
+        assert not board.flags & ENABLED
+
+
+def test_targets_that_are_none_are_refused(board):
+    with opened_on(board) as rig:
+        for targets in ([np.nan, 0.0], [0.0], [0.0, np.inf]):
+            with pytest.raises(RigFault, match="invalid motor targets"):
+                rig.write(np.array(targets))
+
+
+def test_a_killed_driver_leaves_the_motors_to_the_board_which_stops_them(board):
+    with opened_on(board) as rig:
+        engage(rig, moving(board))
+        killed_s = time.monotonic()
+        os.kill(rig.buses[0].pid, signal.SIGKILL)
+        assert wait_until(lambda: board.flags & WATCHDOG)
+        assert board.stopped_s > killed_s
+        with pytest.raises(RigFault, match="has ended"):
+            read_for(rig, 5.0)
+    with opened_on(board) as rig:  # the board is there again, and moves nothing by itself
+        read_some(rig)
+        assert not board.flags & ENABLED
+
+
+def test_an_emergency_stop_switches_the_motors_off_until_the_next_target(board):
+    with opened_on(board) as rig:
+        start = engage(rig, moving(board))
+        rig.emergency_stop()
+        assert wait_until(lambda: not board.flags & ENABLED)
+        read_some(rig)  # the encoders are read on
+        assert not board.flags & ENABLED
+        engage(rig, moving(board), start)
+
+
+@pytest.mark.parametrize(
+    ("cause", "said"),
+    [
+        ({"silent": True}, "silent for"),
+        pytest.param(
+            {"flip": 200}, "damaged or lost frames within a second", marks=pytest.mark.slow
+        ),
+        pytest.param({"fault": True}, "fault of its motors", marks=pytest.mark.slow),
+        ({"ended": True}, "unplugged"),
+    ],
+)
+def test_a_failure_is_named_and_the_motors_stop(board, cause, said):
+    with opened_on(board) as rig:
+        engage(rig, moving(board))
+        for name, value in cause.items():
+            setattr(board, name, value)
+        with pytest.raises(RigFault, match=said):
+            read_for(rig, 5.0, [0.0, 0.0])
+        assert board.ended or wait_until(lambda: not board.flags & ENABLED)
+
+
+@pytest.mark.slow
+def test_a_few_damaged_frames_cost_their_samples_and_nothing_else(board):
+    with opened_on(board) as rig:
+        engage(rig, moving(board))
+        board.flip = 3
+        bad = lambda: rig.summary().get("motors_bad_frames") == 3  # noqa: E731
+        read_for(rig, 5.0, [0.0, 0.0], until=bad)
+        assert bad()
+
+
+@pytest.mark.slow
+def test_what_is_missing_on_the_board_is_said(board):
+    config = rig_config(microcontroller(board.port.name), count=3)
+    with pytest.raises(RigFault, match="has 2 motors, there is no motor 3"), opened(config):
+        pass
+
+
+def test_a_port_that_is_not_there_is_one_line():
+    with (
+        pytest.raises(RigFault, match=r"/dev/nothing: cannot be opened: .*No such file"),
+        opened(rig_config(microcontroller("/dev/nothing"))),
+    ):
+        pass

@@ -1,0 +1,138 @@
+"""`teleop rig`: what is read, what is moved and how far, and what is said of wrong wiring."""
+
+import argparse
+
+import numpy as np
+import pytest
+
+from slave.bring_up import command
+from slave.bring_up.moving import Move, move_one, verdict
+from slave.bring_up.reading import format_at_rest, measure_at_rest
+from slave.calibration.run import fast_ticks
+from slave.drivers import configs
+from slave.drivers.cia402.config import Cia402Config
+from slave.drivers.driver import Channels, DriverFault
+from slave.gate import GateConfig
+from slave.rig import RigSample
+from teleop.app import cli
+from teleop.errors import UsageError
+
+MOVE = Move(0.5e-3, 2.0)
+
+
+class Wired:
+    """Two springs of 2000 N/m under motors that follow at once; wired as told."""
+
+    name, tendons, joints, starts_at_zero = "wired", 2, ((0, 1),), False
+
+    def __init__(self, cells=(0, 1), sign=1.0, follows=1.0, stiffness=2000.0):
+        self.cells, self.sign, self.follows, self.stiffness = cells, sign, follows, stiffness
+        self.start = np.array([0.004, -0.001])
+        self.position, self.writes, self.closed = self.start.copy(), [], False
+        self.random = np.random.default_rng(2)
+
+    def read(self, time_s):
+        pulled = self.sign * self.stiffness * (self.position - self.start)
+        noise = self.random.normal(0.0, 0.01, 2)
+        return (RigSample(time_s, 3.0 + pulled[list(self.cells)] + noise, self.position.copy()),)
+
+    def write(self, proximal_displacement):
+        self.writes.append(proximal_displacement)
+        self.position = self.start + self.follows * (proximal_displacement - self.start)
+
+    def advance(self): ...
+
+    def summary(self):
+        return {}
+
+    def close(self):
+        self.closed = True
+
+
+def moved(rig, tendon=0, move=MOVE):
+    ticks = fast_ticks(500.0)
+    rest = measure_at_rest(rig, ticks, 0, 0.5)
+    return verdict(move_one(rig, GateConfig(), ticks, 0, rest, tendon, move), rest)
+
+
+def test_at_rest_rate_and_noise_are_told_and_nothing_is_written():
+    rig = Wired()
+    rest = measure_at_rest(rig, fast_ticks(500.0), 0, 2.0)
+    assert rest.rate_hz == pytest.approx(500.0)
+    assert rest.tension_noise == pytest.approx(0.01, rel=0.2)
+    assert len(format_at_rest(rest)) == 4
+    assert rig.writes == []
+
+
+@pytest.mark.parametrize("tendon", [0, 1])
+def test_a_motor_moves_as_far_as_stated_and_comes_back_alone(tendon):
+    rig = Wired()
+    is_right, text = moved(rig, tendon)
+    assert is_right, text
+    writes = np.array(rig.writes) - rig.start
+    assert writes[:, tendon].max() == pytest.approx(0.5e-3)
+    assert np.abs(writes[:, 1 - tendon]).max() < 1e-12
+    assert writes[0] == pytest.approx(0.0)
+    assert writes[-1] == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(np.diff(writes[:, tendon])).max() <= 0.002 / 500.0 * 1.01
+
+
+def test_it_pulls_no_further_than_the_force_that_is_stated():
+    rig = Wired(stiffness=50_000.0)
+    is_right, text = moved(rig)
+    assert is_right, text
+    assert (np.array(rig.writes) - rig.start).max() < (2.0 + 0.5) / 50_000.0
+
+
+@pytest.mark.parametrize(
+    ("wiring", "said"),
+    [
+        ({"sign": -1.0}, "the tension falls"),
+        ({"cells": (1, 0)}, "the cell of tendon 2 answers in its place"),
+        ({"follows": 0.0}, "does not follow"),
+        ({"follows": -1.0}, "does not follow"),
+        ({"stiffness": 0.0}, "no tension"),
+    ],
+)
+def test_wrong_wiring_is_named(wiring, said):
+    is_right, text = moved(Wired(**wiring))
+    assert not is_right
+    assert said in text
+
+
+def arguments(*words):
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return parser.parse_args(["check", "--duration", "0.3", "--set", "rate_hz=200", *words])
+
+
+@pytest.mark.parametrize(("typed", "moves"), [("move", True), ("", False), ("yes", False)])
+def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves):
+    rig = Wired()
+    monkeypatch.setattr(command, "open_rig", lambda _: rig)
+    assert command.check(arguments(), lambda _: typed) == 0
+    assert bool(rig.writes) is moves
+    assert rig.closed
+    assert ("next: teleop calibrate" if moves else "nothing was moved") in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["--travel", "6"], ["--travel", "0"], ["--force", "nan"]])
+def test_a_move_that_is_not_small_is_refused_before_the_rig_is_opened(monkeypatch, words):
+    monkeypatch.setattr(command, "open_rig", lambda _: pytest.fail("opened"))
+    with pytest.raises(UsageError, match="must be above 0"):
+        command.check(arguments(*words), input)
+
+
+@pytest.mark.parametrize("action", ["scan", "reset"])
+def test_a_rig_without_buses_is_told_in_a_line(capsys, action):
+    assert cli.main(["rig", action, "--set", "slave.rig={type: simulated}"]) == 2
+    assert "slave.rig.type: simulated has no buses" in capsys.readouterr().err
+
+
+def test_without_its_library_a_driver_says_in_a_line_what_to_install(monkeypatch):
+    def missing(_name):
+        raise ModuleNotFoundError("No module named 'can'", name="can")
+
+    monkeypatch.setattr(configs, "importlib", argparse.Namespace(import_module=missing))
+    with pytest.raises(DriverFault, match=r"'can': pip install 'tendon-teleop\[can\]'"):
+        configs.open_driver(Cia402Config(), Channels((1,)))
