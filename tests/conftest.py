@@ -37,6 +37,7 @@ REAL_TIME = (  # loops, sockets, clocks
     "teleop/test_process.py",
     "teleop/test_recording.py",
     "teleop/test_replay.py",
+    "teleop/ros/test_live.py",
     "teleop/test_view.py",
 )
 

@@ -25,6 +25,7 @@ COMMANDS = {
     "set": ("teleop.remote.set", "change a setting of a running session"),
     "record": ("teleop.recording.command", "record a session to a file"),
     "view": ("teleop.view.command", "see the tension along the sheath, live or from a recording"),
+    "ros": ("teleop.ros.command", "show a session to ROS 2 nodes"),
     "impair": (
         "teleop.impair.command",
         "put delay, loss, corruption or a cut between master and slave",
