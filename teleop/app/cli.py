@@ -31,6 +31,7 @@ COMMANDS = {
         "put delay, loss, corruption or a cut between master and slave",
     ),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
+    "recordings": ("teleop.ros.recordings_command", "convert a recording to a rosbag2"),
     "devices": (
         "master.devices.hid.command",
         "list, probe, dump and test haptic devices; print udev rules",

@@ -1,6 +1,7 @@
 """Values for every declared type, and the same types as `rosbags` knows them."""
 
 import dataclasses
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ STANDARD = tuple(cls for cls in vars(standard).values() if hasattr(cls, "ros_nam
 TYPES = (*STANDARD, *MESSAGES)
 
 
+@cache
 def typestore() -> Typestore:
     """`rosbags` with the types of Jazzy, which it brings along, and those of other packages."""
     store = get_typestore(Stores.ROS2_JAZZY)
