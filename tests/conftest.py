@@ -15,6 +15,7 @@ settings.load_profile("short")
 REAL_TIME = (  # loops, sockets, clocks
     "examples/test_session_examples.py",
     "system",
+    "master/ros/test_operator.py",
     "master/test_process.py",
     "master/test_unplug.py",
     "master/hid/test_command.py",

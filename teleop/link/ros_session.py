@@ -5,25 +5,44 @@ everything arrives at a client; a peer without gossip, as on our link, gets noth
 """
 
 import json
+import socket
 from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
-from teleop.errors import UsageError
+from teleop.errors import TeleopError
+from teleop.link.config import Endpoint
 from teleop.link.network import LEASE_MS, OPEN_MS, RETRY_MS
+
+_LOOK_S = 0.5  # [s] for a connection on this machine
 
 Receive = Callable[[bytes, bytes], None]
 """Called from Zenoh's thread with the payload of a sample and its attachment."""
 
 
+def router_listens(router: str) -> bool:
+    """Return whether something listens at the router's endpoint."""
+    endpoint = Endpoint.parse(router)
+    try:
+        with socket.create_connection((endpoint.host, endpoint.port), _LOOK_S):
+            return True
+    except OSError:
+        return False
+
+
 class RosSession:
-    """A client of one router; it connects, and connects again, as soon as the router is there.
+    """A client of one router, which must be there; after a loss it connects again by itself.
 
     Parameters
     ----------
     router : str
         Endpoint, such as `tcp/127.0.0.1:7447`.
+
+    Raises
+    ------
+    TeleopError
+        There is no router (`router_listens` tells without waiting).
 
     Attributes
     ----------
@@ -36,8 +55,8 @@ class RosSession:
             "mode": "client",
             "scouting/multicast/enabled": False,
             "connect/endpoints": [router],
-            "connect/timeout_ms": -1,
-            "connect/exit_on_failure": False,
+            "connect/timeout_ms": OPEN_MS,
+            "connect/exit_on_failure": True,
             "connect/retry": {
                 "period_init_ms": RETRY_MS,
                 "period_max_ms": 10 * RETRY_MS,
@@ -54,7 +73,7 @@ class RosSession:
         try:
             self._zenoh: Any = zenoh.open(config)
         except zenoh.ZError as error:
-            raise UsageError(f"ros.router: {router}: {error}") from error
+            raise TeleopError(f"ros.router: what listens at {router} is no Zenoh router") from error
         self.zid = str(self._zenoh.info.zid())
         self._liveliness: Any = self._zenoh.liveliness()
         self._declared: list[Any] = []

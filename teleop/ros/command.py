@@ -15,16 +15,17 @@ import time
 from pathlib import Path
 
 from teleop.link import Link
+from teleop.link.ros_session import router_listens
 from teleop.options import add_options
 from teleop.process import Stop, let_loops_first, supervised, write_summary
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.node import RosNode
 from teleop.ros.package import write_package
 from teleop.ros.publishers import Publishers
-from teleop.run_config import load_section
+from teleop.run_config import RunConfig, load_section
 from teleop.topics import Role
 
-_LOOK_S = 1.0  # [s] for the router, before it is said that there is none
+_LOOK_S = 0.5  # [s] between two looks for the router
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,21 +48,9 @@ def main(args: argparse.Namespace) -> int:
     check_ports(config.router, run.link)
     let_loops_first()
     stop = Stop(args.duration)
-    with (
-        Link(run.link, run.session, Role.VIEWER) as link,
-        RosNode(config.router, config.domain, config.node) as node,
-    ):
-        publishers = Publishers(link, node, config, lambda text: print(text, flush=True))
-        where = f"session {run.session!r} in ROS domain {config.domain}"
-        if wait_for_router(node, stop):
-            print(f"{where}, as {config.prefix}/slave/... and {config.prefix}/master/...")
-        else:
-            print(
-                f"{where}: no router at {config.router} yet; start it with: "
-                "ros2 run rmw_zenoh_cpp rmw_zenohd"
-            )
-        publishers.run(stop)
-        sent = publishers.sent
+    sent: dict[str, int] = {}
+    if wait_for_router(config.router, stop):
+        sent = publish(run, config, stop)
     summary = {"session": run.session, "sent": sent, "reason": stop.reason}
     write_summary(args.json, summary)
     if not supervised():
@@ -70,11 +59,27 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def wait_for_router(node: RosNode, stop: Stop) -> bool:
-    """Return whether the router is there within a second."""
-    end = time.monotonic() + _LOOK_S
-    while not node.connected:
-        if time.monotonic() > end or stop():
-            return False
-        time.sleep(0.02)
-    return True
+def wait_for_router(router: str, stop: Stop) -> bool:
+    """Wait until the router listens; return False if told to stop before."""
+    said = False
+    while not stop():
+        if router_listens(router):
+            return True
+        if not said:
+            print(f"no router at {router} yet: ros2 run rmw_zenoh_cpp rmw_zenohd", flush=True)
+            said = True
+        time.sleep(_LOOK_S)
+    return False
+
+
+def publish(run: RunConfig, config: RosConfig, stop: Stop) -> dict[str, int]:
+    """Publish until told to stop; return the number of messages by topic."""
+    with (
+        Link(run.link, run.session, Role.VIEWER) as link,
+        RosNode(config.router, config.domain, config.node) as node,
+    ):
+        publishers = Publishers(link, node, config, lambda text: print(text, flush=True))
+        names = f"{config.prefix}/slave/... and {config.prefix}/master/..."
+        print(f"session {run.session!r} in ROS domain {config.domain}, as {names}", flush=True)
+        publishers.run(stop)
+        return publishers.sent

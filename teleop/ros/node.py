@@ -8,6 +8,9 @@ from teleop.link.ros_session import RosSamples, RosSession
 from teleop.ros import graph
 from teleop.ros.graph import RELIABLE, Endpoint, Kind, Node, Qos
 
+Receive = Callable[[bytes, bytes, int], None]
+"""Takes the bytes of a sample, the global id of its publisher, and when it was sent [ns]."""
+
 
 class RosNode:
     """A node, as a context manager.
@@ -45,17 +48,17 @@ class RosNode:
         samples = self._session.declare_publisher(key, qos.reliability == RELIABLE)
         return RosPublisher(samples, graph.gid(self._announce(Kind.PUBLISHER, topic, cls, qos)))
 
-    def subscribe(
-        self, topic: str, cls: type[Any], qos: Qos, receive: Callable[[bytes], None]
-    ) -> None:
-        """Pass the bytes of each sample of a topic to `receive`, in Zenoh's thread.
+    def subscribe(self, topic: str, cls: type[Any], qos: Qos, receive: Receive) -> None:
+        """Pass each sample of a topic to `receive`, in Zenoh's thread.
 
         A sample without the attachment of rmw_zenoh is not one of a ROS node, and is ignored.
         """
 
         def on_sample(data: bytes, attachment: bytes) -> None:
-            if graph.parse_attachment(attachment) is not None:
-                receive(data)
+            about = graph.parse_attachment(attachment)
+            if about is not None:
+                _, sent_ns, publisher = about
+                receive(data, publisher, sent_ns)
 
         self._session.subscribe(graph.topic_key(self._node.domain, topic, cls), on_sample)
         self._announce(Kind.SUBSCRIBER, topic, cls, qos)
