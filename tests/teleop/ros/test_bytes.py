@@ -86,7 +86,16 @@ def test_every_cut_of_a_message_is_refused():
         with pytest.raises(cdr.CdrError):
             cdr.decode(JointState, data[:end])
     with pytest.raises(cdr.CdrError, match="too long"):
-        cdr.decode(JointState, data + bytes(4))
+        cdr.decode(JointState, data + bytes(17))
+
+
+def test_the_further_bytes_of_rclpy_are_ignored():
+    """Source: rclpy.serialization.serialize_message (Jazzy) of a JointState with effort alone."""
+    data = bytes.fromhex(
+        "00010000000000000000000001000000006f736900000000000000000000000001000000000000000000f03f"
+        "632e736f00000000"
+    )
+    assert cdr.decode(JointState, data) == JointState(effort=(1.0,))
 
 
 @given(st.integers(-(2**62), 2**62))
