@@ -133,8 +133,12 @@ class Link:
     def subscribe_latest(self, topic: Topic[M], limit_ns: int = NEVER_NS) -> Latest[M]:
         """Subscribe to the latest value of `topic`; call it before the loop starts.
 
-        Messages older than `limit_ns` [ns] on arrival are counted as delayed.
+        Messages older than `limit_ns` [ns] on arrival are counted as delayed. A topic subscribed to
+        already gives what it gave then, with the limit of then: a second inbox, which nobody reads,
+        would keep all its messages.
         """
+        if topic.name in self._latest:
+            return self._latest[topic.name][0]
         if topic.publisher is None:
             raise ValueError(f"{topic.name} has several publishers, so no one latest value")
         latest = Latest(topic, partial(self._roster.visit, topic.publisher), limit_ns)
@@ -159,11 +163,8 @@ class Link:
 
     def latest(self, topic: Topic[M]) -> Latest[M]:
         """Process new messages of `topic`; return the newest with its age."""
-        entry = self._latest.get(topic.name)
-        if entry is None:
-            self.subscribe_latest(topic)
-            entry = self._latest[topic.name]
-        latest, inbox = entry
+        self.subscribe_latest(topic)
+        latest, inbox = self._latest[topic.name]
         latest.take(*inbox.take())
         return latest
 

@@ -196,6 +196,7 @@ def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config: LinkConfi
         first = pump(master, slave).message
         for subscriber in slave._subscribers:
             subscriber.undeclare()
+        slave._latest.clear()
         wait_until(lambda: master.skip_unsubscribed(COMMAND))
         assert master.skip_unsubscribed(COMMAND)
         slave.subscribe_latest(COMMAND)
@@ -204,6 +205,16 @@ def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config: LinkConfi
         assert first is not None
         assert again is not None
         assert again.sequence >= first.sequence + 3
+
+
+def test_a_topic_subscribed_to_twice_has_one_inbox_that_is_emptied(config: LinkConfig) -> None:
+    """A second inbox that nobody reads kept every command: 2 MB a second at the slave."""
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
+        first = slave.subscribe_latest(COMMAND)
+        assert slave.subscribe_latest(COMMAND) is first
+        assert len(slave._subscribers) == 1
+        message = pump(master, slave).message
+        assert first.message is message is not None
 
 
 def test_a_port_of_someone_else_is_named_with_a_remedy(config: LinkConfig) -> None:
