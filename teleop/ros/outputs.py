@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from teleop.messages import Command, Hand, Message, SlaveState, TendonState
+from teleop.messages import MAX_JOINTS, Command, Hand, Message, SlaveState, TendonState
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.standard import (
     DiagnosticArray,
@@ -48,11 +48,19 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
+class Naming:
+    """What conversions know beside their message."""
+
+    prefix: str = ""  # of frames
+    joints: int = MAX_JOINTS  # of the slave, as far as known
+
+
+@dataclass(frozen=True, slots=True)
 class Output:
     """One line of the table: a topic, its type, and what it is made from.
 
-    `name` is below the prefix unless it begins with a slash. `convert` takes a message of `source`
-    and the prefix of frames; None = made elsewhere (`teleop.ros.reports`, `teleop.ros.frames`), or
+    `name` is below the prefix unless it begins with a slash. `convert` takes a message of `source`;
+    None = made elsewhere (`teleop.ros.reports`, `teleop.ros.frames`), or
     the message as it is.
     """
 
@@ -60,7 +68,7 @@ class Output:
     type: type[Any]
     source: Topic[Any]
     qos: Qos = LIVE
-    convert: Callable[[Any, str], Iterator[Sample]] | None = None
+    convert: Callable[[Any, Naming], Iterator[Sample]] | None = None
 
     @property
     def unchanged(self) -> bool:
@@ -100,7 +108,7 @@ def _count(message: SlaveState | Hand) -> int:
     return min(message.joints, len(message.position))
 
 
-def slave_measured(state: SlaveState, _: str) -> Iterator[Sample]:
+def slave_measured(state: SlaveState, _: Naming) -> Iterator[Sample]:
     """Estimated tip travel [m] and distal force [N], positive against pulling."""
     n = _count(state)
     names, position, effort = joint_names(n), state.position[:n], state.force[:n]
@@ -108,16 +116,15 @@ def slave_measured(state: SlaveState, _: str) -> Iterator[Sample]:
     yield Sample("slave/measured_js", message)
 
 
-def slave_setpoint(command: Command, _: str) -> Iterator[Sample]:
-    """Commanded tip travel [m] and velocity [m/s], of all joints that a command has."""
-    names = joint_names(len(command.position))
-    yield Sample(
-        "slave/setpoint_js",
-        JointState(_header(command), names, command.position, command.velocity),
-    )
+def slave_setpoint(command: Command, naming: Naming) -> Iterator[Sample]:
+    """Commanded tip travel [m] and velocity [m/s]; a command does not say of how many joints."""
+    n = naming.joints
+    position, velocity = command.position[:n], command.velocity[:n]
+    message = JointState(_header(command), joint_names(n), position, velocity)
+    yield Sample("slave/setpoint_js", message)
 
 
-def actuators_measured(state: TendonState, _: str) -> Iterator[Sample]:
+def actuators_measured(state: TendonState, _: Naming) -> Iterator[Sample]:
     """Travel [m] and tension [N] of the tendons at the housing, as measured."""
     n = min(state.tendons, len(state.proximal_tension))
     position, effort = state.proximal_displacement[:n], state.proximal_tension[:n]
@@ -125,29 +132,31 @@ def actuators_measured(state: TendonState, _: str) -> Iterator[Sample]:
     yield Sample("slave/actuators/measured_js", message)
 
 
-def actuators_setpoint(state: TendonState, _: str) -> Iterator[Sample]:
+def actuators_setpoint(state: TendonState, _: Naming) -> Iterator[Sample]:
     """Commanded travel of the motors [m], NaN before the first engagement."""
     n = min(state.tendons, len(state.commanded_displacement))
     message = JointState(_header(state), tendon_names(n), state.commanded_displacement[:n])
     yield Sample("slave/actuators/setpoint_js", message)
 
 
-def slave_force(state: SlaveState, prefix: str) -> Iterator[Sample]:
+def slave_force(state: SlaveState, naming: Naming) -> Iterator[Sample]:
     """Estimated force at each tip [N] along x of its frame, which points away from the housing."""
     for k in range(_count(state)):
         name = "slave/measured_cf" if k == 0 else f"slave/joint_{k + 1}/measured_cf"
         wrench = Wrench(Vector3(x=state.force[k]))
-        yield Sample(name, WrenchStamped(_header(state, frame(prefix, f"tip_{k + 1}")), wrench))
+        yield Sample(
+            name, WrenchStamped(_header(state, frame(naming.prefix, f"tip_{k + 1}")), wrench)
+        )
 
 
-def master_measured(hand: Hand, _: str) -> Iterator[Sample]:
+def master_measured(hand: Hand, _: Naming) -> Iterator[Sample]:
     """Position [m] and velocity [m/s] of the device; its force is not measured."""
     n = _count(hand)
     message = JointState(_header(hand), joint_names(n), hand.position[:n], hand.velocity[:n])
     yield Sample("master/measured_js", message)
 
 
-def master_setpoint(hand: Hand, _: str) -> Iterator[Sample]:
+def master_setpoint(hand: Hand, _: Naming) -> Iterator[Sample]:
     """Force [N] that the gate let through to the device; it is moved by nothing else."""
     n = _count(hand)
     yield Sample(
@@ -155,12 +164,12 @@ def master_setpoint(hand: Hand, _: str) -> Iterator[Sample]:
     )
 
 
-def slave_operating_state(state: SlaveState, _: str) -> Iterator[Sample]:
+def slave_operating_state(state: SlaveState, _: Naming) -> Iterator[Sample]:
     """CRTK's state of the slave."""
     yield Sample("slave/operating_state", _operating(state, state.state))
 
 
-def master_operating_state(command: Command, _: str) -> Iterator[Sample]:
+def master_operating_state(command: Command, _: Naming) -> Iterator[Sample]:
     """CRTK's state of the master."""
     yield Sample("master/operating_state", _operating(command, command.state))
 

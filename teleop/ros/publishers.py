@@ -5,15 +5,15 @@ from typing import Any
 
 from teleop.clock import Grid
 from teleop.link import Latest, Link, ReceivedMessage
-from teleop.messages import Event, LoopReport, Sheath
+from teleop.messages import MAX_JOINTS, Event, LoopReport, Sheath, SlaveState
 from teleop.ros import cdr
 from teleop.ros.command_topics import CommandTopics
 from teleop.ros.config import RosConfig
 from teleop.ros.frames import sheath_frames
 from teleop.ros.node import RosNode, RosPublisher
-from teleop.ros.outputs import EVENTS, OUTPUTS, Output, full_name
+from teleop.ros.outputs import EVENTS, OUTPUTS, Naming, Output, full_name
 from teleop.ros.reports import SIDES, diagnostics
-from teleop.topics import EVENT, REPORT, SHEATH, Role, Topic
+from teleop.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
 
 SLOW_HZ = 10.0  # [Hz] of states and frames
 REPORTS_HZ = 2.0  # [Hz] of diagnostics
@@ -46,7 +46,8 @@ class Publishers:
             self._topic(output.name, output)
         self._live = _by_source(one for one in outputs if one.qos is not EVENTS)
         self._slow = _by_source(one for one in outputs if one.qos is EVENTS and one.convert)
-        self._sources = tuple(dict.fromkeys((*self._live, *self._slow)))
+        # the state first: it tells how many joints there are
+        self._sources = tuple(dict.fromkeys((STATE, *self._live, *self._slow)))
         for source in self._sources:
             link.subscribe_latest(source)
         self._listener = link.listen((REPORT, EVENT, SHEATH))
@@ -55,6 +56,7 @@ class Publishers:
         self._sheaths: dict[int, Sheath] = {}
         self._commands, self._refused = CommandTopics(config.prefix), ""
         self._slow_ns = self._reports_ns = 0
+        self._naming = Naming(config.prefix)
         node.watch(self._commands.note)
 
     @property
@@ -76,6 +78,8 @@ class Publishers:
                 publisher.look()
         for source in self._sources:
             latest = self._link.latest(source)
+            if source is STATE and latest.is_there:
+                self._know_joints(latest.packet.record)
             if latest.new:
                 self._publish(self._live.get(source, ()), latest)
             role = source.publisher
@@ -94,10 +98,15 @@ class Publishers:
             )
             self._put(_DIAGNOSTICS.name, _DIAGNOSTICS, status)
 
+    def _know_joints(self, state: SlaveState) -> None:
+        joints = min(int(state.joints), MAX_JOINTS)
+        if joints != self._naming.joints:
+            self._naming = Naming(self._config.prefix, joints)
+
     def _publish(self, outputs: Iterable[Output], latest: "Latest[Any]") -> None:
         for output in outputs:
             if output.convert is not None:
-                for sample in output.convert(latest.message, self._config.prefix):
+                for sample in output.convert(latest.message, self._naming):
                     self._put(sample.name, output, sample.message)
             elif self._topics[output.name].wanted:
                 self._topics[output.name].put(latest.packet.data.tobytes())

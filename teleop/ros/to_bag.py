@@ -5,14 +5,23 @@ from typing import Any
 
 import numpy as np
 
-from teleop.messages import Event, LoopReport, Sheath, TendonState
+from teleop.messages import MAX_JOINTS, Event, LoopReport, Sheath, TendonState
 from teleop.recording.reader import RecordedMessage, RecordingInfo, read_messages
 from teleop.ros.bag_writer import BagWriter
 from teleop.ros.frames import sheath_frames
-from teleop.ros.outputs import EVENTS, LIVE, OUTPUTS, Output, Sample, full_name, tendon_names
+from teleop.ros.outputs import (
+    EVENTS,
+    LIVE,
+    OUTPUTS,
+    Naming,
+    Output,
+    Sample,
+    full_name,
+    tendon_names,
+)
 from teleop.ros.reports import SIDES, diagnostics
 from teleop.ros.standard import Header, JointState, Time
-from teleop.topics import EVENT, REPORT, SHEATH, TENDONS, TOPICS, Role
+from teleop.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS, Role
 
 BENCH = "slave/bench/measured_js"
 _TOPICS = {topic.name: topic for topic in TOPICS}
@@ -47,6 +56,7 @@ class BagConverter:
 
     def __init__(self, bag: BagWriter, session: str, prefix: str, period_s: float) -> None:
         self._bag, self._session, self._prefix = bag, session, prefix
+        self._naming = Naming(prefix)
         self._period_ns = round(period_s * 1e9)
         self._due_ns: dict[str, int] = {}
         self._reports: dict[Role, tuple[LoopReport, int]] = {}
@@ -72,6 +82,8 @@ class BagConverter:
             frames = sheath_frames(self._sheaths, message.stamp_ns, self._prefix)
             self._add(Sample("/tf", frames), EVENTS, recorded)
         else:
+            if topic is STATE:
+                self._naming = Naming(self._prefix, min(message.joints, MAX_JOINTS))
             self._add_live(topic.name, message, recorded)
             if topic is TENDONS:
                 for sample in bench_measured(message):
@@ -84,7 +96,7 @@ class BagConverter:
                 topic = full_name(output.name, self._prefix)
                 self._bag.write_bytes(topic, output.type, recorded.data, output.qos, *times)
                 continue
-            for sample in output.convert(message, self._prefix):
+            for sample in output.convert(message, self._naming):
                 self._add(sample, output.qos, recorded)
 
     def _add_report(self, report: LoopReport, recorded: RecordedMessage) -> None:

@@ -10,13 +10,22 @@ from teleop.app import cli
 from teleop.data.table import Columns, read_table, read_tables
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
-from teleop.messages import Event, Hand, LoopReport, Sheath, SlaveState, TendonState, padded
+from teleop.messages import (
+    Command,
+    Event,
+    Hand,
+    LoopReport,
+    Sheath,
+    SlaveState,
+    TendonState,
+    padded,
+)
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.ros import standard
 from teleop.ros.interface import interface_of
 from teleop.ros.standard import JointState, WrenchStamped
-from teleop.topics import EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
+from teleop.topics import COMMAND, EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from tests.teleop.recorded import START_NS
 from tests.teleop.ros.values import as_theirs, typestore
 
@@ -41,6 +50,7 @@ def session(k):
     )
     yield TENDONS, tendons
     yield STATE, SlaveState(state=2, joints=1, force=padded((k * 1e-3,), 8))
+    yield COMMAND, Command(position=padded((k * 1e-3,), 8))
     yield HAND, Hand(joints=1, position=padded((k * 1e-4,), 8))
     if k % 100 == 0:
         yield REPORT, LoopReport(role=Role.SLAVE, state=2)
@@ -71,7 +81,7 @@ def bag(recording, tmp_path_factory):
 
 def test_a_reader_of_others_reads_our_bag(bag):
     with AnyReader([bag], default_typestore=typestore()) as reader:
-        assert reader.message_count == 300 * (3 + 3 + 3) + 3 * 2 + 300 * 1
+        assert reader.message_count == 300 * (3 + 4 + 2 + 2) + 3 * 2 + 300 * 1
         types = {c.topic: c.msgtype for c in reader.connections}
         assert types["/slave/measured_cf"] == "geometry_msgs/msg/WrenchStamped"
         assert types["/slave/state"] == "tendon_teleop/msg/SlaveState"
@@ -79,6 +89,12 @@ def test_a_reader_of_others_reads_our_bag(bag):
             (qos,) = connection.ext.offered_qos_profiles
             assert qos.depth in (1, 10)
             assert connection.digest.startswith("RIHS01_")
+        (setpoint,) = [c for c in reader.connections if c.topic == "/slave/setpoint_js"]
+        lengths = {
+            len(reader.deserialize(data, setpoint.msgtype).position)
+            for _, _, data in reader.messages(connections=[setpoint])
+        }
+        assert lengths == {1}
         wanted = [c for c in reader.connections if c.topic == "/slave/actuators/measured_js"]
         for k, (connection, log_ns, data) in enumerate(reader.messages(connections=wanted)):
             message = reader.deserialize(data, connection.msgtype)

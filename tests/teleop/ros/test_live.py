@@ -130,7 +130,8 @@ def test_values_and_units_are_those_of_the_session(heard, store):
     assert measured.velocity.size == 0
     assert last(heard, store, "/lab/slave/joint_2/measured_cf").wrench.force.x == -2.5
     assert last(heard, store, "/lab/slave/measured_cf").header.frame_id == "lab/tip_1"
-    assert last(heard, store, "/lab/slave/setpoint_js").velocity[0] == 0.25
+    setpoint = last(heard, store, "/lab/slave/setpoint_js")
+    assert (setpoint.name, setpoint.velocity.tolist()) == (["joint_1", "joint_2"], [0.25, 0.25])
     assert last(heard, store, "/lab/slave/actuators/measured_js").effort.tolist() == [5, 6, 7, 8]
     assert last(heard, store, "/lab/master/measured_js").velocity.tolist() == [0.5]
     assert last(heard, store, "/lab/master/setpoint_js").effort.tolist() == [3.0]
