@@ -196,6 +196,14 @@ def test_a_foreign_bag_is_measured_data_with_the_force_at_its_times(tmp_path):
     assert (other.proximal_tension == 1.0).all()
 
 
+def test_an_estimate_is_never_taken_for_a_measurement(tmp_path):
+    with Foreign(tmp_path / "ours") as bag:
+        for k in range(5):
+            bag.write("/slave/actuators/measured_js", joint_state(k * 0.1, 5.0), k * 0.1)
+            bag.write("/slave/measured_cf", wrench(k * 0.1, 2.0), k * 0.1)
+    assert read_table(tmp_path / "ours").distal_tension is None
+
+
 def test_without_stamps_the_times_of_the_bag_count(tmp_path):
     with Foreign(tmp_path / "lab") as bag:
         for k in range(5):
