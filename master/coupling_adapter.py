@@ -76,6 +76,22 @@ def count_hand(
 
 
 @compiled
+def observe(
+    settings: BilateralSettings,
+    side: Side,
+    force_scale: float,
+    position: Array,
+    wanted: Array,
+    axes: int,
+) -> None:
+    """Take over the tips' travels [m] and the forces [N] on the hand that a new state asks for."""
+    at_tip = np.zeros(MAX_JOINTS)
+    for k in range(axes):
+        at_tip[k] = _at_tip(force_scale, wanted[k])
+    coupling.observe(settings, side, position, at_tip, axes)
+
+
+@compiled
 def render(
     settings: BilateralSettings,
     side: Side,

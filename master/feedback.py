@@ -59,8 +59,14 @@ def tip_forces(
     """
     for k in range(axes):
         out[k] = 0.0
-        if has_state and k < state.joints and state.status[k] & INVALID == 0:
+        if has_state and k < state.joints and is_valid(state, k):
             out[k] = attenuate(confidence, state.force[k], state.force_low[k], state.force_high[k])
+
+
+@compiled
+def is_valid(state: SlaveState, joint: int) -> bool:
+    """Return whether the estimate of a joint is one of its newest sample."""
+    return state.status[joint] & INVALID == 0
 
 
 @compiled

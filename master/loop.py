@@ -178,7 +178,7 @@ def command(
     operator.step(
         settings.operator, memory.operator, hand, state, tick.has_state, engaged, position, velocity
     )
-    _hear(memory, tick, state)
+    _hear(settings, memory, tick, state, wanted)
     written = np.zeros(MAX_JOINTS)
     for k in range(memory.axes):
         written[k] = memory.force[k] - memory.own_force[k]
@@ -232,7 +232,7 @@ def force(
     finite = _wanted_forces(settings, memory, tick, state, wanted)
     fresh = is_fresh(settings, tick, state)
     if new_state:
-        _hear(memory, tick, state)
+        _hear(settings, memory, tick, state, wanted)
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
         _step_session(settings, memory, tick, state, finite, 0.0)
@@ -315,11 +315,28 @@ def _step_session(
 
 
 @compiled
-def _hear(memory: MasterState, tick: TickInput, state: SlaveState) -> None:
-    if tick.has_state:
-        energy: Any = state.energy
-        wave: Any = state.wave
-        coupling.receive(memory.coupling, state.sender, energy, wave)
+def _hear(
+    settings: MasterSettings,
+    memory: MasterState,
+    tick: TickInput,
+    state: SlaveState,
+    wanted: Array,
+) -> None:
+    """Take over what the newest state says of energy, waves and tips; `wanted` are its forces."""
+    if not tick.has_state:
+        return
+    energy: Any = state.energy
+    wave: Any = state.wave
+    coupling.receive(memory.coupling, state.sender, energy, wave)
+    position: Any = state.position
+    axes = min(memory.axes, state.joints)
+    valid = np.full(MAX_JOINTS, np.nan)
+    for k in range(axes):
+        if feedback.is_valid(state, k):
+            valid[k] = wanted[k]
+    coupling_adapter.observe(
+        settings.bilateral, memory.coupling, settings.force.scale, position, valid, axes
+    )
 
 
 @compiled

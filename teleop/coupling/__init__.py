@@ -1,7 +1,8 @@
 """Bilateral coupling of hand and tip over a network with delay, loss and jitter; docs/coupling.md.
 
-`port` is the energy ledger, `interface` the inputs and outputs of a coupling, `direct`, `passivity`
-and `wave` are the couplings, `side` is all joints of one side.
+`ledger` is the energy ledger of a port, `interface` the inputs and outputs of a coupling, `direct`,
+`passivity` and `wave` are the couplings, `contact` is the local model of what a tip meets, `side`
+is all joints of one side.
 """
 
 from teleop.coupling.config import (
@@ -18,6 +19,7 @@ from teleop.coupling.side import (
     Side,
     at_tip,
     count_hand,
+    observe,
     receive,
     render,
 )
@@ -37,6 +39,7 @@ __all__ = [
     "bilateral_settings",
     "count_hand",
     "differs",
+    "observe",
     "receive",
     "render",
 ]

@@ -22,6 +22,7 @@ class MasterInput(Record):
     written: F64 = 0.0  # [N] rendered since the last tick
     travel: F64 = 0.0  # [m] of the hand since then
     velocity: F64 = 0.0  # [m/s] of the hand
+    lever: F64 = 0.0  # stiffness at the hand for a stiffness at the tip: the product of the scales
     dragged: F64 = 0.0  # [m^2/s] times a damping at the hand [N s/m]: dissipated energy [J]
 
 

@@ -25,6 +25,8 @@ from estimator.records import F64, Record
 
 _ABSURD = 1e6  # [J], [sqrt(J s)] a watt for eleven days; NaN fails the comparison too
 
+LOAD_S = 1.0  # [s] over which a force is a constant load
+
 _TOLERATED_DT = (
     0.0025  # [s] at 2e-5 m a tip's 3.2 m/s^2; the credit was overdrawn by mJ with ticks of 3 ms
 )
@@ -41,6 +43,8 @@ class Port(Record):
     dissipated: F64 = 0.0  # given up
     granted: F64 = 0.0  # at engagements, and for the dissipation of the hand
     lent: F64 = 0.0  # [J] taken out by the environment, which may return it
+    load: F64 = math.nan  # [N] constant part of the tip's force; NaN: not known yet
+    returned: F64 = 0.0  # [J] by that load, less what it took
     sent_wave: F64 = 0.0  # [sqrt(J s)] integral of the waves sent; sent in messages
     received_energy: F64 = math.nan  # largest total of this sender; NaN: none yet
     received_wave: F64 = 0.0  # [sqrt(J s)] received with it
@@ -83,7 +87,8 @@ def rest(port: Port, reserve: float) -> None:
     port.credit = reserve
     port.dissipated += max(surplus, 0.0)
     port.granted += max(-surplus, 0.0)
-    port.lent = 0.0
+    port.lent = port.returned = 0.0
+    port.load = math.nan
     port.played_wave = port.received_wave
 
 
@@ -138,6 +143,31 @@ def count_tip_work(port: Port, energy: float, passive: bool) -> None:
     port.credit -= surplus
     port.dissipated += surplus
     port.lent = max(port.lent - energy, 0.0)
+
+
+@compiled
+def count_tip(
+    port: Port, force: float, travel: float, allowance: float, most: float, dt: float
+) -> None:
+    """Add the work of a passive environment, as `count_tip_work` does, but for a constant load.
+
+    A weight or a stretched spring has energy before it is moved, and may return up to `allowance`
+    [J] more than it took, of which up to `most` [J] are remembered. Its part of the tip's `force`
+    [N] is what that has been over `LOAD_S`.
+    """
+    if math.isnan(port.load):
+        port.load = force
+    port.load += (force - port.load) * min(dt / LOAD_S, 1.0)
+    count_work(port, -force * travel)
+    of_load, of_rest = -port.load * travel, -(force - port.load) * travel
+    port.returned = max(port.returned + of_load, -most)
+    surplus = max(port.returned - allowance, 0.0)
+    port.returned -= surplus
+    surplus += max(of_rest - port.lent, 0.0)
+    port.lent = max(port.lent - of_rest, 0.0)
+    surplus = min(surplus, max(port.credit, 0.0))
+    port.credit -= surplus
+    port.dissipated += surplus
 
 
 @compiled

@@ -6,8 +6,9 @@ from typing import Annotated
 from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, U64, Field, Flag, Record
-from teleop.coupling import direct, ledger, passivity, wave
+from teleop.coupling import contact, direct, ledger, passivity, wave
 from teleop.coupling.config import PASSIVITY, WAVE, BilateralSettings
+from teleop.coupling.contact import Contact
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.ledger import Port
 from teleop.messages import MAX_JOINTS
@@ -28,6 +29,7 @@ class Side(Record):
         Sequence[MasterInput], Field(MasterInput, MAX_JOINTS)
     ]  # at the last tick (master)
     dt: F64 = 0.0  # [s] of that tick
+    contacts: Annotated[Sequence[Contact], Field(Contact, MAX_JOINTS)]  # of the tips (master)
 
 
 @compiled
@@ -44,9 +46,26 @@ def receive(side: Side, sender: int, energy: Array, wave: Array) -> None:
     if sender != side.sender:
         for k in range(MAX_JOINTS):
             ledger.forget(side.ports[k])
+            contact.forget(side.contacts[k])
     for k in range(MAX_JOINTS):
         ledger.receive(side.ports[k], energy[k], wave[k])
     side.sender = sender
+
+
+@compiled
+def observe(
+    settings: BilateralSettings, side: Side, travel: Array, force: Array, axes: int
+) -> None:
+    """Take over what a new state of the slave says of the tips, for `render`.
+
+    Parameters
+    ----------
+    travel, force : ndarray
+        Estimated tip travels [m] and forces [N], first `axes`.
+    """
+    for k in range(axes):
+        stiffest = settings.passivity.stiffness_max
+        contact.observe(side.contacts[k], travel[k], force[k], stiffest)
 
 
 @compiled
@@ -54,6 +73,7 @@ def rest(settings: BilateralSettings, side: Side) -> None:
     """Keep all ports of an uncoupled side at the reserve."""
     for k in range(MAX_JOINTS):
         ledger.rest(side.ports[k], settings.reserve)
+        contact.rest(side.contacts[k])
 
 
 @compiled
@@ -102,6 +122,7 @@ def count_hand(
         before = side.requested[k] if side.coupled else place[k] - velocity[k] * dt
         hand.travel = place[k] - before
         hand.velocity = velocity[k]
+        hand.lever = lever
         hand.dragged = 0.0
         if lever * dt > 0.0:
             # the smaller of two measures, as noise is not damping
@@ -141,9 +162,16 @@ def render(
     """
     for k in range(axes):
         if side.coupled and settings.kind == PASSIVITY:
-            rendered[k] = passivity.render(
-                settings.passivity, side.ports[k], side.hand[k], force[k], side.dt
+            config, hand = settings.passivity, side.hand[k]
+            predicted = contact.predict(
+                side.contacts[k],
+                force[k],
+                side.requested[k],
+                hand.velocity,
+                config.stiffness_max,
+                side.dt,
             )
+            rendered[k] = passivity.render(config, side.ports[k], hand, predicted, side.dt)
         elif side.coupled and settings.kind == WAVE:
             rendered[k] = wave.render(settings.wave, side.ports[k], side.hand[k], force[k], side.dt)
         else:

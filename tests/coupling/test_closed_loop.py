@@ -8,7 +8,8 @@ import pytest
 from teleop import session
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
 from teleop.session import Reason, State
-from teleop.tools.transparency.hand import DT, Arm
+from teleop.tools.transparency import zwidth
+from teleop.tools.transparency.hand import DT, Arm, Device, HandModel
 from teleop.tools.transparency.hand import reach as reaching
 from teleop.tools.transparency.rig import Rig, free, tissue, wall
 from teleop.tools.transparency.run import SETTLED, run
@@ -86,13 +87,24 @@ def test_direct_is_not(round_trip):
     assert gained(record, DIRECT) > 0.05
 
 
-def test_without_delay_passivity_feels_as_direct_does():
-    felt, plain = (
-        reach(b, MET["wall"], 0.0, SOFT, rest=1.0, back=1.0) for b in (PASSIVITY, DIRECT)
-    )
+def test_without_delay_and_prediction_passivity_feels_as_direct_does():
+    plainly = Bilateral(coupling=PassivityConfig(stiffness_max=0.0))
+    felt, plain = (reach(b, MET["wall"], 0.0, SOFT, rest=1.0, back=1.0) for b in (plainly, DIRECT))
     assert np.abs(felt.force - plain.force).max() < 0.1
     assert np.sqrt(np.mean((felt.force - plain.force) ** 2)) < 0.01
-    assert np.abs(felt.followed - plain.followed)[felt.engaged].max() < 0.05e-3
+    assert np.abs(felt.followed - plain.followed)[felt.engaged].max() < 0.1e-3
+
+
+@pytest.mark.parametrize("round_trip", [0.0, 0.100, pytest.param(0.300, marks=pytest.mark.slow)])
+def test_a_hand_with_a_coarse_encoder_rests_on_a_hard_wall_without_a_buzz(round_trip):
+    """A finger feels a tenth of the half newton that a bound by single encoder steps made."""
+    device = Device(mass=0.1, damping=0.5, resolution=10e-6, smoothing=0.010)
+    network = Network(round_trip, min(0.05, round_trip), seed=1)
+    system = Teleoperator(PASSIVITY, Rig(MET["hard wall"]), network, settings(*HARD[:2], network))
+    record = zwidth.push(system, HandModel(0.15, 100.0, 3.0), device, 0.0015, round_trip)
+    assert_engaged(record)
+    assert zwidth.buzz(record) < 0.08
+    assert record.force[-LAST:].max() < -0.5
 
 
 def test_a_tip_that_fell_behind_comes_after_once_it_is_free():

@@ -340,6 +340,11 @@ WRONG = {
     "catch_up": [0.0, 11.0],
     "discharge_time": [0.0, 1.0],
     "hand_damping": [-1.0, 101.0],
+    "spring_stiffness": [0.0, 2e6],
+    "spring_damping": [-1.0, 101.0],
+    "return_time": [0.0, 101.0],
+    "tip_allowance": [-1e-3, 0.2],
+    "stiffness_max": [-1.0, 2e5],
     "play": [0.0, 1.0],
     "impedance": [0.0, 1e5],
 }

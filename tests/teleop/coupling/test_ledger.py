@@ -111,6 +111,38 @@ def test_what_is_passive_brings_back_no_more_than_it_took():
     assert port.credit == 0.5
 
 
+def test_a_weight_returns_what_it_took_and_the_allowance_besides():
+    """3 N, moved back and forth by 2 mm, then let down for good."""
+    port = Port.new(credit=1.0)
+    for _ in range(3):
+        for travel in [2e-5] * 100 + [-2e-5] * 100:
+            ledger.count_tip(port, 3.0, travel, 0.005, 0.05, 0.001)
+    assert port.dissipated == pytest.approx(0.0, abs=1e-12)
+    for _ in range(200):
+        ledger.count_tip(port, 3.0, -2e-5, 0.005, 0.05, 0.001)
+    assert port.credit == pytest.approx(1.0 + 0.005)
+    assert port.dissipated == pytest.approx(200 * 6e-5 - 0.005)
+
+
+def test_a_force_that_swings_returns_no_more_than_it_took():
+    """10 N on the way back and none on the way in: an engine, 10 times a second."""
+    port = Port.new(credit=1.0)
+    for _ in range(20):
+        for force, travel in [(0.0, 2e-5)] * 50 + [(10.0, -2e-5)] * 50:
+            ledger.count_tip(port, force, travel, 0.005, 0.05, 0.001)
+    assert port.put_in == pytest.approx(20 * 50 * 2e-4)
+    assert port.credit <= 1.0 + 0.005 + 1e-9
+
+
+@given(ENERGY, st.lists(st.tuples(st.floats(-30.0, 30.0), st.floats(-1e-3, 1e-3)), max_size=30))
+def test_what_is_given_up_at_the_tip_is_never_more_than_there_is(credit, steps):
+    port = Port.new(credit=credit)
+    for force, travel in steps:
+        before = port.credit - force * travel
+        ledger.count_tip(port, force, travel, 0.005, 0.05, 0.001)
+        assert min(before, 0.0) - 1e-15 <= port.credit <= before + 1e-15
+
+
 @given(ENERGY, st.floats(-50.0, 50.0), st.floats(-1e-3, 1e-3), st.floats(-1.0, 1.0))
 def test_a_hand_that_turns_no_faster_than_stated_takes_no_more_than_the_credit(
     credit, force, travel, turn

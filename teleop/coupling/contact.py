@@ -1,0 +1,127 @@
+"""A local model of what a tip meets: the force that the hand will have met when it is known.
+
+A force comes back late, by the network and the lag of the tip's motor, and a hand that moves on is
+pushed by what the tip met where the hand was. Against a stiff contact that is active, whatever the
+delay. Here the master keeps the local stiffness of the contact, the slope of received force over
+received tip travel, and adds what it makes of the way between that place and the hand's:
+
+    f = received + stiffness (x_hand - x_tip)
+
+(a local model of the environment as in Mitra & Niemeyer, "Model-mediated telemanipulation", Int. J.
+Robotics Research 27, 2008, 253-262). The model is not trusted: the addition only ever resists the
+hand's motion, never turns the force round, and fades with `WASHOUT`, so that a tip that stays
+behind the hand is no force. A constant load has no stiffness, and is not resisted.
+
+The slope is a regression with a memory over the tip's way, not over time: at rest nothing is
+forgotten, and noise does not wear it out.
+"""
+
+import math
+
+from estimator.compiled import compiled
+from estimator.records import F64, Flag, Record
+
+STEP = 2e-5  # [m] the tip's way from one point of the regression to the next
+MEMORY = 3e-4  # [m] of the tip's way
+FLOOR = 5e-6  # [m] spread of the tip's travel below which a slope is noise
+WASHOUT = 0.3  # [s]
+
+
+class Contact(Record):
+    """One joint's contact, as the master knows it."""
+
+    known: Flag = False  # whether a tip was heard of
+    travel: F64 = 0.0  # [m] of the tip, newest
+    force: F64 = 0.0  # [N] at it
+    taken: F64 = 0.0  # [m] the newest point of the regression
+    weight: F64 = 0.0  # [m] sum of weights
+    mean_travel: F64 = 0.0  # [m] weighted
+    mean_force: F64 = 0.0  # [N] weighted
+    spread: F64 = 0.0  # [m^3] weighted square of travel about its mean
+    product: F64 = 0.0  # [N m^2] weighted product of force and travel about their means
+    stiffness: F64 = 0.0  # [N/m] never negative
+    ahead: F64 = 0.0  # [m] the hand ahead of the tip, less what has faded
+    distance: F64 = 0.0  # [m] the hand ahead of the tip, at the last tick
+    moving: Flag = False  # whether `distance` is known
+
+
+@compiled
+def forget(contact: Contact) -> None:
+    """Forget everything: another tip, or none."""
+    contact.known = False
+    contact.moving = False
+    contact.weight = contact.mean_travel = contact.mean_force = 0.0
+    contact.spread = contact.product = contact.stiffness = contact.ahead = 0.0
+
+
+@compiled
+def observe(contact: Contact, travel: float, force: float, stiffest: float) -> None:
+    """Learn from a tip's travel [m] and the force [N] there.
+
+    The same values again, and values that are not finite, change nothing. `stiffest` [N/m] bounds
+    the stiffness.
+    """
+    if not (math.isfinite(travel) and math.isfinite(force)):
+        return
+    contact.travel, contact.force = travel, force
+    way = abs(travel - contact.taken)
+    if contact.known and way < STEP:
+        return
+    if not contact.known:
+        contact.known = True
+        way = STEP
+    contact.taken = travel
+    # weighted means and products, as they are updated by one more point (West 1979)
+    kept = math.exp(-way / MEMORY)
+    total = kept * contact.weight + way
+    off_travel = travel - contact.mean_travel
+    off_force = force - contact.mean_force
+    share = way / total
+    rest = kept * contact.weight * share
+    contact.spread = kept * contact.spread + rest * off_travel * off_travel
+    contact.product = kept * contact.product + rest * off_travel * off_force
+    contact.mean_travel += share * off_travel
+    contact.mean_force += share * off_force
+    contact.weight = total
+    slope = contact.product / (contact.spread + total * FLOOR * FLOOR)
+    contact.stiffness = min(max(slope, 0.0), stiffest)
+
+
+@compiled
+def rest(contact: Contact) -> None:
+    """Begin anew at the next tick: no force is rendered."""
+    contact.moving = False
+    contact.ahead = 0.0
+
+
+@compiled
+def predict(
+    contact: Contact, force: float, place: float, velocity: float, stiffest: float, dt: float
+) -> float:
+    """Return the received `force` [N] with what the local model adds; call it once a tick.
+
+    Parameters
+    ----------
+    force : float
+        Received, positive against pulling; returned if it is not finite.
+    place, velocity : float
+        Of the hand, in tip units [m], [m/s]; only differences of `place` matter.
+    stiffest : float
+        Upper bound of the stiffness [N/m]; 0 = nothing is added.
+    dt : float
+        Time since the last tick [s].
+    """
+    if not contact.known or stiffest <= 0.0:
+        return force
+    distance = place - contact.travel
+    if contact.moving:
+        contact.ahead += distance - contact.distance
+        contact.ahead *= math.exp(-dt / WASHOUT)
+    contact.distance, contact.moving = distance, True
+    added = contact.stiffness * contact.ahead
+    if not added * velocity > 0.0 or not math.isfinite(force):
+        return force
+    total = force + added
+    if force >= 0.0:
+        return max(total, 0.0)
+    return min(total, 0.0)
