@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: help demo test test-all test-kernel check docs bench bench-diagnosis pictures clean
+.PHONY: help demo test test-all test-kernel test-ros check docs bench bench-diagnosis pictures clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
@@ -22,6 +22,9 @@ test-all:  ## all tests
 
 test-kernel: .venv/run.done  ## the HID drivers on virtual devices, through a Linux kernel in qemu; ARGS: devices
 	@$(BIN)/python -m benchmarks.kernel $(ARGS)
+
+test-ros: .cache/ros/done  ## messages, hashes and graph against rclpy and other implementations of ROS 2
+	@.cache/ros/bin/python -m pytest tests/teleop/ros/test_peers.py $(ARGS)
 
 check: .venv/dev.done  ## format, lint, types, import rules
 	$(BIN)/ruff format --check .
@@ -60,6 +63,12 @@ clean:  ## remove the environment and everything made by running
 .venv/dev.done: .venv/run.done
 	@echo "Adding the tools for tests and checks (once) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+.cache/ros/done: .venv/bin/python pyproject.toml  # apart: rclpy brings packages of common names
+	@echo "Setting up .cache/ros with ROS 2 for Python (once) ..."
+	@$(PYTHON) -m venv .cache/ros
+	@.cache/ros/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,ros-peers]'
 	@touch $@
 
 .venv/docs.done: .venv/dev.done

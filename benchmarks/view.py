@@ -127,8 +127,8 @@ def end(process: "subprocess.Popen[bytes]") -> None:
         process.wait()
 
 
-def report(recording: Path, spans: Spans) -> None:
-    """Print period and latency in each state."""
+def report(recording: Path, spans: Spans, listener: str = "viewer") -> None:
+    """Print period and latency in each state of a listener."""
     hand = read_columns(recording, "hand", ["stamp_ns", "round_trip_ns"])
     slave = read_columns(recording, "state", ["stamp_ns"])
     table: list[tuple[str, NDArray[np.int64], Callable[[NDArray[np.bool_]], NDArray[np.int64]]]]
@@ -137,7 +137,7 @@ def report(recording: Path, spans: Spans) -> None:
         ("slave, period", slave["stamp_ns"], lambda inside: np.diff(slave["stamp_ns"][inside])),
         ("command to force", hand["stamp_ns"], lambda inside: hand["round_trip_ns"][inside]),
     ]
-    print(f"{'[ms]':18}{'viewer':>9}{'p50':>8}{'p99':>8}{'p99.9':>8}   each round's p99")
+    print(f"{'[ms]':18}{listener:>9}{'p50':>8}{'p99':>8}{'p99.9':>8}   each round's p99")
     for name, stamps, values in table:
         for state, times in spans.items():
             rounds = [values((stamps >= begin) & (stamps < end)) for begin, end in times]

@@ -124,6 +124,12 @@ def page() -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def field_comments(cls: type[Message]) -> dict[str, str]:
+    """Return what the declaration of a message says of its fields: units and meaning."""
+    own = {m["name"]: m["comment"] for m in _COMMENT.finditer(inspect.getsource(cls))}
+    return _HEAD_COMMENTS | own
+
+
 def _topic_row(topic: Topic[Any]) -> str:
     sender = "any" if topic.publisher is None else topic.publisher.name.lower()
     rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "on events"
@@ -133,7 +139,7 @@ def _topic_row(topic: Topic[Any]) -> str:
 
 
 def _section(cls: type[Message]) -> str:
-    comments = {m["name"]: m["comment"] for m in _COMMENT.finditer(inspect.getsource(cls))}
+    comments = field_comments(cls)
     lines = [f"## {cls.__name__}\n", f"{inspect.getdoc(cls)}\n", f"{cls.schema.size} bytes.\n"]
     lines += ["| byte | field | type | |", "|---|---|---|---|"]
     lines += _field_rows(cls, comments, slice(_HEAD_FIELDS, None))

@@ -166,10 +166,14 @@ class SessionOutline(NamedTuple):
     reason: Reason = Reason.NOT_USABLE
 
 
+def reason_of(number: int) -> Reason:
+    """Return the reason in a message; an unknown number counts as UNKNOWN."""
+    return _REASONS.get(number, Reason.UNKNOWN)
+
+
 def outline(session: Session) -> SessionOutline:
     """Return the state and the reason of a session as Python enums."""
-    reason = _REASONS.get(int(session.reason), Reason.UNKNOWN)
-    return SessionOutline(State(int(session.state)), reason)
+    return SessionOutline(State(int(session.state)), reason_of(int(session.reason)))
 
 
 _LAST_STATE = int(max(State))

@@ -19,6 +19,7 @@ REAL_TIME = (  # loops, sockets, clocks
     "drivers/test_composed.py",
     "drivers/test_dynamixel.py",
     "drivers/test_microcontroller.py",
+    "master/ros/test_operator.py",
     "master/test_process.py",
     "master/test_unplug.py",
     "master/hid/test_command.py",
@@ -42,6 +43,7 @@ REAL_TIME = (  # loops, sockets, clocks
     "teleop/test_process.py",
     "teleop/test_recording.py",
     "teleop/test_replay.py",
+    "teleop/ros/test_live.py",
     "teleop/test_view.py",
 )
 

@@ -8,6 +8,8 @@ from master.devices.combined import CombinedConfig, CombinedDevice
 from master.devices.extension import DeviceExtension
 from master.devices.hid.config import HidConfig
 from master.devices.hid.device import HidDevice
+from master.devices.ros.config import RosDeviceConfig
+from master.devices.ros.device import RosDevice
 from master.devices.single import SingleConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.errors import UsageError
@@ -28,6 +30,7 @@ def _open(config: DeviceConfig) -> Device:
 DEVICES: dict[type, Callable[[Any], Device]] = {
     VirtualConfig: VirtualDevice,
     HidConfig: HidDevice,
+    RosDeviceConfig: RosDevice,
     CombinedConfig: open_combined,
 }
 

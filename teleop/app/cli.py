@@ -25,11 +25,13 @@ COMMANDS = {
     "set": ("teleop.remote.set", "change a setting of a running session"),
     "record": ("teleop.recording.command", "record a session to a file"),
     "view": ("teleop.view.command", "see the tension along the sheath, live or from a recording"),
+    "ros": ("teleop.ros.command", "show a session to ROS 2 nodes"),
     "impair": (
         "teleop.impair.command",
         "put delay, loss, corruption or a cut between master and slave",
     ),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
+    "recordings": ("teleop.ros.recordings_command", "convert a recording to a rosbag2"),
     "devices": (
         "master.devices.hid.command",
         "list, probe, dump and test haptic devices; print udev rules",

@@ -33,7 +33,9 @@ class RawTable:
 
 
 def read_columns(path: Path) -> RawTable:
-    """Read all columns of a table or a recording; raises `UsageError` on failure."""
+    """Read all columns of a table, a recording or a bag; raises `UsageError` on failure."""
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        return _read_bag(path)
     reader = _READERS[_suffix(path)]
     if not path.is_file():
         raise UsageError(f"{path}: {'is not a file' if path.exists() else 'file not found'}")
@@ -178,8 +180,12 @@ def _read_parquet(path: Path) -> RawTable:
 
 
 def _read_recording(path: Path) -> RawTable:
-    """Read the tendons topic of a recording into table columns."""
+    """Read the tendons topic of a recording into table columns; or a bag of ROS."""
     from teleop.recording import reader
+    from teleop.ros.bag_table import is_bag
+
+    if is_bag(path):
+        return _read_bag(path)
 
     fields = {
         "proximal_tension": "proximal_tension{}_N",
@@ -196,6 +202,13 @@ def _read_recording(path: Path) -> RawTable:
             if not np.isnan(column).all():  # all NaN means that there is no such sensor
                 columns[name.format(number)] = column
     return RawTable(columns, lambda row: f"message {row + 1}")
+
+
+def _read_bag(path: Path) -> RawTable:
+    """Read JointState and WrenchStamped messages of a rosbag2 into table columns."""
+    from teleop.ros.bag_table import read_bag
+
+    return RawTable(read_bag(path), lambda row: f"message {row + 1}")
 
 
 def _write_csv(path: Path, columns: Mapping[str, Column]) -> None:

@@ -68,11 +68,12 @@ class LinkConfig:
     """Endpoints of both sides, the same on every machine of a session.
 
     The master listens on one and the slave on the other; the master connects to the slave,
-    listeners connect to both.
+    listeners connect to both. Not 7447 by default: there is the router of ROS on its machine, and
+    every ROS node connects to what is there.
     """
 
-    master: str = "tcp/127.0.0.1:7447"  # the master's endpoint
-    slave: str = "tcp/127.0.0.1:7448"  # the slave's endpoint
+    master: str = "tcp/127.0.0.1:7451"  # the master's endpoint
+    slave: str = "tcp/127.0.0.1:7452"  # the slave's endpoint
     tls: TlsConfig | None = None  # required off loopback
     insecure_plaintext_off_loopback: bool = False  # anyone on that network may then move the robot
 

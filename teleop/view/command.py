@@ -7,6 +7,7 @@ Without FILE it listens to a running session, in a window, or in a browser where
     teleop view recordings/demo.mcap               a recording
     teleop view recordings/demo.mcap --view demo.rrd    into a Rerun file
     teleop view demo.rrd                           a Rerun file
+    teleop view --foxglove --view none             for the Foxglove app on this machine: docs/ros.md
 
 It only listens: neither loop ever waits for it. See docs/viewing.md.
 """
@@ -16,6 +17,7 @@ import math
 import os
 import sys
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +38,8 @@ from teleop.recording.replay import require_playable
 from teleop.run_config import RunConfig, load_section
 from teleop.topics import TOPICS, Role
 from teleop.view.config import LAYOUTS, ViewConfig
-from teleop.view.feed import Discard, FeedCounts, Show, from_link, from_recording
+from teleop.view.feed import Discard, FeedCounts, Messages, Show, from_link, from_recording
+from teleop.view.foxglove_server import FoxgloveServer
 from teleop.view.runtime_log import diverted, log_path
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
@@ -59,12 +62,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"
     )
+    parser.add_argument(
+        "--foxglove", action="store_true", help="serve the live messages to the Foxglove app too"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
     run, config = load_section(args, ViewConfig, "view")
-    config = replace(config, layout=args.layout or config.layout)
+    foxglove = args.foxglove or config.foxglove
+    config = replace(config, layout=args.layout or config.layout, foxglove=foxglove)
     mode, out = destination_of(args.view, args.out)
     saved = args.file is not None and Path(args.file).suffix == ".rrd"
     if saved:
@@ -163,10 +170,16 @@ def _feed(
     let_loops_first()  # not before: after a failure the view must be back soon
     if file is not None:
         return _show_recording(file, config, show, sink, stop)
-    with Link(run.link, run.session, Role.VIEWER) as link:
+    with ExitStack() as stack:
+        link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
         listener = link.listen(TOPICS)
+        messages: Messages = listener
+        if config.foxglove:
+            server = stack.enter_context(FoxgloveServer(run.session, config.foxglove_port))
+            print(f"Foxglove view: {server.url}", flush=True)
+            messages = server.forwarding(listener)
         share = config.processor_share if sink.watched else math.inf
-        fed = from_link(listener, show, sink, stop, config.drain_hz, periods(sink, config), share)
+        fed = from_link(messages, show, sink, stop, config.drain_hz, periods(sink, config), share)
         counts = {topic.name: listener.counts(topic) for topic in TOPICS}
         summary["lost"] = {topic: c.lost + c.overwritten for topic, c in counts.items()}
         summary["rejected"] = {topic: c.rejected for topic, c in counts.items()}

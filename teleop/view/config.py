@@ -61,6 +61,8 @@ class ViewConfig:
     server_memory_mb: int = 512  # [MB] of history for a browser that connects later
     web_port: int = 9090  # preferred port; a free one if it is in use
     grpc_port: int = 9876  # likewise
+    foxglove: bool = False  # also serve the messages to the Foxglove app, on this machine
+    foxglove_port: int = 8765  # preferred port, as above
     directory: str = "recordings"  # folder of `--view rrd` without `--out`
 
     def __post_init__(self) -> None:
@@ -80,6 +82,7 @@ class ViewConfig:
             ("server_memory_mb", 16, 65536, " MB"),
             ("web_port", 1024, 65535, ""),
             ("grpc_port", 1024, 65535, ""),
+            ("foxglove_port", 1024, 65535, ""),
         ):
             value = getattr(self, name)
             if not low <= value <= high:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from teleop.clock import Grid
-from teleop.link import Listener
+from teleop.link import ReceivedMessage
 from teleop.messages import MessageError
 from teleop.process import Stop, beat
 from teleop.recording.reader import read_messages
@@ -33,6 +33,13 @@ class Show(Protocol):
 
     def silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""
+
+
+class Messages(Protocol):
+    """A source of received messages, such as a `Listener`."""
+
+    def drain(self) -> list[ReceivedMessage]:
+        """Return the messages since the last call."""
 
 
 _SILENT_NS = 1_000_000_000  # [ns] without a message after which what is shown is called old
@@ -81,7 +88,7 @@ class PacedMessages:
 
 
 def from_link(
-    listener: Listener,
+    listener: Messages,
     show: Show,
     sink: Sink,
     stop: Stop,

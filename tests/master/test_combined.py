@@ -194,7 +194,10 @@ def test_if_the_second_cannot_be_opened_the_first_is_closed_again():
         ("[{type: virtual, axes: 5}, {type: virtual, axes: 4}]", "5 + 4 axes, must be at most 8"),
         ("[{type: virtual}]", "at least 2"),
         ("[]", "at least 2"),
-        ("[{type: virtual}, {type: combined}]", "'combined' is unknown (allowed: hid, virtual)"),
+        (
+            "[{type: virtual}, {type: combined}]",
+            "'combined' is unknown (allowed: hid, ros, virtual)",
+        ),
         ("[{type: virtual}, {type: virtual, axis: 2}]", "unknown key; did you mean 'axes'"),
         (
             "[{type: virtual}, {type: hid, axes: [{travel: 0.1, joint: 7}]}]",

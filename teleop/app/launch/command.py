@@ -34,6 +34,7 @@ from teleop.messages import Command, SlaveState
 from teleop.options import add_options
 from teleop.process import INTERRUPTED, Stop, folder, has_display, write_summary
 from teleop.realtime import RealtimeConfig
+from teleop.ros.config import RosConfig, check_ports
 from teleop.run_config import RateChecked, RunConfig
 from teleop.status_line import StatusLine
 from teleop.topics import EVENT, LATENCY, REPORT, Role
@@ -47,11 +48,13 @@ SECTIONS = {
     "record": ("teleop.recording.config", "RecordConfig"),
     "view": ("teleop.view.config", "ViewConfig"),
     "impair": ("teleop.impair.config", "ImpairConfig"),
+    "ros": ("teleop.ros.config", "RosConfig"),
 }
 ENDING = (
     "master",
     "slave",
     "impair",
+    "ros",
     "view",
     "record",
 )  # the recorder stops last, to capture the final messages
@@ -78,6 +81,9 @@ def main(args: argparse.Namespace) -> int:
         part = load(args.config, getattr(import_module(module), name), section, overrides)
         if isinstance(part, RateChecked):
             part.check_rate(config.rate_hz)
+    ros = load(args.config, RosConfig, "ros", overrides)
+    if ros.start:
+        check_ports(ros.router, config.link)
     shared = [f"--set={text}" for text in overrides]
     if args.config:
         shared = ["--config", str(args.config), *shared]
@@ -98,6 +104,8 @@ def main(args: argparse.Namespace) -> int:
         if impair is not None:
             family.start("impair", shared)
         family.start("slave", [*shared, *(f"--model={word}" for word in args.model)])
+        if ros.start:
+            family.start("ros", shared)
         if view != "none":
             family.start("view", [*shared, *_view_ports(args, overrides), "--view", str(view)])
         stack.enter_context(compiling_beside(_compile_master))

@@ -1,0 +1,1 @@
+"""A ROS node in the place of the hand."""

@@ -1,0 +1,109 @@
+"""The process that receives ROS commands: its own Zenoh session, apart from the master's loop.
+
+  python -m master.devices.ros.receiver PIPE CONFIG
+
+It checks every command and writes the newest accepted one to a pipe, at most every `PERIOD_S`: no
+flood of messages reaches the loop, and an end or a stall of this process is noticed there.
+"""
+
+import json
+import os
+import queue
+import sys
+import time
+from contextlib import suppress
+from functools import partial
+
+from master.devices.ros.config import RosDeviceConfig
+from master.devices.ros.record import CommandRecord
+from master.devices.ros.stream import CommandStream, Sample
+from teleop.link.ros_session import router_listens
+from teleop.process import Stop, die_with_parent, let_loops_first
+from teleop.ros.command_topics import SERVO_CV, SERVO_JP, STATE_COMMAND
+from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
+from teleop.ros.node import RosNode
+from teleop.ros.outputs import full_name
+from teleop.ros.standard import JointState, StringStamped, TwistStamped
+
+PERIOD_S = 0.002  # [s] least time between two records
+BEAT_S = 0.02  # [s] largest time between two records
+_LOOK_BEATS = 25  # between two looks for the router
+_KEPT = 5000  # messages that wait; more are dropped, and counted as far as that shows a flood
+NODE = "tendon_teleop_master"
+
+Arrival = tuple[bool, Sample]  # whether it is a motion command
+
+
+def run(config: RosDeviceConfig, pipe: int) -> None:
+    """Receive until told to end."""
+    stop, arrivals = Stop(), queue.Queue[Arrival](_KEPT)
+    stream = CommandStream(config)
+    while not stop() and not router_listens(config.router):
+        for _ in range(_LOOK_BEATS):
+            write(pipe, stream)
+            time.sleep(BEAT_S)
+    if stop():
+        return
+
+    def receive(motion: bool, data: bytes, publisher: bytes, sent_ns: int) -> None:
+        with suppress(queue.Full):
+            now = time.monotonic_ns()
+            arrivals.put_nowait((motion, Sample(data, publisher, sent_ns, now)))
+
+    servo = SERVO_JP if config.command == "servo_jp" else SERVO_CV
+    message = JointState if config.command == "servo_jp" else TwistStamped
+    topic, state_topic = (full_name(name, config.prefix) for name in (servo, STATE_COMMAND))
+    with RosNode(config.router, config.domain, NODE) as node:
+        node.subscribe(topic, message, Qos(BEST_EFFORT, 1), partial(receive, True))
+        node.subscribe(state_topic, StringStamped, Qos(RELIABLE, 10), partial(receive, False))
+        while not stop():
+            take(stream, wait(arrivals))
+            stream.step(time.monotonic_ns())
+            write(pipe, stream)
+            time.sleep(PERIOD_S)
+
+
+def write(pipe: int, stream: CommandStream) -> None:
+    """Write the state of the commands."""
+    now = time.monotonic_ns()
+    record = CommandRecord(
+        now, stream.received_ns, stream.number, stream.engage, stream.fault, stream.values
+    )
+    with suppress(BlockingIOError):  # the loop is held up: it reads the older ones first
+        os.write(pipe, record.pack())
+
+
+def wait(arrivals: "queue.Queue[Arrival]") -> list[Arrival]:
+    """Return the messages that have arrived, after waiting for one at most `BEAT_S`."""
+    found: list[Arrival] = []
+    with suppress(queue.Empty):
+        found.append(arrivals.get(timeout=BEAT_S))
+        while len(found) < _KEPT:
+            found.append(arrivals.get_nowait())
+    return found
+
+
+def take(stream: CommandStream, arrivals: list[Arrival]) -> None:
+    """Take messages in their order."""
+    motion: list[Sample] = []
+    for is_motion, sample in arrivals:
+        if is_motion:
+            motion.append(sample)
+            continue
+        stream.servo(motion)
+        motion = []
+        stream.state_command(sample.data, time.monotonic_ns())
+    stream.servo(motion)
+
+
+def main(pipe: str, config: str, parent: str) -> None:
+    """Run with the arguments of the command line."""
+    die_with_parent(int(parent))
+    let_loops_first()
+    os.set_blocking(int(pipe), False)
+    with suppress(BrokenPipeError):
+        run(RosDeviceConfig(**json.loads(config)), int(pipe))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

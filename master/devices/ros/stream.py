@@ -1,0 +1,163 @@
+"""Checks of the commands of a ROS node. Pure: time is an argument.
+
+A node streams `servo_jp` (or `servo_cv`) and engages by `state_command`: `enable` (or `resume`),
+`disable` (or `pause`). Whatever is wrong with the stream is a fault with a name: no more motion,
+and the switch is open. It stays until the node sends `disable`; then `enable` engages again.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from master.devices.ros.config import RosDeviceConfig
+from teleop.ros import cdr
+from teleop.ros.standard import JointState, StringStamped, TwistStamped
+
+_WINDOW_NS = 100_000_000  # [ns] over which messages are counted
+_DRIFT = 1000  # inverse of the largest drift between the clocks of sender and receiver
+_ENABLE, _DISABLE = ("enable", "resume"), ("disable", "pause")
+
+
+class Sample(NamedTuple):
+    """A message as received."""
+
+    data: bytes
+    publisher: bytes  # its global id
+    sent_ns: int  # on the clock of its sender
+    received_ns: int  # monotonic, here
+
+
+@dataclass(slots=True)
+class CommandStream:
+    """State of the commands of ROS nodes.
+
+    Attributes
+    ----------
+    engage : bool
+        Whether the switch counts as closed.
+    fault : str
+        What is wrong; empty if nothing is.
+    values : tuple of float
+        Newest accepted positions [m] or velocities [m/s], one for each axis.
+    received_ns : int
+        When they were received; 0 = never.
+    number : int
+        Count of accepted commands.
+    """
+
+    config: RosDeviceConfig
+    engage: bool = False
+    fault: str = ""
+    values: tuple[float, ...] = ()
+    received_ns: int = 0
+    number: int = 0
+    _publisher: bytes = b""
+    _least_ns: int = 0  # least delay of the publisher, with the offset of the clocks
+    _window_ns: int = 0
+    _count: int = 0
+
+    def servo(self, samples: list[Sample]) -> None:
+        """Take the commands since the last call, oldest first; only the newest moves anything."""
+        if not samples:
+            return
+        newest = samples[-1]
+        self._count_messages(len(samples), newest.received_ns)
+        if self.fault:
+            return
+        try:
+            values = self._decode(newest.data)
+        except cdr.CdrError as error:
+            self._fail(f"invalid message: {error}")
+            return
+        wrong = self._wrong_sender(samples) or self._wrong_values(values, newest.received_ns)
+        if wrong:
+            self._fail(wrong)
+            return
+        self.values, self.received_ns = values, newest.received_ns
+        self.number += 1
+
+    def state_command(self, data: bytes, now_ns: int) -> None:
+        """Take a command of state at `now_ns` [ns]."""
+        try:
+            word = cdr.decode(StringStamped, data).string
+        except cdr.CdrError as error:
+            self.engage, self.fault = False, f"ROS state_command: invalid message: {error}"
+            return
+        if word in _DISABLE:
+            self.engage, self.fault = False, ""
+            self._publisher, self.received_ns = b"", 0
+        elif word not in _ENABLE:
+            shown = "".join(c for c in word[:20] if c.isprintable())
+            self.engage, self.fault = False, f"ROS state_command: unknown command {shown!r}"
+        elif not self.fault:
+            if self._is_silent(now_ns):
+                self._fail("enabled without it; stream it first, then disable, then enable")
+            else:
+                self.engage = True
+
+    def step(self, now_ns: int) -> None:
+        """Check for silence at `now_ns` [ns]."""
+        if self.engage and self._is_silent(now_ns):
+            self._fail(f"silent for {self.config.timeout:g} s")
+        if not self.engage and self._is_silent(now_ns):
+            self._publisher, self._least_ns = b"", 0  # another node may begin
+
+    def _is_silent(self, now_ns: int) -> bool:
+        return now_ns - self.received_ns > self.config.timeout * 1e9 or not self.received_ns
+
+    def _fail(self, what: str) -> None:
+        self.engage, self.fault = False, f"ROS {self.config.command}: {what}"
+        self.values = ()
+
+    def _count_messages(self, count: int, now_ns: int) -> None:
+        if now_ns - self._window_ns > _WINDOW_NS:
+            self._window_ns, self._count = now_ns, 0
+        self._count += count
+        if self._count > self.config.rate_max * _WINDOW_NS * 1e-9 and not self.fault:
+            self._fail(f"flood of more than {self.config.rate_max:g} messages per second")
+
+    def _decode(self, data: bytes) -> tuple[float, ...]:
+        if self.config.command == "servo_jp":
+            return cdr.decode(JointState, data).position
+        linear = cdr.decode(TwistStamped, data).twist.linear
+        return (linear.x, linear.y, linear.z)[: self.config.axes]
+
+    def _wrong_sender(self, samples: list[Sample]) -> str:
+        """Return what is wrong with origin and delay of the samples; empty if nothing is."""
+        late_s = self._lateness_ns(samples[-1]) * 1e-9
+        if any(sample.publisher != self._publisher for sample in samples):
+            return "from two nodes at the same time"
+        if late_s > self.config.timeout:
+            return f"{late_s:.3f} s late (timeout {self.config.timeout:g} s)"
+        return ""
+
+    def _lateness_ns(self, sample: Sample) -> int:
+        """Return the delay of a sample in excess of the least of its publisher."""
+        delay = sample.received_ns - sample.sent_ns
+        if not self._publisher:
+            self._publisher, self._least_ns = sample.publisher, delay
+        risen = self._least_ns + max(0, sample.received_ns - self.received_ns) // _DRIFT
+        self._least_ns = min(risen if self.received_ns else delay, delay)
+        return delay - self._least_ns
+
+    def _wrong_values(self, values: tuple[float, ...], now_ns: int) -> str:
+        """Return what is wrong with commanded values; empty if nothing is."""
+        config = self.config
+        if len(values) != config.axes:
+            return f"{len(values)} joints, must be {config.axes}"
+        for k, value in enumerate(values):
+            if not math.isfinite(value):
+                return f"joint {k + 1} is not finite"
+        if config.command == "servo_cv":
+            if max(map(abs, values)) > config.speed_max:
+                return f"faster than {config.speed_max:g} m/s"
+            return ""
+        if max(map(abs, values)) > config.position_max:
+            return f"beyond {config.position_max:g} m"
+        if self.values and not self._is_silent(now_ns):
+            # not faster over the time since the last one, but a period at least: messages bunch
+            passed_s = max((now_ns - self.received_ns) * 1e-9, 0.01)
+            moved = max(abs(a - b) for a, b in zip(values, self.values, strict=True))
+            if moved > config.speed_max * passed_s:
+                return f"jump of {moved:.3g} m in {passed_s:.3g} s, faster than speed_max"
+        return ""

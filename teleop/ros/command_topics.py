@@ -1,0 +1,42 @@
+"""The topics by which a ROS node commands a session, and who publishes them. Pure.
+
+The master takes them only if its config says so (`master.device: {type: ros}`): then it has a
+subscriber in the graph. Without one, commands are refused: nobody reads them.
+"""
+
+import threading
+
+from teleop.ros.graph import Endpoint, Kind
+from teleop.ros.outputs import full_name
+
+SERVO_JP, SERVO_CV, STATE_COMMAND = "master/servo_jp", "master/servo_cv", "master/state_command"
+
+
+class CommandTopics:
+    """Tracks publishers and subscribers of the command topics; Zenoh's thread writes."""
+
+    def __init__(self, prefix: str) -> None:
+        self._names = {full_name(name, prefix) for name in (SERVO_JP, SERVO_CV, STATE_COMMAND)}
+        self._lock = threading.Lock()
+        self._there: dict[Kind, list[tuple[str, str]]] = {kind: [] for kind in Kind}
+
+    def note(self, endpoint: Endpoint, came: bool) -> None:
+        """Note that an endpoint has come, or gone."""
+        if endpoint.topic not in self._names:
+            return
+        with self._lock:
+            there, entry = self._there[endpoint.kind], (endpoint.topic, endpoint.node)
+            if came:
+                there.append(entry)
+            elif entry in there:
+                there.remove(entry)
+
+    def refused(self) -> str:
+        """Return which commands nobody takes, and the remedy; empty if there are none."""
+        with self._lock:
+            taken = {topic for topic, _ in self._there[Kind.SUBSCRIBER]}
+            refused = sorted(e for e in self._there[Kind.PUBLISHER] if e[0] not in taken)
+        if not refused:
+            return ""
+        names = ", ".join(f"{node} publishes {topic}" for topic, node in dict.fromkeys(refused))
+        return f"refused: {names}; the master has no device of type ros that takes it"

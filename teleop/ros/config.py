@@ -1,0 +1,64 @@
+"""The `ros` section of a config file."""
+
+import re
+from dataclasses import dataclass
+
+from teleop.errors import UsageError
+from teleop.link.config import Endpoint, LinkConfig
+from teleop.ros.graph import is_name
+from teleop.ros.outputs import OUTPUTS
+from teleop.suggestions import did_you_mean
+
+ALL = tuple(output.name for output in OUTPUTS)
+LARGEST_DOMAIN = 232  # of ROS 2
+
+
+@dataclass(frozen=True, slots=True)
+class RosConfig:
+    """What a session shows to ROS 2, and where."""
+
+    start: bool = False  # whether `teleop run` starts `teleop ros` too
+    domain: int = 0  # ROS_DOMAIN_ID of the nodes that are to see it
+    router: str = "tcp/127.0.0.1:7447"  # of rmw_zenoh, on this machine
+    node: str = "tendon_teleop"  # name of the node
+    prefix: str = ""  # before the names of topics and frames, such as /lab
+    rate_hz: float = 100.0  # [Hz] of the topics that follow the loops; 1 to 500
+    topics: tuple[str, ...] = ALL  # what is published
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        if not 0 <= self.domain <= LARGEST_DOMAIN:
+            raise ValueError(f"domain: must be 0 to {LARGEST_DOMAIN}")
+        check_router(self.router)
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", self.node):
+            raise ValueError("node: allowed are letters, digits and _")
+        if self.prefix and not is_name(self.prefix):
+            raise ValueError("prefix: must be empty or a name such as /lab")
+        if not 1.0 <= self.rate_hz <= 500.0:
+            raise ValueError("rate_hz: must be within 1 ... 500 [Hz]")
+        for i, topic in enumerate(self.topics):
+            if topic not in ALL:
+                raise ValueError(f"topics.{i}: no topic {topic!r}{did_you_mean(topic, ALL)}")
+
+
+def check_router(router: str) -> None:
+    """Check the endpoint of the router; raises `ValueError`."""
+    try:
+        endpoint = Endpoint.parse(router)
+    except ValueError as error:
+        raise ValueError(f"router: {error}") from error
+    if not endpoint.loopback or endpoint.protocol != "tcp":
+        raise ValueError(
+            "router: must be tcp on loopback; let the router of this machine connect to others"
+        )
+
+
+def check_ports(router: str, link: LinkConfig) -> None:
+    """Raise `UsageError` if the router's endpoint is one of the link's."""
+    port = Endpoint.parse(router).port
+    for name in ("master", "slave"):
+        endpoint = Endpoint.parse(getattr(link, name))
+        if endpoint.loopback and endpoint.port == port:
+            raise UsageError(
+                f"ros.router: {router}: link.{name} has this port; set another one in link.{name}"
+            )

@@ -1,0 +1,82 @@
+"""The frames of the sheaths' ends, from their shapes. Pure.
+
+`sheath_N_housing` lies in the frame `housing`, one beside the other; `sheath_N_tip` is the other
+end of the sheath as the config describes it, its x axis along the sheath and away from the housing.
+`tip_J` is that of the first tendon of joint J, in which the force of the joint is given.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from estimator.array_types import Array
+from teleop.messages import MAX_SECTIONS, Sheath
+from teleop.ros.outputs import frame
+from teleop.ros.standard import (
+    Header,
+    Quaternion,
+    TFMessage,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from teleop.view.shape import centreline
+
+APART_M = 0.02  # [m] between the housings of two sheaths
+
+
+def sheath_frames(sheaths: Mapping[int, Sheath], stamp_ns: int, prefix: str) -> TFMessage:
+    """Return the transforms of all known sheaths, by number of the tendon from 0."""
+    found, seen = [], set[int]()
+    stamp = Time.of(stamp_ns)
+
+    def add(parent: str, child: str, place: Transform) -> None:
+        parent, child = frame(prefix, parent), frame(prefix, child)
+        found.append(TransformStamped(Header(stamp, parent), child, place))
+
+    for tendon in sorted(sheaths):
+        sheath, name = sheaths[tendon], f"sheath_{tendon + 1}"
+        add("housing", f"{name}_housing", Transform(Vector3(y=APART_M * tendon)))
+        add(f"{name}_housing", f"{name}_tip", tip_of(sheath))
+        if sheath.joint not in seen:
+            seen.add(sheath.joint)
+            add(f"{name}_tip", f"tip_{sheath.joint + 1}", Transform())
+    return TFMessage(tuple(found))
+
+
+def tip_of(sheath: Sheath) -> Transform:
+    """Return the place of a sheath's tip in the frame of its housing."""
+    n = min(sheath.sections, MAX_SECTIONS)
+    length, radius = np.array(sheath.section_length[:n]), np.array(sheath.section_radius[:n])
+    if not (length.sum() > 0.0 and np.isfinite(length).all()):
+        return Transform()
+    line = centreline(length, radius, np.array([length.sum()]))
+    x, y, z = line.points[-1].tolist()
+    axes = np.stack([line.along, line.aside, np.cross(line.along, line.aside)], axis=1)
+    return Transform(Vector3(x, y, z), quaternion(axes))
+
+
+def quaternion(rotation: Array) -> Quaternion:
+    """Return the unit quaternion of a rotation matrix, by the largest component (Shepperd 1978)."""
+    trace = float(np.trace(rotation))
+    squares = [trace, *np.diag(rotation).tolist()]
+    largest = int(np.argmax(squares))
+    if largest == 0:
+        w = math.sqrt(max(0.0, 1.0 + trace)) / 2
+        x, y, z = (
+            (rotation[2, 1] - rotation[1, 2]) / (4 * w),
+            (rotation[0, 2] - rotation[2, 0]) / (4 * w),
+            (rotation[1, 0] - rotation[0, 1]) / (4 * w),
+        )
+        return Quaternion(float(x), float(y), float(z), w)
+    i = largest - 1
+    j, k = (i + 1) % 3, (i + 2) % 3
+    size = math.sqrt(max(0.0, 1.0 + rotation[i, i] - rotation[j, j] - rotation[k, k])) / 2
+    parts = [0.0, 0.0, 0.0]
+    parts[i] = size
+    parts[j] = float(rotation[j, i] + rotation[i, j]) / (4 * size)
+    parts[k] = float(rotation[k, i] + rotation[i, k]) / (4 * size)
+    w = float(rotation[k, j] - rotation[j, k]) / (4 * size)
+    return Quaternion(parts[0], parts[1], parts[2], w)

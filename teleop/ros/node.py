@@ -1,0 +1,106 @@
+"""A node in the ROS graph: its publishers and subscribers on a Zenoh session of its own."""
+
+from collections.abc import Callable
+from typing import Any, Self
+
+from teleop.clock import now_ns
+from teleop.link.ros_session import RosSamples, RosSession
+from teleop.ros import graph
+from teleop.ros.graph import RELIABLE, Endpoint, Kind, Node, Qos
+
+Receive = Callable[[bytes, bytes, int], None]
+"""Takes the bytes of a sample, the global id of its publisher, and when it was sent [ns]."""
+
+
+class RosNode:
+    """A node, as a context manager.
+
+    Parameters
+    ----------
+    router : str
+        Endpoint of the router.
+    domain : int
+        ROS_DOMAIN_ID.
+    name : str
+        Of the node, without a namespace.
+    """
+
+    def __init__(self, router: str, domain: int, name: str) -> None:
+        self._session = RosSession(router)
+        self._node = Node(domain, self._session.zid, name)
+        self._endpoints = 0
+        self._session.declare_token(self._node.key)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._session.close()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the router is there."""
+        return self._session.connected
+
+    def advertise(self, topic: str, cls: type[Any], qos: Qos) -> "RosPublisher":
+        """Return a publisher of a topic."""
+        key = graph.topic_key(self._node.domain, topic, cls)
+        samples = self._session.declare_publisher(key, qos.reliability == RELIABLE)
+        return RosPublisher(samples, graph.gid(self._announce(Kind.PUBLISHER, topic, cls, qos)))
+
+    def subscribe(self, topic: str, cls: type[Any], qos: Qos, receive: Receive) -> None:
+        """Pass each sample of a topic to `receive`, in Zenoh's thread.
+
+        A sample without the attachment of rmw_zenoh is not one of a ROS node, and is ignored.
+        """
+
+        def on_sample(data: bytes, attachment: bytes) -> None:
+            about = graph.parse_attachment(attachment)
+            if about is not None:
+                _, sent_ns, publisher = about
+                receive(data, publisher, sent_ns)
+
+        self._session.subscribe(graph.topic_key(self._node.domain, topic, cls), on_sample)
+        self._announce(Kind.SUBSCRIBER, topic, cls, qos)
+
+    def watch(self, changed: Callable[[Endpoint, bool], None]) -> None:
+        """Call `changed` with each endpoint of other nodes and whether it has come or gone."""
+
+        def on_token(key: str, came: bool) -> None:
+            endpoint = graph.parse_endpoint(key)
+            if endpoint is not None and f"/{self._node.zid}/" not in key:
+                changed(endpoint, came)
+
+        self._session.watch_tokens(f"@ros2_lv/{self._node.domain}/**", on_token)
+
+    def _announce(self, kind: Kind, topic: str, cls: type[Any], qos: Qos) -> str:
+        self._endpoints += 1
+        key = self._node.endpoint_key(self._endpoints, kind, topic, cls, qos)
+        self._session.declare_token(key)
+        return key
+
+
+class RosPublisher:
+    """Publishes one topic.
+
+    Attributes
+    ----------
+    sent : int
+        Number of messages so far.
+    wanted : bool
+        Whether anyone subscribed at the last `look`.
+    """
+
+    def __init__(self, samples: RosSamples, gid: bytes) -> None:
+        self._samples, self._gid = samples, gid
+        self.sent = 0
+        self.wanted = True
+
+    def look(self) -> None:
+        """Update `wanted`: whether anyone subscribes."""
+        self.wanted = self._samples.has_subscriber
+
+    def put(self, data: bytes) -> None:
+        """Publish the bytes of a message."""
+        self.sent += 1
+        self._samples.put(data, graph.attachment(self.sent, now_ns(), self._gid))

@@ -1,0 +1,152 @@
+"""Publishes a session to ROS: the newest messages of the link, at the rate of the config."""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from teleop.clock import Grid
+from teleop.link import Latest, Link, ReceivedMessage
+from teleop.messages import MAX_JOINTS, Event, LoopReport, Sheath, SlaveState
+from teleop.ros import cdr
+from teleop.ros.command_topics import CommandTopics
+from teleop.ros.config import RosConfig
+from teleop.ros.frames import sheath_frames
+from teleop.ros.node import RosNode, RosPublisher
+from teleop.ros.outputs import EVENTS, OUTPUTS, Naming, Output, full_name
+from teleop.ros.reports import SIDES, diagnostics
+from teleop.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
+
+SLOW_HZ = 10.0  # [Hz] of states and frames
+REPORTS_HZ = 2.0  # [Hz] of diagnostics
+_BY_NAME = {output.name: output for output in OUTPUTS}
+_DIAGNOSTICS, _FRAMES = _BY_NAME["/diagnostics"], _BY_NAME["/tf"]
+
+
+class Publishers:
+    """The topics of a session in the ROS graph.
+
+    Parameters
+    ----------
+    link : Link
+        Of the session, as a listener.
+    node : RosNode
+        That publishes.
+    config : RosConfig
+        Which topics, and how often.
+    say : callable
+        Prints a line.
+    """
+
+    def __init__(
+        self, link: Link, node: RosNode, config: RosConfig, say: Callable[[str], None] = print
+    ) -> None:
+        self._link, self._node, self._config, self._say = link, node, config, say
+        outputs = [_BY_NAME[name] for name in config.topics]
+        self._topics: dict[str, RosPublisher] = {}
+        for output in outputs:
+            self._topic(output.name, output)
+        self._live = _by_source(one for one in outputs if one.qos is not EVENTS)
+        self._slow = _by_source(one for one in outputs if one.qos is EVENTS and one.convert)
+        # the state first: it tells how many joints there are
+        self._sources = tuple(dict.fromkeys((STATE, *self._live, *self._slow)))
+        for source in self._sources:
+            link.subscribe_latest(source)
+        self._listener = link.listen((REPORT, EVENT, SHEATH))
+        self._reports: dict[Role, tuple[LoopReport, int]] = {}
+        self._events: dict[Role, Event] = {}
+        self._sheaths: dict[int, Sheath] = {}
+        self._commands, self._refused = CommandTopics(config.prefix), ""
+        self._slow_ns = self._reports_ns = 0
+        self._naming = Naming(config.prefix)
+        node.watch(self._commands.note)
+
+    @property
+    def sent(self) -> dict[str, int]:
+        """Number of published messages by topic."""
+        return {name: publisher.sent for name, publisher in self._topics.items()}
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Publish until told to stop."""
+        for tick in Grid(self._config.rate_hz, stop):
+            self.step(tick.stamp_ns)
+
+    def step(self, stamp_ns: int) -> None:
+        """Publish what is new, or due, at a stamp [ns]."""
+        slow = stamp_ns >= self._slow_ns
+        if slow:
+            self._slow_ns = stamp_ns + round(1e9 / SLOW_HZ)
+            for publisher in self._topics.values():
+                publisher.look()
+        for source in self._sources:
+            latest = self._link.latest(source)
+            if source is STATE and latest.is_there:
+                self._know_joints(latest.packet.record)
+            if latest.new:
+                self._publish(self._live.get(source, ()), latest)
+            role = source.publisher
+            if slow and latest.is_there and role is not None and self._link.present(role):
+                self._publish(self._slow.get(source, ()), latest)
+        if slow:
+            self._take(self._listener.drain())
+            self._refuse()
+            if self._sheaths and _FRAMES.name in self._topics:
+                frames = sheath_frames(self._sheaths, stamp_ns, self._config.prefix)
+                self._put(_FRAMES.name, _FRAMES, frames)
+        if stamp_ns >= self._reports_ns and _DIAGNOSTICS.name in self._topics:
+            self._reports_ns = stamp_ns + round(1e9 / REPORTS_HZ)
+            status = diagnostics(
+                self._link.session, self._reports, self._events, stamp_ns, self._refused
+            )
+            self._put(_DIAGNOSTICS.name, _DIAGNOSTICS, status)
+
+    def _know_joints(self, state: SlaveState) -> None:
+        joints = min(int(state.joints), MAX_JOINTS)
+        if joints != self._naming.joints:
+            self._naming = Naming(self._config.prefix, joints)
+
+    def _publish(self, outputs: Iterable[Output], latest: "Latest[Any]") -> None:
+        for output in outputs:
+            if output.convert is not None:
+                for sample in output.convert(latest.message, self._naming):
+                    self._put(sample.name, output, sample.message)
+            elif self._topics[output.name].wanted:
+                self._topics[output.name].put(latest.packet.data.tobytes())
+
+    def _put(self, name: str, output: Output, message: Any) -> None:
+        publisher = self._topic(name, output)
+        if publisher.wanted:
+            publisher.put(cdr.encode(message))
+
+    def _topic(self, name: str, output: Output) -> RosPublisher:
+        """Return the publisher of a topic; further joints have theirs when they are known."""
+        publisher = self._topics.get(name)
+        if publisher is None:
+            topic = full_name(name, self._config.prefix)
+            publisher = self._topics[name] = self._node.advertise(topic, output.type, output.qos)
+        return publisher
+
+    def _take(self, messages: Iterable[ReceivedMessage]) -> None:
+        for item in messages:
+            if item.topic is SHEATH:
+                sheath = Sheath.unpack(item.data)
+                self._sheaths[sheath.tendon] = sheath
+            elif item.topic is REPORT:
+                report = LoopReport.unpack(item.data)
+                if report.role in SIDES:
+                    self._reports[Role(report.role)] = report, item.received_ns
+            else:
+                event = Event.unpack(item.data)
+                if event.role in SIDES:
+                    self._events[Role(event.role)] = event
+
+    def _refuse(self) -> None:
+        refused = self._commands.refused()
+        if refused and refused != self._refused:
+            self._say(refused)
+        self._refused = refused
+
+
+def _by_source(outputs: Iterable[Output]) -> dict[Topic[Any], list[Output]]:
+    found: dict[Topic[Any], list[Output]] = {}
+    for output in outputs:
+        found.setdefault(output.source, []).append(output)
+    return found

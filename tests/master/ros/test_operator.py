@@ -1,0 +1,201 @@
+"""A ROS node as operator of a whole session: slave, master and receiver, through a router."""
+
+import contextlib
+import math
+import signal
+import threading
+import time
+from contextlib import contextmanager
+from functools import partial
+
+import pytest
+
+from master.device import DeviceFault, DeviceLost
+from master.devices.ros.config import RosDeviceConfig
+from master.devices.ros.device import RosDevice
+from teleop.app.launch.supervisor import wait_for
+from teleop.messages import Event, text_of
+from teleop.ros import cdr
+from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
+from teleop.ros.node import RosNode
+from teleop.ros.standard import JointState, StringStamped
+from teleop.session import State
+from teleop.topics import COMMAND, EVENT, STATE
+from tests.conftest import ROOT
+from tests.system.processes import START_S, Processes
+from tests.teleop.ros.peers import free_port, router
+
+PATIENCE_S = 20.0
+STILL_M = 0.3e-3  # [m] of a tip that is held
+
+
+class Operator:
+    """A node that streams servo_jp at 100 Hz; `send` is what it sends, None for nothing."""
+
+    def __init__(self, node):
+        self._node = node
+        self.servo = node.advertise("/master/servo_jp", JointState, Qos(BEST_EFFORT, 1))
+        self._state = node.advertise("/master/state_command", StringStamped, Qos(RELIABLE, 10))
+        self.begin_s = 0.0
+        self.send = self.hold
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._over.set()
+        self._thread.join()
+
+    def hold(self):
+        return JointState(position=(0.0,))
+
+    def wave(self):
+        """From where it held, to 10 mm and back."""
+        phase = 3 * (time.monotonic() - self.begin_s)
+        return JointState(position=(0.005 * (1 - math.cos(phase)),))
+
+    def move(self):
+        self.begin_s = time.monotonic()
+        self.send = self.wave
+
+    def say(self, word):
+        self._state.put(cdr.encode(StringStamped(string=word)))
+
+    def _run(self):
+        while not self._over.wait(0.01):
+            message = self.send()
+            if message is not None:
+                self.servo.put(cdr.encode(message))
+
+
+@contextmanager
+def session(tmp_path, endpoint):
+    """A slave and a master whose device is a ROS node."""
+    overrides = (
+        f"master.device={{type: ros, router: {endpoint}, timeout: 0.5}}",
+        "master.operator.position_scale=1",
+        "master.state_timeout=0.5",
+        "master.delay_max=1.0",
+        "realtime.priority=0",
+    )
+    with Processes(tmp_path, ROOT / "configs" / "demo.yaml", *overrides) as processes:
+        processes.start("slave")
+        processes.start("master")
+        with processes.look() as link:
+            events = link.listen((EVENT,))
+            for topic in (STATE, COMMAND):
+                there = partial(lambda topic: link.latest(topic).message is not None, topic)
+                assert wait_for(there, START_S), processes.outputs()
+            yield link, events
+
+
+def master_state(link):
+    return State(link.latest(COMMAND).message.state)
+
+
+def tip(link):
+    return link.latest(STATE).message.position[0]
+
+
+def texts(events):
+    return [text_of(Event.unpack(item.data).text) for item in events.drain()]
+
+
+def engage(operator, link, events):
+    """Stream, let go, and enable, until hand and tip are coupled; then move."""
+    operator.send = operator.hold
+    operator.say("disable")
+    time.sleep(0.15)
+
+    def coupled():
+        operator.say("disable" if master_state(link) is State.FAULT else "enable")
+        time.sleep(0.1)
+        return master_state(link) is State.ENGAGED
+
+    assert wait_for(coupled, PATIENCE_S), texts(events)
+    operator.move()
+
+
+def test_a_ros_node_moves_the_tip_and_no_wrong_command_does(tmp_path):
+    with (
+        router() as endpoint,
+        RosNode(endpoint, 0, "operator") as node,
+        session(tmp_path, endpoint) as (link, events),
+        Operator(node) as operator,
+    ):
+        time.sleep(0.5)
+        assert master_state(link) is State.READY  # a stream alone engages nothing
+        before = tip(link)
+        engage(operator, link, events)
+        seen = [before]
+
+        def moved():
+            seen.append(tip(link))
+            return max(seen) - min(seen) > 3e-3
+
+        assert wait_for(moved, PATIENCE_S), texts(events)
+
+        def flood():
+            data = cdr.encode(operator.wave())
+            for _ in range(400):
+                operator.servo.put(data)
+
+        wrong = {
+            "joint 1 is not finite": lambda: JointState(position=(math.nan,)),
+            "3 joints, must be 1": lambda: JointState(position=(0.0, 0.0, 0.0)),
+            "silent for 0.5 s": lambda: None,
+            "flood of more than": flood,
+        }
+        for words, send in wrong.items():
+            if master_state(link) is not State.ENGAGED:
+                engage(operator, link, events)
+            events.drain()
+            operator.send = send
+            assert wait_for(lambda: master_state(link) is State.FAULT, PATIENCE_S), words
+            said = []
+
+            def named(words=words, said=said):
+                said += texts(events)
+                return any(words in text for text in said)
+
+            assert wait_for(named, PATIENCE_S), f"{words}: {said}"
+            time.sleep(0.2)
+            held = tip(link)
+            time.sleep(0.2)
+            assert abs(tip(link) - held) < STILL_M, words
+            assert master_state(link) is State.FAULT, words
+
+
+def test_a_receiver_that_stops_or_ends_is_a_fault():
+    device = RosDevice(RosDeviceConfig(router=f"tcp/127.0.0.1:{free_port()}"))
+    receiver = device._process
+    try:
+        assert wait_for(lambda: device.read(0.0) and device._began, PATIENCE_S)
+        assert not device.read(0.0).engage
+        receiver.send_signal(signal.SIGSTOP)
+        with pytest.raises(DeviceLost, match="does not answer"):
+            wait_for(lambda: device.read(0.0) and False, PATIENCE_S)
+        receiver.kill()
+        with pytest.raises(DeviceFault, match="has ended"):
+            wait_for(lambda: _read(device) and False, PATIENCE_S)
+        with pytest.raises(DeviceFault, match="refuses"):
+            device.write((math.nan,))
+    finally:
+        device.close()
+
+
+def _read(device):
+    """Read a device that may be lost, and is to end."""
+    with contextlib.suppress(DeviceLost):
+        return device.read(0.0)
+
+
+@pytest.mark.parametrize("words", [["master.device={type: ros, router: tcp/10.0.0.1:7447}"]])
+def test_a_router_elsewhere_is_refused(words, capsys):
+    from teleop.app import cli
+
+    assert cli.main(["master", *(f"--set={word}" for word in words)]) == 2
+    assert "on loopback" in capsys.readouterr().err

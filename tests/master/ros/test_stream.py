@@ -1,0 +1,167 @@
+"""What the receiver makes of commands of ROS nodes, without a network."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from master.devices.ros.config import RosDeviceConfig
+from master.devices.ros.record import SIZE, CommandRecord
+from master.devices.ros.stream import CommandStream, Sample
+from teleop.ros import cdr
+from teleop.ros.standard import JointState, StringStamped, Twist, TwistStamped, Vector3
+
+MS = 1_000_000
+BEGIN = 10**12
+ONE, OTHER = b"1" * 16, b"2" * 16
+OFFSET = 7 * 10**15  # of the sender's clock
+
+
+def joints(*positions):
+    return cdr.encode(JointState(position=positions))
+
+
+def twist(x, y=0.0):
+    return cdr.encode(TwistStamped(twist=Twist(linear=Vector3(x, y))))
+
+
+def sample(data, at_ms, publisher=ONE, late_ms=0):
+    at_ns = BEGIN + at_ms * MS
+    return Sample(data, publisher, at_ns - late_ms * MS + OFFSET, at_ns)
+
+
+def command(stream, word, at_ms):
+    stream.state_command(cdr.encode(StringStamped(string=word)), BEGIN + at_ms * MS)
+
+
+def engaged(**config):
+    """A stream of 100 Hz at 0.01 m that was enabled; the last command came at 90 ms."""
+    stream = CommandStream(RosDeviceConfig(**config))
+    data = twist(0.01) if config.get("command") == "servo_cv" else joints(0.01)
+    for k in range(10):
+        stream.servo([sample(data, 10 * k)])
+    command(stream, "enable", 91)
+    assert (stream.engage, stream.fault, stream.values) == (True, "", (0.01,))
+    return stream
+
+
+def test_nothing_engages_without_enable_or_without_a_stream():
+    stream = CommandStream(RosDeviceConfig())
+    stream.servo([sample(joints(0.01), 0)])
+    assert not stream.engage
+    silent = CommandStream(RosDeviceConfig())
+    command(silent, "enable", 0)
+    assert not silent.engage
+    assert "enabled without it" in silent.fault
+
+
+@pytest.mark.parametrize(
+    ("samples", "words"),
+    [
+        ([sample(joints(math.nan), 100)], "joint 1 is not finite"),
+        ([sample(joints(math.inf), 100)], "joint 1 is not finite"),
+        ([sample(joints(), 100)], "0 joints, must be 1"),
+        ([sample(joints(0.01, 0.01), 100)], "2 joints, must be 1"),
+        ([sample(joints(1.5), 100)], "beyond 1 m"),
+        ([sample(joints(0.3), 100)], "jump of 0.29 m in 0.01 s"),
+        ([sample(joints(0.01)[:-3], 100)], "invalid message"),
+        ([sample(b"\0\1\0\0" + b"\xff" * 60, 100)], "invalid message"),
+        ([sample(b"", 100)], "invalid message"),
+        ([sample(joints(0.01), 100, OTHER)], "two nodes"),
+        ([sample(joints(0.01), 100), sample(joints(0.01), 100, OTHER)], "two nodes"),
+        ([sample(joints(0.01), 190, late_ms=150)], "0.150 s late"),
+        ([sample(joints(0.01), 100)] * 300, "flood of more than 2000 messages per second"),
+    ],
+)
+def test_whatever_is_wrong_is_a_fault_with_a_name_until_disabled(samples, words):
+    stream = engaged()
+    stream.servo(samples)
+    assert words in stream.fault
+    assert stream.fault.startswith("ROS servo_jp: ")
+    assert not stream.engage
+    assert stream.values == ()
+    number, fault = stream.number, stream.fault
+    stream.servo([sample(joints(0.01), 300)])  # nothing good makes up for it
+    command(stream, "enable", 301)
+    assert (stream.number, stream.fault, stream.engage) == (number, fault, False)
+    command(stream, "disable", 302)
+    assert not stream.fault
+    stream.servo([sample(joints(0.01), 410)])
+    assert not stream.engage
+    command(stream, "enable", 411)
+    assert stream.engage
+
+
+def test_silence_is_a_fault_while_enabled_only():
+    stream = engaged(timeout=0.05)
+    stream.step(BEGIN + 139 * MS)
+    assert stream.engage
+    stream.step(BEGIN + 141 * MS)
+    assert (stream.engage, stream.fault) == (False, "ROS servo_jp: silent for 0.05 s")
+    idle = CommandStream(RosDeviceConfig())
+    idle.servo([sample(joints(0.01), 0)])
+    idle.step(BEGIN + 10_000 * MS)
+    assert not idle.fault
+
+
+def test_after_silence_another_node_may_begin():
+    stream = CommandStream(RosDeviceConfig())
+    stream.servo([sample(joints(0.01), 0)])
+    stream.step(BEGIN + 200 * MS)
+    stream.servo([sample(joints(0.5), 300, OTHER)])
+    assert not stream.fault
+
+
+@pytest.mark.parametrize(("word", "is_fault"), [("disable", False), ("pause", False), ("go", True)])
+def test_other_state_commands_open_the_switch(word, is_fault):
+    stream = engaged()
+    command(stream, word, 95)
+    assert not stream.engage
+    assert bool(stream.fault) == is_fault
+
+
+def test_invalid_bytes_of_a_state_command_open_the_switch():
+    stream = engaged()
+    stream.state_command(b"\1", BEGIN + 95 * MS)
+    assert not stream.engage
+    assert "state_command: invalid" in stream.fault
+
+
+@pytest.mark.parametrize("x", [math.nan, 0.6, -0.6])
+def test_a_velocity_is_finite_and_limited(x):
+    stream = engaged(command="servo_cv")
+    stream.servo([sample(twist(x), 100)])
+    assert not stream.engage
+    assert stream.fault.startswith("ROS servo_cv: ")
+
+
+@given(st.lists(st.binary(max_size=120), max_size=20), st.booleans())
+def test_no_bytes_move_anything(datas, encapsulated):
+    stream = engaged()
+    head = b"\0\1\0\0" if encapsulated else b""
+    for k, data in enumerate(datas):
+        stream.servo([sample(head + data, 100 + k)])
+    for value in stream.values:
+        assert abs(value) <= 1.0
+    assert stream.engage == (not stream.fault)
+
+
+def test_a_record_comes_back_from_its_bytes():
+    record = CommandRecord(5, 4, 3, True, "é" * 200, (0.5, -0.25))
+    back = CommandRecord.unpack(record.pack(), 2)
+    assert len(record.pack()) == SIZE <= 512  # PIPE_BUF of POSIX: written whole
+    assert back == record._replace(fault="é" * 80)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"axes": 0}, {"axes": 9}, {"axes": 4, "command": "servo_cv"}, {"timeout": 2.0},
+        {"speed_max": math.nan}, {"position_max": 0.0}, {"rate_max": 1.0}, {"domain": -1},
+        {"router": "tcp/10.0.0.1:7447"}, {"prefix": "lab"},
+    ],
+)  # fmt: skip
+def test_a_wrong_config_is_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        RosDeviceConfig(**wrong)

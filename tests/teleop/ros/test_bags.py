@@ -1,0 +1,245 @@
+"""Bags: ours as `rosbags` reads them, and those of others as measured data."""
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from teleop.app import cli
+from teleop.data.table import Columns, read_table, read_tables
+from teleop.errors import UsageError
+from teleop.link import ReceivedMessage
+from teleop.messages import (
+    Command,
+    Event,
+    Hand,
+    LoopReport,
+    Sheath,
+    SlaveState,
+    TendonState,
+    padded,
+)
+from teleop.recording.config import RecordConfig
+from teleop.recording.writer import RecordingWriter
+from teleop.ros import standard
+from teleop.ros.interface import interface_of
+from teleop.ros.standard import JointState, WrenchStamped
+from teleop.topics import COMMAND, EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
+from tests.teleop.recorded import START_NS
+from tests.teleop.ros.values import as_theirs, typestore
+
+MS = 1_000_000
+NAN = float("nan")
+
+
+def tension(k):
+    return 5.0 + 4.0 * np.sin(k / 20)
+
+
+def session(k):
+    """All topics of millisecond `k`."""
+    bench = padded((tension(k) / 2, NAN), 16)
+    tendons = TendonState(
+        tendons=2,
+        time_s=k * 1e-3,
+        proximal_tension=padded((tension(k), 2.0), 16),
+        proximal_displacement=padded((k * 1e-6, NAN), 16),
+        bench_distal_tension=bench,
+        bench_distal_displacement=(NAN,) * 16,
+    )
+    yield TENDONS, tendons
+    yield STATE, SlaveState(state=2, joints=1, force=padded((k * 1e-3,), 8))
+    yield COMMAND, Command(position=padded((k * 1e-3,), 8))
+    yield HAND, Hand(joints=1, position=padded((k * 1e-4,), 8))
+    if k % 100 == 0:
+        yield REPORT, LoopReport(role=Role.SLAVE, state=2)
+        yield EVENT, Event(role=Role.SLAVE)
+        yield SHEATH, Sheath(sections=1, section_length=(1.0,) * 16, section_radius=(0.0,) * 16)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags")
+    numbers = {}
+    with RecordingWriter(RecordConfig(directory=str(folder)), "demo", START_NS) as writer:
+        for k in range(300):
+            for topic, message in session(k):
+                number = numbers[topic.name] = numbers.get(topic.name, 0) + 1
+                sent = START_NS + k * MS
+                data = message.pack(7, number, sent)
+                writer.write([ReceivedMessage(topic, data, sent + 5, 7, number, sent)], sent)
+    return writer.path
+
+
+@pytest.fixture(scope="module")
+def bag(recording, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bag") / "demo"
+    assert cli.main(["recordings", "to-ros2", str(recording), "--out", str(path)]) == 0
+    return path
+
+
+def test_a_reader_of_others_reads_our_bag(bag):
+    with AnyReader([bag], default_typestore=typestore()) as reader:
+        assert reader.message_count == 300 * (3 + 4 + 2 + 2) + 3 * 2 + 300 * 1
+        types = {c.topic: c.msgtype for c in reader.connections}
+        assert types["/slave/measured_cf"] == "geometry_msgs/msg/WrenchStamped"
+        assert types["/slave/state"] == "tendon_teleop/msg/SlaveState"
+        for connection in reader.connections:
+            (qos,) = connection.ext.offered_qos_profiles
+            assert qos.depth in (1, 10)
+            assert connection.digest.startswith("RIHS01_")
+        (setpoint,) = [c for c in reader.connections if c.topic == "/slave/setpoint_js"]
+        lengths = {
+            len(reader.deserialize(data, setpoint.msgtype).position)
+            for _, _, data in reader.messages(connections=[setpoint])
+        }
+        assert lengths == {1}
+        wanted = [c for c in reader.connections if c.topic == "/slave/actuators/measured_js"]
+        for k, (connection, log_ns, data) in enumerate(reader.messages(connections=wanted)):
+            message = reader.deserialize(data, connection.msgtype)
+            assert message.effort.tolist() == [tension(k), 2.0]
+            assert message.header.stamp.nanosec == (START_NS + k * MS) % 10**9
+            assert log_ns == START_NS + k * MS + 5
+
+
+def test_the_metadata_are_those_of_the_messages(bag, recording, tmp_path):
+    about = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert about["version"] == 9
+    assert about["duration"]["nanoseconds"] == 299 * MS
+    fewer = tmp_path / "fewer"
+    words = ["recordings", "to-ros2", str(recording), "--out", str(fewer), "--rate", "100"]
+    assert cli.main([*words, "--prefix", "/lab"]) == 0
+    about = yaml.safe_load((fewer / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    counts = {
+        t["topic_metadata"]["name"]: t["message_count"] for t in about["topics_with_message_count"]
+    }
+    assert counts["/lab/slave/measured_js"] == 30
+    assert counts["/tf"] == 3
+
+
+def test_our_bag_is_measured_data_like_the_recording(bag, recording):
+    first, second = Columns(), Columns.of_tendon(2)
+    ours, theirs = (read_tables(path, (first, second)) for path in (bag, recording))
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(one.time, other.time, atol=1e-9)
+        np.testing.assert_array_equal(one.proximal_tension, other.proximal_tension)
+    np.testing.assert_array_equal(ours[0].proximal_displacement, theirs[0].proximal_displacement)
+    np.testing.assert_allclose(ours[0].distal_tension, theirs[0].distal_tension)
+    assert ours[1].proximal_displacement is None
+    file = next(bag.glob("*.mcap"))
+    np.testing.assert_array_equal(read_table(file).proximal_tension, ours[0].proximal_tension)
+
+
+def test_what_goes_wrong_is_one_line(bag, recording, tmp_path, capsys):
+    for words in (
+        [str(recording), "--out", str(bag)],
+        [str(tmp_path / "none.mcap"), "--out", str(tmp_path / "x")],
+        [str(recording), "--out", str(tmp_path / "x"), "--rate", "0"],
+        [str(recording), "--out", str(tmp_path / "x"), "--prefix", "lab"],
+    ):
+        assert cli.main(["recordings", "to-ros2", *words]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+class Foreign:
+    """A bag written by `rosbags`."""
+
+    def __init__(self, path, plugin=StoragePlugin.MCAP):
+        self._store = typestore()
+        self._writer = Writer(path, version=9, storage_plugin=plugin)
+        self._connections = {}
+
+    def __enter__(self):
+        self._writer.open()
+        return self
+
+    def __exit__(self, *_):
+        self._writer.close()
+
+    def write(self, topic, message, at_s):
+        interface = interface_of(type(message))
+        if topic not in self._connections:
+            connection = self._writer.add_connection(topic, interface.name, typestore=self._store)
+            self._connections[topic] = connection
+        data = self._store.serialize_cdr(as_theirs(self._store, interface, message), interface.name)
+        self._writer.write(self._connections[topic], START_NS + round(at_s * 1e9), data)
+
+
+def header(at_s):
+    return standard.Header(standard.Time.of(START_NS + round(at_s * 1e9)))
+
+
+def joint_state(at_s, *efforts, names=("cable", "other")):
+    return JointState(header(at_s), names[: len(efforts)], (at_s,) * len(efforts), effort=efforts)
+
+
+def wrench(at_s, x):
+    return WrenchStamped(header(at_s), standard.Wrench(standard.Vector3(x, 0.0, 2 * x)))
+
+
+def test_a_foreign_bag_is_measured_data_with_the_force_at_its_times(tmp_path):
+    with Foreign(tmp_path / "lab") as bag:
+        for k in range(100):
+            bag.write("/motor/joint_states", joint_state(k * 0.01, 10.0 + k, 1.0), k * 0.01)
+        for k in range(40):  # later, slower and between the rows
+            at_s = 0.105 + 0.02 * k
+            bag.write("/sensor/wrench", wrench(at_s, at_s), at_s)
+    table = read_table(tmp_path / "lab")
+    assert len(table.time) == 78
+    np.testing.assert_allclose(table.time, np.arange(78) * 0.01, atol=1e-9)
+    assert table.proximal_tension[0] == 21.0  # the first row after the first force
+    np.testing.assert_allclose(table.distal_tension, 0.11 + table.time, atol=1e-9)
+    axis = read_table(tmp_path / "lab", Columns(distal_tension="/sensor/wrench/force_z"))
+    np.testing.assert_allclose(axis.distal_tension, 2 * (0.11 + axis.time), atol=1e-9)
+    other = read_table(tmp_path / "lab", Columns.of_tendon(2))
+    assert (other.proximal_tension == 1.0).all()
+
+
+def test_an_estimate_is_never_taken_for_a_measurement(tmp_path):
+    with Foreign(tmp_path / "ours") as bag:
+        for k in range(5):
+            bag.write("/slave/actuators/measured_js", joint_state(k * 0.1, 5.0), k * 0.1)
+            bag.write("/slave/measured_cf", wrench(k * 0.1, 2.0), k * 0.1)
+    assert read_table(tmp_path / "ours").distal_tension is None
+
+
+def test_without_stamps_the_times_of_the_bag_count(tmp_path):
+    with Foreign(tmp_path / "lab") as bag:
+        for k in range(5):
+            message = JointState(name=("a",), position=(0.0,), effort=(1.0 * k,))
+            bag.write("/joint_states", message, k * 0.5)
+    np.testing.assert_allclose(read_table(tmp_path / "lab").time, np.arange(5) * 0.5)
+
+
+@pytest.mark.parametrize(
+    ("topics", "plugin", "words"),
+    [
+        (("/a/joint_states", "/b/joint_states"), StoragePlugin.MCAP, "several JointState topics"),
+        (("/wrench",), StoragePlugin.MCAP, "no sensor_msgs/msg/JointState"),
+        (("/a/joint_states",), StoragePlugin.SQLITE3, "ros2 bag convert"),
+    ],
+)
+def test_a_bag_without_clear_data_is_one_line(tmp_path, topics, plugin, words):
+    with Foreign(tmp_path / "lab", plugin) as bag:
+        for topic in topics:
+            make = wrench if topic == "/wrench" else joint_state
+            for k in range(3):
+                bag.write(topic, make(k * 0.1, 1.0), k * 0.1)
+    with pytest.raises(UsageError, match=words) as error:
+        read_table(tmp_path / "lab")
+    assert "\n" not in str(error.value)
+
+
+def test_a_damaged_bag_is_one_line(bag, tmp_path):
+    data = next(bag.glob("*.mcap")).read_bytes()
+    for name, content in {"cut": data[: len(data) // 2], "noise": data[:900] + b"x" * 90}.items():
+        path = tmp_path / f"{name}.mcap"
+        path.write_bytes(content)
+        with pytest.raises(UsageError) as error:
+            read_table(path)
+        assert "\n" not in str(error.value)
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "metadata.yaml").write_text("a: [")
+    with pytest.raises(UsageError, match="not that of a rosbag2"):
+        read_table(tmp_path / "bag")

@@ -1,0 +1,94 @@
+"""Parts of `teleop ros` that need no network."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from rosbags.typesys import get_types_from_msg
+
+from teleop.app import cli
+from teleop.config import load
+from teleop.errors import UsageError
+from teleop.link import LinkConfig
+from teleop.messages import MESSAGES, Sheath, padded
+from teleop.ros.config import RosConfig, check_ports
+from teleop.ros.frames import quaternion, tip_of
+from teleop.ros.package import package_files
+from tests.teleop.ros.values import typestore
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("router=tcp/10.0.0.1:7447", "loopback"),
+        ("router=tls/127.0.0.1:7447", "loopback"),
+        ("router=127.0.0.1", "not an endpoint"),
+        ("domain=300", "0 to 232"),
+        ("prefix=lab", "such as /lab"),
+        ("rate_hz=5000", "1 ... 500"),
+        ("node='a b'", "letters"),
+        ("topics=[slave/measured_jp]", "slave/measured_js"),
+    ],
+)
+def test_a_wrong_config_is_one_line_with_the_key(text, words):
+    with pytest.raises(UsageError, match=rf"ros\.{text.split('=')[0]}.*{re.escape(words)}"):
+        load(None, RosConfig, "ros", [f"ros.{text}"])
+
+
+def test_the_port_of_the_router_is_not_that_of_the_link():
+    check_ports(RosConfig().router, LinkConfig())
+    with pytest.raises(UsageError, match=r"link\.slave has this port"):
+        check_ports("tcp/localhost:7500", LinkConfig(slave="tcp/127.0.0.1:7500"))
+    assert cli.main(["ros", "--set", "link.master=tcp/127.0.0.1:7447"]) == 2
+
+
+def test_the_package_declares_the_messages_that_are_sent(tmp_path, capsys):
+    assert cli.main(["ros", "--package", str(tmp_path)]) == 0
+    root = tmp_path / "tendon_teleop"
+    assert str(root) in capsys.readouterr().out
+    store = typestore()
+    for cls in MESSAGES:
+        text = (root / "msg" / f"{cls.__name__}.msg").read_text()
+        name = f"tendon_teleop/msg/{cls.__name__}"
+        (definition,) = get_types_from_msg(text, name).values()
+        assert definition == store.fielddefs[name]
+        assert f'"msg/{cls.__name__}.msg"' in (root / "CMakeLists.txt").read_text()
+    assert "[N]" in (root / "msg" / "SlaveState.msg").read_text()
+    assert set(package_files()) == {str(p.relative_to(root)) for p in root.rglob("*.*")}
+
+
+def test_a_package_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    assert cli.main(["ros", "--package", str(tmp_path / "file")]) == 2
+
+
+def matrix(q):
+    """The rotation of a unit quaternion, from the product q v q*."""
+    w, v = q.w, np.array([q.x, q.y, q.z])
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def test_a_quaternion_is_the_rotation_of_its_matrix():
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        rotation *= np.sign(np.linalg.det(rotation))
+        if rng.integers(2):  # half a turn, where the scalar part vanishes
+            axis = rotation[0]
+            rotation = 2 * np.outer(axis, axis) - np.eye(3)
+        np.testing.assert_allclose(matrix(quaternion(rotation)), rotation, atol=1e-7)
+
+
+def test_a_tip_lies_where_its_sheath_ends():
+    quarter = Sheath(
+        sections=1,
+        section_length=padded((0.5 * math.pi * 0.2,), 16),
+        section_radius=padded((0.2,), 16),
+    )
+    tip = tip_of(quarter)
+    place = (tip.translation.x, tip.translation.y, tip.translation.z)
+    np.testing.assert_allclose(place, (0.2, 0.2, 0.0), atol=1e-12)
+    np.testing.assert_allclose(matrix(tip.rotation)[:, 0], (0, 1, 0), atol=1e-7)
+    assert tip_of(Sheath()).translation.x == 0.0

@@ -1,0 +1,150 @@
+"""The server for the Foxglove app, seen by a client of the WebSocket protocol alone (RFC 6455)."""
+
+import base64
+import json
+import os
+import socket
+import struct
+import sys
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from teleop.app import cli
+from teleop.errors import UsageError
+from teleop.ros.outputs import OUTPUTS
+from teleop.ros.standard import JointState
+from teleop.topics import STATE, TOPICS
+from teleop.view.foxglove_server import FoxgloveServer
+from tests.conftest import ROOT
+from tests.teleop.recorded import heard
+
+PATIENCE_S = 20.0
+
+
+class Client:
+    """What the app does: shake hands, be told of channels, subscribe, receive."""
+
+    def __init__(self, url):
+        self.host, _, port = url.removeprefix("ws://").partition(":")
+        self._socket = socket.create_connection((self.host, int(port)), PATIENCE_S)
+        key = base64.b64encode(os.urandom(16)).decode()
+        self._socket.sendall(
+            f"GET / HTTP/1.1\r\nHost: {url}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
+        )
+        self._data = b""
+        while b"\r\n\r\n" not in self._data:
+            self._data += self._socket.recv(4096)
+        answer, _, self._data = self._data.partition(b"\r\n\r\n")
+        assert b" 101 " in answer
+
+    def close(self):
+        self._socket.close()
+
+    def send(self, message):
+        text = json.dumps(message).encode()
+        assert len(text) < 126
+        mask = os.urandom(4)
+        masked = bytes(byte ^ mask[k % 4] for k, byte in enumerate(text))
+        self._socket.sendall(bytes((0x81, 0x80 | len(text))) + mask + masked)
+
+    def receive(self, wanted):
+        """Return the next message of an operation (text), or the next binary one (None)."""
+        while True:
+            opcode, content = self._frame()
+            if opcode == 2 and wanted is None and content[0] == 1:
+                return content
+            if opcode == 1 and json.loads(content).get("op") == wanted:
+                return json.loads(content)
+
+    def _frame(self):
+        first, length = self._take(2)
+        if length == 126:
+            (length,) = struct.unpack(">H", self._take(2))
+        elif length == 127:
+            (length,) = struct.unpack(">Q", self._take(8))
+        return first & 0x0F, self._take(length)
+
+    def _take(self, size):
+        while len(self._data) < size:
+            self._data += self._socket.recv(65536)
+        taken, self._data = self._data[:size], self._data[size:]
+        return taken
+
+
+class Source:
+    def __init__(self, messages):
+        self._messages = messages
+
+    def drain(self):
+        return self._messages
+
+
+def test_the_app_gets_the_bytes_of_the_link_with_their_definition():
+    message = heard(STATE, 3, np.random.default_rng(1))
+    with FoxgloveServer("demo", 8765) as server:
+        client = Client(server.url)
+        try:
+            assert client.host == "127.0.0.1"
+            channels = {c["topic"]: c for c in client.receive("advertise")["channels"]}
+            assert set(channels) == {f"/{topic.name}" for topic in TOPICS}
+            state = channels["/state"]
+            assert (state["encoding"], state["schemaEncoding"]) == ("cdr", "ros2msg")
+            assert state["schemaName"] == "tendon_teleop/msg/SlaveState"
+            assert state["schema"] == STATE.message.schema.ros_definition
+            client.send({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": state["id"]}]})
+            forwarding = server.forwarding(Source([message]))
+            client._socket.settimeout(0.05)
+            for _ in range(400):  # until the subscription is known to the server
+                assert forwarding.drain() == [message]
+                try:
+                    content = client.receive(None)
+                except TimeoutError:
+                    continue
+                break
+            assert struct.unpack_from("<IQ", content, 1) == (7, message.stamp_ns)
+            assert content[13:] == message.data
+        finally:
+            client.close()
+
+
+def test_a_second_server_takes_another_port():
+    with FoxgloveServer("one", 8765) as one, FoxgloveServer("other", 8765) as other:
+        assert one.url != other.url
+
+
+def test_without_the_package_it_is_one_line(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(UsageError, match="pip install"):
+        FoxgloveServer("demo", 8765)
+    assert cli.main(["view", "--view", "none", "--foxglove"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def field_of(message, text):
+    """Whether a message has the field, and the array the element, of `name` or `name[k]`."""
+    name, _, index = text.rstrip("]").partition("[")
+    return name in message.schema.wires and int(index or 0) < message.schema.wires[name].count
+
+
+def test_the_layouts_name_what_there_is():
+    topics = {f"/{topic.name}": topic.message for topic in TOPICS}
+    layout = json.loads((ROOT / "configs" / "foxglove-layout.json").read_text())
+    panels = layout["configById"].values()
+    paths = [path["value"] for panel in panels for path in panel.get("paths", ())]
+    assert len(paths) > 8
+    for path in paths:
+        topic, _, text = path.partition(".")
+        assert field_of(topics[topic], text), path
+    outputs = {output.topic(""): output for output in OUTPUTS}
+    tree = ElementTree.parse(ROOT / "configs" / "plotjuggler-layout.xml")  # noqa: S314 - ours
+    for curve in tree.iter("curve"):
+        topic, _, rest = curve.get("name").rpartition("/")
+        if topic in outputs:
+            assert field_of(outputs[topic].type, rest), curve.get("name")
+        else:  # /topic/joint/field, as PlotJuggler names the signals of a JointState
+            assert outputs[topic.rpartition("/")[0]].type is JointState
+            assert rest in ("position", "velocity", "effort")
