@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from teleop.messages import MAX_JOINTS
-from teleop.ros.config import LARGEST_DOMAIN, check_router
-from teleop.ros.graph import is_name
 
 TWIST_AXES = 3
 
@@ -28,6 +26,10 @@ class RosDeviceConfig:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
+        # here, as the network's packages are slow to load, and no other device needs them
+        from teleop.ros.config import LARGEST_DOMAIN, check_router
+        from teleop.ros.graph import is_name
+
         most = MAX_JOINTS if self.command == "servo_jp" else TWIST_AXES
         if not 1 <= self.axes <= most:
             raise ValueError(f"axes: must be within 1 ... {most} for {self.command}")
