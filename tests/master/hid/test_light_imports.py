@@ -1,4 +1,4 @@
-"""The drivers of hands run where neither the network nor the compiler is: in the kernel run's guest."""
+"""The drivers of hands need neither network nor compiler: the kernel run's guest has none."""
 
 import subprocess
 import sys
@@ -15,5 +15,7 @@ import master.devices.hid.device, master.devices.single
 
 
 def test_a_driver_needs_neither_network_nor_compiler():
-    done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", LIGHT], check=False, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
