@@ -11,7 +11,7 @@ and engages again; an emergency stop (`teleop stop`) must be reset first.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
@@ -133,7 +133,10 @@ class SlaveProcess(LoopProcess):
             verdict = self._step(now + late_ns, tick.dt + late_ns * 1e-9, fault, requests)
         if self._has_motor[0] and fault is Reason.NONE:
             try:
-                self._move_rig()
+                if self._emergency_stop is None:
+                    self._rig.write(self._motor[: self._rig.tendons].copy())
+                else:
+                    self._move_stoppable_rig(self._emergency_stop)
             except RigFault as error:
                 self._take_back()
                 verdict = self._step(now_ns(), tick.dt, self._failed(error), requests)
@@ -168,13 +171,13 @@ class SlaveProcess(LoopProcess):
             "rig": self._rig.summary(),
         }
 
-    def _move_rig(self) -> None:
-        """Write the gated positions; in an emergency stop use the motors' own, if they have one."""
-        if self._emergency_stop is None or self._outline().state is not State.STOPPED:
+    def _move_stoppable_rig(self, emergency_stop: Callable[[], None]) -> None:
+        """Write the gated positions, or in an emergency stop use the motors' own."""
+        if self._outline().state is not State.STOPPED:
             self._rig.write(self._motor[: self._rig.tendons].copy())
             return
         self._has_motor[0] = False  # the next engagement begins where the encoders are by then
-        self._emergency_stop()
+        emergency_stop()
 
     def _take_back(self) -> None:
         """Forget the tick that was just stepped, and what was estimated ahead for it."""

@@ -16,7 +16,7 @@ back with its full force, although the servo's lag makes that slightly active.
   a wall then uses its own energy.
 - The force is that of a spring which holds the credit, |f| <= sqrt(2 k credit) with k of
 `spring_stiffness` at the hand, damped: soft enough for the sampled device, so a force that is
-limited does not buzz. A bound by the hand's last step does, with every step of an encoder. The
+limited does not buzz. A bound by the hand's last step buzzes with every step of an encoder. The
 slave's credit is used up over a time.
 - The force is predicted by a local stiffness (`teleop.coupling.contact`), so that delay and the lag
 of the tip's motor need no dissipation that the controller would have to find.
@@ -103,7 +103,7 @@ def render(
     if port.credit <= 0.0 and next_way <= 0.0:
         return force  # that hand makes good what was overdrawn
     credit = max(port.credit, 0.0)
-    way = max(yielding * hand.velocity * config.discharge_time, 2.0 * next_way, 1e-9)
+    way = max(yielding * hand.velocity * config.discharge_time, next_way, 1e-9)
     most = credit / way
     if hand.lever > 0.0:
         spring = math.sqrt(2.0 * config.spring_stiffness / hand.lever * credit)

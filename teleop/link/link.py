@@ -163,7 +163,8 @@ class Link:
 
     def latest(self, topic: Topic[M]) -> Latest[M]:
         """Process new messages of `topic`; return the newest with its age."""
-        self.subscribe_latest(topic)
+        if topic.name not in self._latest:
+            self.subscribe_latest(topic)
         latest, inbox = self._latest[topic.name]
         latest.take(*inbox.take())
         return latest

@@ -43,12 +43,14 @@ def test_the_law_gives_the_tip_less_by_friction(tmp_path):
     assert (tmp_path / "loop.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow  # .ci/run runs it from the wheel
 def test_a_fit_on_one_half_holds_on_the_other(tmp_path):
     said = run(tmp_path, "estimate_record.py")
     assert float(re.search(r"RMSE ([\d.]+) N", said)[1]) < 0.2
     assert int(re.search(r"(\d+)% of it", said)[1]) > 90
 
 
+@pytest.mark.slow  # .ci/run runs it from the wheel
 def test_the_effect_that_was_put_in_is_found(tmp_path):
     said = run(tmp_path, "diagnose_record.py")
     assert "distal_tension_gain" in said.partition("\n\n")[0]
@@ -56,6 +58,7 @@ def test_the_effect_that_was_put_in_is_found(tmp_path):
     assert float(gain) == pytest.approx(0.15, abs=0.02)
 
 
+@pytest.mark.slow  # .ci/run runs it from the wheel
 def test_a_diagnosis_is_a_page_of_its_own(tmp_path):
     said = run(tmp_path, "notebook_report.py", tmp_path / "report.html")
     before, after = re.search(r"validation: .* by ([\d.]+) N before, ([\d.]+) N", said).groups()
@@ -65,12 +68,14 @@ def test_a_diagnosis_is_a_page_of_its_own(tmp_path):
     assert page.count("<svg") >= 4
 
 
+@pytest.mark.slow  # .ci/run runs it from the wheel
 def test_a_pair_s_friction_grows_as_it_was_put_in(tmp_path):
     said = run(tmp_path, "pair_study.py")
     assert float(re.search(r"grows by ([\d.]+)", said)[1]) == pytest.approx(0.2, rel=0.1)
     assert float(re.search(r"apart: ([\d.]+)%", said)[1]) < 3.0
 
 
+@pytest.mark.slow  # .ci/run runs it from the wheel
 def test_the_snippet_of_the_readme_runs_as_it_is(tmp_path):
     (snippet,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     words = "simulate --out bench.csv --duration 12 --rate 100 --profile nested"
@@ -82,6 +87,7 @@ def test_the_snippet_of_the_readme_runs_as_it_is(tmp_path):
     assert "| K " in ended.stdout
 
 
+@pytest.mark.slow  # .ci/run runs it from the wheel
 def test_the_walk_through_ends_with_the_cause_of_its_data(tmp_path):
     said = run(tmp_path, "walk_through.py")
     verdict = next(line for line in said.splitlines() if line.startswith("verdict:"))

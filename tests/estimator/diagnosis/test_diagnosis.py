@@ -113,7 +113,7 @@ def test_nothing_is_named_where_nothing_is_wrong(bench):
     assert 0.0 < found.detection_limits["viscous_friction"].size < 500.0
 
 
-@pytest.mark.parametrize("bench", ["blocked", "spring"])
+@pytest.mark.parametrize("bench", ["blocked", pytest.param("spring", marks=pytest.mark.slow)])
 def test_friction_that_wanders_is_no_drift_and_no_step(bench):
     in_time = {"friction_step", "friction_drift"}
     _, found = diagnosed(7, "outside:wandering_friction", bench, among=in_time)

@@ -96,6 +96,7 @@ def test_the_folder_has_tables_figures_and_a_page_that_needs_no_other_file(ran):
     assert json.loads((folder / "table.json").read_text()) == ran[1]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_numbers_in_any_process(ran):
     specimen = random_sheaths(SHEATHS, SEED)[-1]
     outcome = judge(experiment(specimen, SEED))
