@@ -150,6 +150,7 @@ def green(picture):
     return pixels(picture, (0, 0, picture.shape[1], picture.shape[0]), STATES["engaged"], 30)
 
 
+@pytest.mark.slow  # half a minute of a browser
 def test_the_page_comes_back_when_another_view_serves_it():
     """Two views one after the other at the same address; the second shows another layout."""
     ports = dict(zip(("web_port", "grpc_port"), free_ports(2), strict=True))
