@@ -97,7 +97,10 @@ class Session:
         self.slave = self.processes.start("slave", "--json", str(self.processes.folder / "s.json"))
         self.processes.start("master")
         with self.processes.look() as link:
-            over = lambda: self.slave.poll() is not None  # noqa: E731
+
+            def over() -> bool:
+                return self.slave.poll() is not None
+
             wait_for(lambda: self.processes.engaged(link) or over(), START_S)
             assert not over(), self.processes.outputs()
         assert wait_for(lambda: all(self.state()["moving"]), 5.0), "the motors are not enabled"

@@ -95,7 +95,9 @@ class _Mover:
         begin, limit = self.last[tendon], self._tension[tendon] + move.force
         wanted, target = self.last.copy(), self.last[tendon] + move.travel
         sign = 1.0 if move.travel > 0.0 else -1.0
-        while sign * (target - wanted[tendon]) > 0.0 and not self._tension[tendon] > limit:
+        while sign * (target - wanted[tendon]) > 0.0:
+            if sign > 0.0 and not self._tension[tendon] <= limit:  # nor if it is not known
+                break
             dt, _ = self._tick(wanted)
             wanted[tendon] += sign * min(SPEED * dt, abs(target - wanted[tendon]))
         self._tick(wanted)

@@ -22,6 +22,8 @@ from teleop.config import load
 from teleop.errors import TeleopError
 
 COUNTS_S = 1.0  # [s] between two packets of counts
+# [s] without a target while motors are enabled: the slave hangs; an analysis takes seconds
+SILENT_S = 30.0
 KEPT = 64  # readings that wait for a slave that does not read; the oldest are dropped
 
 
@@ -75,6 +77,7 @@ def serve(driver: Driver, end: socket.socket) -> None:
 
 def _run(driver: Driver, end: socket.socket) -> None:
     target: Counts | None = None
+    ordered_s = 0.0  # when the target came
     waiting: deque[Reading] = deque(maxlen=KEPT)
     due_s = counts_s = time.monotonic()
     while True:
@@ -85,7 +88,9 @@ def _run(driver: Driver, end: socket.socket) -> None:
             target = None
             driver.stop()
         elif orders.target is not None:
-            target = orders.target
+            target, ordered_s = orders.target, time.monotonic()
+        elif target is not None and time.monotonic() - ordered_s > SILENT_S:
+            raise DriverFault(f"the slave has given no target for {SILENT_S:g} s")
         waiting.extend(driver.cycle(target))
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while waiting:

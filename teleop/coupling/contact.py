@@ -25,6 +25,7 @@ STEP = 2e-5  # [m] the tip's way from one point of the regression to the next
 MEMORY = 3e-4  # [m] of the tip's way
 FLOOR = 5e-6  # [m] spread of the tip's travel below which a slope is noise
 WASHOUT = 0.3  # [s]
+_ABSURD = 1e6  # [m], [N] beyond any tip; NaN fails the comparison too
 
 
 class Contact(Record):
@@ -32,7 +33,6 @@ class Contact(Record):
 
     known: Flag = False  # whether a tip was heard of
     travel: F64 = 0.0  # [m] of the tip, newest
-    force: F64 = 0.0  # [N] at it
     taken: F64 = 0.0  # [m] the newest point of the regression
     weight: F64 = 0.0  # [m] sum of weights
     mean_travel: F64 = 0.0  # [m] weighted
@@ -58,12 +58,12 @@ def forget(contact: Contact) -> None:
 def observe(contact: Contact, travel: float, force: float, stiffest: float) -> None:
     """Learn from a tip's travel [m] and the force [N] there.
 
-    The same values again, and values that are not finite, change nothing. `stiffest` [N/m] bounds
-    the stiffness.
+    The same values again, and values that are implausible or not finite, change nothing. `stiffest`
+    [N/m] bounds the stiffness.
     """
-    if not (math.isfinite(travel) and math.isfinite(force)):
+    if not (abs(travel) < _ABSURD and abs(force) < _ABSURD):
         return
-    contact.travel, contact.force = travel, force
+    contact.travel = travel
     way = abs(travel - contact.taken)
     if contact.known and way < STEP:
         return

@@ -139,10 +139,17 @@ def count_tip_work(port: Port, energy: float, passive: bool) -> None:
     if energy < 0.0:
         port.lent -= energy
         return
-    surplus = max(energy - port.lent, 0.0) if passive else 0.0
+    surplus = _returned_beyond(port, energy) if passive else 0.0
     port.credit -= surplus
     port.dissipated += surplus
+
+
+@compiled
+def _returned_beyond(port: Port, energy: float) -> float:
+    """Return how much of `energy` [J], positive, the environment was not lent."""
+    surplus = max(energy - port.lent, 0.0)
     port.lent = max(port.lent - energy, 0.0)
+    return surplus
 
 
 @compiled
@@ -163,8 +170,7 @@ def count_tip(
     port.returned = max(port.returned + of_load, -most)
     surplus = max(port.returned - allowance, 0.0)
     port.returned -= surplus
-    surplus += max(of_rest - port.lent, 0.0)
-    port.lent = max(port.lent - of_rest, 0.0)
+    surplus += _returned_beyond(port, of_rest)
     surplus = min(surplus, max(port.credit, 0.0))
     port.credit -= surplus
     port.dissipated += surplus

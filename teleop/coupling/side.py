@@ -56,15 +56,17 @@ def receive(side: Side, sender: int, energy: Array, wave: Array) -> None:
 def observe(
     settings: BilateralSettings, side: Side, travel: Array, force: Array, axes: int
 ) -> None:
-    """Take over what a new state of the slave says of the tips, for `render`.
+    """Take over what a new state of the slave says of the tips, for a `render` that predicts.
 
     Parameters
     ----------
     travel, force : ndarray
         Estimated tip travels [m] and forces [N], first `axes`.
     """
+    if settings.kind != PASSIVITY:
+        return
+    stiffest = settings.passivity.stiffness_max
     for k in range(axes):
-        stiffest = settings.passivity.stiffness_max
         contact.observe(side.contacts[k], travel[k], force[k], stiffest)
 
 

@@ -126,7 +126,10 @@ def test_a_few_damaged_frames_cost_their_samples_and_nothing_else(board):
     with opened_on(board) as rig:
         engage(rig, moving(board))
         board.flip = 3
-        bad = lambda: rig.summary().get("motors_bad_frames") == 3  # noqa: E731
+
+        def bad():
+            return rig.summary().get("motors_bad_frames") == 3
+
         read_for(rig, 5.0, [0.0, 0.0], until=bad)
         assert bad()
 

@@ -24,7 +24,7 @@ PATIENCE_S = 20.0
 
 
 class Client:
-    """What the app does: shake hands, be told of channels, subscribe, receive."""
+    """What the app does: connect, be told of channels, subscribe, receive."""
 
     def __init__(self, url):
         self.host, _, port = url.removeprefix("ws://").partition(":")

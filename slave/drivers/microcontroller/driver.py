@@ -126,7 +126,6 @@ class MicrocontrollerDriver:
 
     def _greet(self) -> Info:
         until_s, due_s = time.monotonic() + GREETING_S, 0.0
-        version = ""
         while (now := time.monotonic()) < until_s:
             if now >= due_s:
                 due_s = now + HELLO_S
@@ -135,9 +134,9 @@ class MicrocontrollerDriver:
                 if frame.kind == Kind.INFO:
                     self._reader.bad = self._reader.lost = 0  # the rest of a frame cut at opening
                     return frames.parse_info(frame.body)
-        version = f", {self._reader.bad} damaged frames" if self._reader.bad else ""
+        damaged = f", {self._reader.bad} damaged frames" if self._reader.bad else ""
         raise DriverFault(
-            f"{self._config.port}: no answer within {GREETING_S:g} s{version}: "
+            f"{self._config.port}: no answer within {GREETING_S:g} s{damaged}: "
             "is the firmware of firmware/ on the board, and the baud rate right?"
         )
 
@@ -227,13 +226,8 @@ class MicrocontrollerDriver:
 
 def _selected(values: tuple[int, ...], numbers: tuple[int, ...]) -> Counts:
     """Return the values of the channels in use; NaN if the board could not read one."""
-    return np.array(
-        [
-            math.nan if values[k - 1] == frames.MISSING else float(values[k - 1])
-            for k in numbers
-            if k <= len(values)
-        ]
-    )
+    known = {k: float(v) for k, v in enumerate(values, 1) if v != frames.MISSING}
+    return np.array([known.get(number, math.nan) for number in numbers])
 
 
 def _reason(error: Exception) -> str:

@@ -1,0 +1,49 @@
+"""The process of a driver, without a bus: what it does with a slave that hangs."""
+
+import time
+
+import numpy as np
+
+from slave.drivers import packets, worker
+
+
+class Motors:
+    """A driver of one motor that remembers what it was given."""
+
+    period_s = 0.001
+
+    def __init__(self):
+        self.targets, self.closed_s = [], None
+
+    def start(self):
+        pass
+
+    def cycle(self, target):
+        self.targets.append(target)
+        assert len(self.targets) < 3000, "it was never stopped"
+        return ()
+
+    def stop(self):
+        pass
+
+    def counts(self):
+        return {}
+
+    def close(self):
+        self.closed_s = time.monotonic()
+
+
+def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch):
+    monkeypatch.setattr(worker, "SILENT_S", 0.05)
+    motors = Motors()
+    ours, theirs = packets.pair()
+    with ours, theirs:
+        ours.send(packets.pack_target(np.array([5.0])))
+        worker.serve(motors, theirs)  # it would run until `ours` is closed
+        assert motors.targets[-1] == [5.0]
+        assert motors.closed_s is not None
+        told = []
+        while (packet := packets.receive(ours)) is not None:
+            told.append(packet)
+    assert told[-1][:1] == packets.FAULT
+    assert b"the slave has given no target" in told[-1]
