@@ -19,7 +19,7 @@ from teleop.tools.bench import cpu
 SIDES = ("slave", "master")
 START_S = 300.0  # timeout with an empty compile cache, on a busy machine
 _SETTLE_S = 0.5  # after engaging, and before the end
-_ENGAGED = "[master] engaged"
+_ENGAGED = "[master] engaged"  # in a line that begins with the time
 
 
 class Measured(NamedTuple):
@@ -79,7 +79,7 @@ class _SessionOutput:
     def await_engaged(self) -> None:
         """Wait until the session is engaged."""
         in_time = self._engaged.wait(START_S)
-        if not in_time or not any(line.startswith(_ENGAGED) for line in self._lines):
+        if not in_time or not any(_ENGAGED in line for line in self._lines):
             raise TeleopError(f"the session to measure did not engage: {self.last()}")
 
     def await_end(self, seconds: float) -> None:
@@ -95,7 +95,7 @@ class _SessionOutput:
     def _read(self) -> None:
         for line in self._process.stdout or ():
             self._lines.append(line.rstrip())
-            if line.startswith((_ENGAGED, COMPLAINT)):
+            if _ENGAGED in line or line.startswith(COMPLAINT):
                 self._engaged.set()
         self._engaged.set()
 

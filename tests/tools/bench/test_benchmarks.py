@@ -13,7 +13,7 @@ from slave.config import SlaveConfig
 from teleop.app import cli
 from teleop.config import load
 from teleop.realtime import RealtimeConfig
-from teleop.tools.bench import cpu, figures, machine, rigs
+from teleop.tools.bench import cpu, figures, machine, rigs, session
 from teleop.tools.bench.bare_grid import run_bare
 from teleop.tools.bench.figures import Figure
 
@@ -78,6 +78,13 @@ def test_processor_time_is_that_of_the_process():
             busy.kill()
     assert 0.0 <= shares["us"] < shares["busy"] <= 110.0
     assert cpu.percent(processes, before, cpu.sample(processes)).keys() == {"us"}
+
+
+def test_a_session_is_measured_while_it_is_engaged(tmp_path):
+    measured = session.run_session(rigs.write_config(tmp_path / "session.yaml", 1), 1.5)
+    assert measured.summary["master"]["ticks_in"]["engaged"] > 1000
+    assert {"run", "slave", "master"} <= measured.cpu.keys()
+    assert measured.cpu["slave"] > 0.0
 
 
 def test_bare_loops_tick_at_their_rate_and_do_nothing():
