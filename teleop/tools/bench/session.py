@@ -40,13 +40,15 @@ def run_session(config: Path, seconds: float) -> Measured:
             *("--set", f"link.master=tcp/127.0.0.1:{master}"),
             *("--set", f"link.slave=tcp/127.0.0.1:{slave}"),
         ]
-        process = subprocess.Popen(
-            [sys.executable, "-m", "teleop", "run", *words],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,  # Ctrl-C is handled by this process
+        process = stack.enter_context(
+            subprocess.Popen(
+                [sys.executable, "-m", "teleop", "run", *words],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,  # Ctrl-C is handled by this process
+            )
         )
         stack.callback(_end, process)
         output = _SessionOutput(process)
