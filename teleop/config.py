@@ -81,6 +81,11 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
     return cast(T, _Builder(source).dataclass(cls, mine, (), None))
 
 
+def stated_keys(path: Path | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Return what a config file and overrides state, as nested mappings, unchecked."""
+    return _Source(path, [_Override.parse(text) for text in overrides]).tree()
+
+
 def as_tree(config: Any) -> Any:
     """Return a config as plain YAML values; the inverse of `load`."""
     if dataclasses.is_dataclass(config) and not isinstance(config, type):

@@ -55,6 +55,10 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--out": {"type": Path, "metavar": "DIR", "help": "folder for the report"},
     "--quick": {"action": "store_true", "help": "less accurate, in less time"},
+    "--session": {
+        "metavar": "NAME",
+        "help": "a session of `teleop sessions` (default the only one that is running)",
+    },
     "--set": {
         "dest": "overrides",
         "action": "append",

@@ -1,11 +1,15 @@
 """The config file's shared keys, for every process of a session."""
 
 import argparse
+import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
-from teleop.config import load
+from teleop import running_sessions
+from teleop.config import load, stated_keys
 from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.errors import UsageError
@@ -16,6 +20,7 @@ from teleop.realtime import RealtimeConfig
 T = TypeVar("T")
 
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
+ENDPOINT_KEYS = frozenset({"master", "slave"})  # of `link`
 PERIODS = 3  # least timeout in periods of the link, to tolerate a lost message and jitter
 
 
@@ -52,12 +57,57 @@ class RateChecked(Protocol):
         """Raise `UsageError` if a value of this section conflicts with `rate_hz` [Hz]."""
 
 
-def load_section(args: argparse.Namespace, cls: type[T], section: str) -> tuple[RunConfig, T]:
+def states_endpoints(config: Path | None, overrides: Sequence[str]) -> bool:
+    """Return whether a config file or overrides say where the processes of a session meet."""
+    link = stated_keys(config, overrides).get("link")
+    return isinstance(link, dict) and not ENDPOINT_KEYS.isdisjoint(link)
+
+
+def load_shared(args: argparse.Namespace, join: bool = True) -> RunConfig:
+    """Return the shared keys of the config that a command line names.
+
+    A command with `--session` joins a running session of this user on this machine, unless `join`
+    is false or the config or options state endpoints: the session's name and endpoints are added to
+    `args.overrides`.
+
+    Raises
+    ------
+    UsageError
+        The config is invalid, there is no such session, or it is not said which of several.
+    """
+    join = join and hasattr(args, "session")
+    if join and not states_endpoints(args.config, args.overrides):
+        args.overrides = [*_running_overrides(args), *args.overrides]
+    if getattr(args, "session", None):
+        args.overrides = [*args.overrides, f"session={json.dumps(args.session)}"]
+    return load(args.config, RunConfig, None, args.overrides)
+
+
+def _running_overrides(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the overrides of the running session that a command line means, if there is one."""
+    stated = stated_keys(args.config, args.overrides).get("session")
+    name = args.session or (stated if isinstance(stated, str) else "")
+    entry = running_sessions.find(name, args.config)
+    if entry is not None:
+        return entry.overrides
+    if args.session and args.config is None:
+        entries = running_sessions.running()
+        names = running_sessions.names_of(entries) or "none"
+        raise UsageError(
+            f"--session {args.session}: no such session of yours runs on this machine; running: "
+            f"{names}. For a session on other machines add --config FILE"
+        )
+    return ()
+
+
+def load_section(
+    args: argparse.Namespace, cls: type[T], section: str, join: bool = True
+) -> tuple[RunConfig, T]:
     """Return the shared keys and one section of the config that a command line names.
 
-    `UsageError` if they cannot be, or do not go with each other.
+    `UsageError` if they cannot be, or do not go with each other; see `load_shared`.
     """
-    shared = load(args.config, RunConfig, None, args.overrides)
+    shared = load_shared(args, join)
     config = load(args.config, cls, section, args.overrides)
     if isinstance(config, RateChecked):
         config.check_rate(shared.rate_hz)

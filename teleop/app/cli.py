@@ -21,6 +21,7 @@ COMMANDS = {
     ),
     "master": ("master.process", "run the operator's side (master) alone"),
     "slave": ("slave.process", "run the robot's side (slave) alone"),
+    "sessions": ("teleop.app.sessions", "list your sessions that run on this machine"),
     "stop": ("teleop.remote.stop", "emergency stop of a session; --reset takes it back"),
     "set": ("teleop.remote.set", "change a setting of a running session"),
     "record": ("teleop.recording.command", "record a session to a file"),
