@@ -37,7 +37,7 @@ from teleop.suggestions import did_you_mean
 
 # of teleop.run_config.RunConfig
 SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "realtime")
-SECTIONS = ("record", "view", "master", "slave", "impair", "ros")
+SECTIONS = ("record", "view", "master", "slave", "impair", "ros", "router")
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 
 T = TypeVar("T")

@@ -59,7 +59,7 @@ def entry_of(shared: RunConfig, impair: ImpairConfig | None, config: Path | None
     return RunningSession(
         session=shared.session,
         overrides=tuple(overrides),
-        endpoints=(shared.link.master, shared.link.slave),
+        endpoints=shared.link.routers or (shared.link.master, shared.link.slave),
         config=path,
     )
 

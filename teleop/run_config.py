@@ -20,7 +20,7 @@ from teleop.realtime import RealtimeConfig
 T = TypeVar("T")
 
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
-ENDPOINT_KEYS = frozenset({"master", "slave"})  # of `link`
+ENDPOINT_KEYS = frozenset({"master", "slave", "routers"})  # of `link`
 PERIODS = 3  # least timeout in periods of the link, to tolerate a lost message and jitter
 
 

@@ -31,6 +31,7 @@ COMMANDS = {
         "teleop.impair.command",
         "put delay, loss, corruption or a cut between master and slave",
     ),
+    "router": ("teleop.router.command", "connect the two sides of many sessions at one place"),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
     "recordings": ("teleop.ros.recordings_command", "convert a recording to a rosbag2"),
     "devices": (

@@ -177,6 +177,7 @@ def main(args: argparse.Namespace) -> int:
         return wanted(args.config, [*overrides, *changes]) or ImpairConfig()
 
     config = read([])
+    config.require_direct(shared.link)
     if args.action:
         link = config.link(shared.link)
         answer = send_request(link, shared.session, config.endpoint, "\n".join(args.action))

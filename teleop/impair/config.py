@@ -114,6 +114,12 @@ class ImpairConfig:
         if not self.presence >= 0.0:
             raise ValueError("presence: must be at least 0 [s]")
 
+    @staticmethod
+    def require_direct(shared: LinkConfig) -> None:
+        """Raise `UsageError` if master and slave meet at a router, where no proxy can be between."""
+        if shared.routers:
+            raise UsageError("impair: master and slave must connect directly, without link.routers")
+
     def link(self, shared: LinkConfig) -> LinkConfig:
         """Return the master's link: as `shared`, but to the proxy."""
         try:

@@ -68,19 +68,25 @@ class LinkConfig:
     """Endpoints of both sides, the same on every machine of a session.
 
     The master listens on one and the slave on the other; the master connects to the slave,
-    listeners connect to both. Not 7447 by default: there is the router of ROS on its machine, and
+    listeners connect to both. With `routers` nobody listens: all connect to the first router of the
+    list that answers, and to the next one when it is lost. Not 7447 by default: there is the router of ROS on its machine, and
     every ROS node connects to what is there.
     """
 
     master: str = "tcp/127.0.0.1:7451"  # the master's endpoint
     slave: str = "tcp/127.0.0.1:7452"  # the slave's endpoint
+    routers: tuple[str, ...] = ()  # endpoints of `teleop router`, in place of both
     tls: TlsConfig | None = None  # required off loopback
     insecure_plaintext_off_loopback: bool = False  # anyone on that network may then move the robot
 
     def __post_init__(self) -> None:
-        for name in ("master", "slave"):
+        ends = {f"routers[{i}]": router for i, router in enumerate(self.routers)} or {
+            "master": self.master,
+            "slave": self.slave,
+        }
+        for name, end in ends.items():
             try:
-                endpoint = Endpoint.parse(getattr(self, name))
+                endpoint = Endpoint.parse(end)
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
             if endpoint.protocol == "tls" and self.tls is None:

@@ -13,7 +13,7 @@ from teleop.link import presence
 from teleop.link.config import LinkConfig
 from teleop.link.inbox import Inbox
 from teleop.link.listener import Listener
-from teleop.link.network import declare_publisher, open_session
+from teleop.link.network import Mode, declare_publisher, open_session
 from teleop.link.presence import Stage, Token
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.roster import Roster
@@ -41,7 +41,7 @@ class Link:
         Root of all keys.
     role : Role
         Role of this process. The master listens and connects to the slave, the slave listens, the
-        others connect to both.
+        others connect to both. With routers, all connect to one of them.
     at_once : bool
         Whether to skip the detection of peers, which takes up to twice `SETTLE_S`: for listeners
         that repeat their messages until they are answered.
@@ -52,6 +52,8 @@ class Link:
         On entering: the session has a master (slave) already, or a peer of another message layout.
     UsageError
         On entering: an endpoint cannot be listened on.
+    TeleopError
+        On entering: no router answers, if the config names some.
     """
 
     def __init__(self, config: LinkConfig, session: str, role: Role, at_once: bool = False) -> None:
@@ -68,7 +70,7 @@ class Link:
     def __enter__(self) -> Self:
         self._zenoh: Any = self._open()
         try:
-            relay = self.role == Role.SLAVE
+            relay = self.role == Role.SLAVE and not self.config.routers
             self._roster = Roster(self._zenoh, self.session, self.nonce, relay)
             liveliness = self._zenoh.liveliness()
             claim = liveliness.declare_token(self._token.key(self.session))
@@ -215,14 +217,17 @@ class Link:
     def _endpoints(self) -> tuple[list[str], list[str]]:
         """Return the endpoints to listen on and to connect to."""
         master, slave = self.config.master, self.config.slave
+        if self.config.routers:
+            return [], list(self.config.routers)
         if self.role == Role.MASTER:
             return [master], [slave]
         return ([slave], []) if self.role == Role.SLAVE else ([], [master, slave])
 
     def _open(self) -> Any:
         listen, connect = self._endpoints()
+        mode: Mode = "client" if self.config.routers else "peer"
         try:
-            return open_session(self.config, listen, connect)
+            return open_session(self.config, listen, connect, mode)
         except UsageError:
             if listen:
                 self._blame_rival(listen)
@@ -248,7 +253,8 @@ class Link:
         while True:
             self.check_peers()
             now = now_ns()
-            if linked is None and self._zenoh.info.peers_zid():
+            info = self._zenoh.info
+            if linked is None and (info.peers_zid() or info.routers_zid()):
                 linked = now
             if now - (begin if linked is None else linked) > SETTLE_S * 1e9:
                 return

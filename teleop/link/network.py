@@ -2,11 +2,11 @@
 
 import json
 import re
-from typing import Any
+from typing import Any, Literal
 
 import zenoh
 
-from teleop.errors import UsageError
+from teleop.errors import TeleopError, UsageError
 from teleop.link.config import LinkConfig
 
 RETRY_MS = 100  # between attempts to connect to a peer
@@ -16,21 +16,57 @@ OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 
 
-def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> zenoh.Session:
+Mode = Literal["peer", "client", "router"]
+
+
+def open_session(
+    config: LinkConfig, listen: list[str], connect: list[str], mode: Mode = "peer"
+) -> zenoh.Session:
     """Open a Zenoh session on the given endpoints; `UsageError` if one cannot be listened on.
 
-    An unreachable target is not an error: it is retried every `RETRY_MS`.
+    An unreachable target is not an error: it is retried every `RETRY_MS`. A client needs one of its
+    targets at the start; later it connects to the next one when it loses one.
+
+    Raises
+    ------
+    TeleopError
+        No target of a client answers.
     """
+    try:
+        return zenoh.open(config_of(settings(config, listen, connect, mode)))
+    except zenoh.ZError as error:
+        if mode == "client":
+            routers = ", ".join(connect)
+            raise TeleopError(
+                f"no router answers at {routers}; start one there: teleop router --help"
+            ) from error
+        place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
+        raise UsageError(f"{place}: {_reason(str(error))}") from error
+
+
+def config_of(settings: dict[str, Any]) -> zenoh.Config:
+    """Return Zenoh's form of settings by their path, such as `connect/endpoints`."""
+    zenoh_config = zenoh.Config()
+    for key, value in settings.items():
+        zenoh_config.insert_json5(key, json.dumps(value))
+    return zenoh_config
+
+
+def settings(
+    config: LinkConfig, listen: list[str], connect: list[str], mode: Mode
+) -> dict[str, Any]:
+    """Return the settings of a Zenoh session by their path."""
+    client = mode == "client"
     settings: dict[str, Any] = {
-        "mode": "peer",
+        "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "open/return_conditions/connect_scouted": False,
         "listen/endpoints": listen,
         "listen/exit_on_failure": True,
         "connect/endpoints": connect,
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
+        "connect/timeout_ms": 0 if client else -1,  # 0: each target once
+        "connect/exit_on_failure": client,
         "connect/retry": {
             "period_init_ms": RETRY_MS,
             "period_max_ms": RETRY_MS,
@@ -50,6 +86,7 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
         "transport/link/tx/batch_size": BATCH_BYTES,
         "transport/link/tx/queue/size/real_time": QUEUE,
         "transport/link/tx/queue/size/interactive_high": QUEUE,
+        "timestamping/enabled": False,  # by routers; a message has the stamp of its sender
     }
     if config.tls is not None:
         tls = config.tls
@@ -63,14 +100,7 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
             "connect_certificate": str(tls.certificate),
             "connect_private_key": str(tls.key),
         }
-    zenoh_config = zenoh.Config()
-    for key, value in settings.items():
-        zenoh_config.insert_json5(key, json.dumps(value))
-    try:
-        return zenoh.open(zenoh_config)
-    except zenoh.ZError as error:
-        place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
-        raise UsageError(f"{place}: {_reason(str(error))}") from error
+    return settings
 
 
 def declare_publisher(

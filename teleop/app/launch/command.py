@@ -55,6 +55,7 @@ SECTIONS = {
     "view": ("teleop.view.config", "ViewConfig"),
     "impair": ("teleop.impair.config", "ImpairConfig"),
     "ros": ("teleop.ros.config", "RosConfig"),
+    "router": ("teleop.router.config", "RouterConfig"),
 }
 ENDING = (
     "master",
@@ -96,6 +97,8 @@ def main(args: argparse.Namespace) -> int:
     if args.config:
         shared = ["--config", str(args.config), *shared]
     impair = wanted(args.config, overrides)
+    if impair is not None:
+        impair.require_direct(config.link)
     to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
     view = args.view or ("native" if has_display() else "web")
 
