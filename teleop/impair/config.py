@@ -101,7 +101,7 @@ class ImpairConfig:
     The slave and all listeners use the endpoints of `link`.
     """
 
-    endpoint: str = "tcp/127.0.0.1:7449"  # the master's `link.slave`
+    endpoint: str = "127.0.0.1:7449"  # HOST:PORT, the master's `link.slave`
     seed: int = 0  # of the random numbers; results are reproducible
     presence: float = field(  # [s] duration of a cut after which presence is withdrawn
         default=2.0, metadata=MAY_BE_INFINITE

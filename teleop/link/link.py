@@ -9,12 +9,14 @@ import zenoh
 
 from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
+from teleop.keys import OFFICE_OF
 from teleop.link import presence
 from teleop.link.config import LinkConfig
 from teleop.link.inbox import Inbox
 from teleop.link.listener import Listener
 from teleop.link.network import declare_publisher, open_session
 from teleop.link.presence import Stage, Token
+from teleop.link.protection import credentials_of
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.roster import Roster
 from teleop.messages import LAYOUT, Message
@@ -51,7 +53,7 @@ class Link:
     PeerError
         On entering: the session has a master (slave) already, or a peer of another message layout.
     UsageError
-        On entering: an endpoint cannot be listened on.
+        There are no valid keys for this role; on entering: an endpoint cannot be listened on.
     """
 
     def __init__(self, config: LinkConfig, session: str, role: Role, at_once: bool = False) -> None:
@@ -59,6 +61,7 @@ class Link:
             raise ValueError(f"a {role!r} must look about before it takes its place")
         self._at_once = at_once
         self.config, self.session, self.role = config, session, role
+        self.credentials = credentials_of(config, session, OFFICE_OF[role])
         self.nonce = presence.new_nonce()
         self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
         self._publishers: dict[str, _Publisher] = {}
@@ -222,7 +225,7 @@ class Link:
     def _open(self) -> Any:
         listen, connect = self._endpoints()
         try:
-            return open_session(self.config, listen, connect)
+            return open_session(self.credentials, listen, connect)
         except UsageError:
             if listen:
                 self._blame_rival(listen)
@@ -230,7 +233,7 @@ class Link:
 
     def _blame_rival(self, endpoints: list[str]) -> None:
         """Raise `PeerError` if it is our own session's peer that has the endpoint."""
-        with open_session(self.config, [], endpoints) as session:
+        with open_session(self.credentials, [], endpoints) as session:
             roster = Roster(session, self.session, self.nonce, relay=False)
             time.sleep(SETTLE_S)
             roster.close()

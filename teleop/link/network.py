@@ -7,7 +7,7 @@ from typing import Any
 import zenoh
 
 from teleop.errors import UsageError
-from teleop.link.config import LinkConfig
+from teleop.keys import Credentials
 
 RETRY_MS = 100  # between attempts to connect to a peer
 QUEUE = 16  # messages of one priority waiting to be sent to one peer
@@ -16,19 +16,23 @@ OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 
 
-def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> zenoh.Session:
-    """Open a Zenoh session on the given endpoints; `UsageError` if one cannot be listened on.
+def open_session(
+    credentials: Credentials | None, listen: list[str], connect: list[str]
+) -> zenoh.Session:
+    """Open a Zenoh session on `HOST:PORT`s; `UsageError` if one cannot be listened on.
 
-    An unreachable target is not an error: it is retried every `RETRY_MS`.
+    An unreachable target is not an error: it is retried every `RETRY_MS`. Without `credentials`
+    everything is plaintext.
     """
+    protocol = "tcp" if credentials is None else "tls"
     settings: dict[str, Any] = {
         "mode": "peer",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "open/return_conditions/connect_scouted": False,
-        "listen/endpoints": listen,
+        "listen/endpoints": [f"{protocol}/{address}" for address in listen],
         "listen/exit_on_failure": True,
-        "connect/endpoints": connect,
+        "connect/endpoints": [f"{protocol}/{address}" for address in connect],
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {
@@ -38,7 +42,7 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
         },
         "transport/unicast/open_timeout": OPEN_MS,
         "transport/shared_memory/enabled": False,
-        "transport/link/protocols": ["tcp"],
+        "transport/link/protocols": [protocol],
         "transport/link/tx/lease": LEASE_MS,
         # A full queue drops at once: waiting for space, 1 ms by default, would be a missed tick. Of
         # the default two places, a hiccup of the sending thread made 2 % of messages drop; of
@@ -51,17 +55,12 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
         "transport/link/tx/queue/size/real_time": QUEUE,
         "transport/link/tx/queue/size/interactive_high": QUEUE,
     }
-    if config.tls is not None:
-        tls = config.tls
-        settings["transport/link/protocols"] = ["tls"]
+    if credentials is not None:
         settings["transport/link/tls"] = {
             "enable_mtls": True,
-            "verify_name_on_connect": True,
-            "root_ca_certificate": str(tls.ca),
-            "listen_certificate": str(tls.certificate),
-            "listen_private_key": str(tls.key),
-            "connect_certificate": str(tls.certificate),
-            "connect_private_key": str(tls.key),
+            # a certificate names a role, which the other side checks, and no host
+            "verify_name_on_connect": False,
+            **credentials.for_tls(),
         }
     zenoh_config = zenoh.Config()
     for key, value in settings.items():
