@@ -327,7 +327,7 @@ class Master(LoopProcess):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop master`."""
-    add_options(parser, "--config", "--set", "--duration", "--json")
+    add_options(parser, "--config", "--set", "--insecure", "--duration", "--json")
 
 
 def main(args: argparse.Namespace) -> int:

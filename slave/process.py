@@ -275,7 +275,7 @@ class SlaveProcess(LoopProcess):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop slave`."""
-    add_options(parser, "--config", "--set", "--model", "--duration", "--json")
+    add_options(parser, "--config", "--set", "--insecure", "--model", "--duration", "--json")
 
 
 def main(args: argparse.Namespace) -> int:

@@ -40,6 +40,13 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "help": "leave out rows with values that are not finite",
     },
     "--duration": {"type": seconds, "metavar": "S", "help": "end after S seconds"},
+    "--insecure": {
+        "dest": "overrides",
+        "action": "append_const",
+        "const": "link.insecure=true",
+        "default": [],
+        "help": "plaintext: whoever reaches the endpoints may move the robot",
+    },
     "--jobs": {
         "type": int,
         "metavar": "N",
@@ -64,7 +71,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "action": "append",
         "default": [],
         "metavar": "KEY=VALUE",
-        "help": "override one value of the config, e.g. --set link.master=tcp/127.0.0.1:9000",
+        "help": "override one value of the config, e.g. --set link.master=127.0.0.1:9000",
     },
     "--validate": {
         "nargs": "+",

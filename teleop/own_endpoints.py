@@ -39,13 +39,12 @@ def choose(config: Path | None, overrides: Sequence[str], name: str | None) -> l
         _require_new(stated["session"])
     else:
         chosen.append(f"session={own_name(config.stem if config else _DEFAULT_NAME)}")
-    link, impair = stated.get("link"), stated.get("impair")
-    protocol = "tls" if isinstance(link, dict) and link.get("tls") else "tcp"
+    impair = stated.get("impair")
     keys = ["link.master", "link.slave"]
     if isinstance(impair, dict) and "endpoint" not in impair:
         keys.append("impair.endpoint")
     ports = free_ports(len(keys))
-    chosen += [f"{k}={protocol}/{LOOPBACK}:{p}" for k, p in zip(keys, ports, strict=True)]
+    chosen += [f"{k}={LOOPBACK}:{p}" for k, p in zip(keys, ports, strict=True)]
     return chosen
 
 

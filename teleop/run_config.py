@@ -20,6 +20,7 @@ from teleop.realtime import RealtimeConfig
 T = TypeVar("T")
 
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
+SESSION_LENGTH = 40  # characters: with a role, the 64 of a certificate's common name
 ENDPOINT_KEYS = frozenset({"master", "slave", "routers"})  # of `link`
 PERIODS = 3  # least timeout in periods of the link, to tolerate a lost message and jitter
 
@@ -43,10 +44,18 @@ class RunConfig:
         return Bilateral(self.confidence, self.coupling)
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.session):
-            raise ValueError("session: allowed are 1 to 64 of a-z 0-9 _ -")
+        try:
+            check_session(self.session)
+        except ValueError as error:
+            raise ValueError(f"session: {error}") from error
         if not RATE_MIN_HZ <= self.rate_hz <= RATE_MAX_HZ:
             raise ValueError(f"rate_hz: must be within {RATE_MIN_HZ:g} ... {RATE_MAX_HZ:g} [Hz]")
+
+
+def check_session(name: str) -> None:
+    """Raise `ValueError` if `name` cannot be that of a session."""
+    if not re.fullmatch(rf"[a-z0-9_-]{{1,{SESSION_LENGTH}}}", name):
+        raise ValueError(f"allowed are 1 to {SESSION_LENGTH} of a-z 0-9 _ -")
 
 
 @runtime_checkable

@@ -50,6 +50,7 @@ COMMANDS = {
         "measure a pair's friction against the bend of its sheath",
     ),
     "simulate": ("teleop.tools.simulate", "write data as a simulated rig would measure it"),
+    "keys": ("teleop.keys.command", "make and manage the keys of sessions across machines"),
     "bench": (
         "teleop.tools.bench.command",
         "measure the loops here, or repeat a published experiment",

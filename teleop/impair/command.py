@@ -8,7 +8,7 @@
   teleop impair status                       counts of delayed and lost messages
 
 `teleop run` gives the master the proxy's endpoint; start a separate master with
-`teleop master --set link.slave=tcp/127.0.0.1:7449`. Recorder and viewer receive from both sides
+`teleop master --set link.slave=127.0.0.1:7449`. Recorder and viewer receive from both sides
 directly: a recording has the messages as sent.
 """
 
@@ -146,7 +146,7 @@ class Proxy:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop impair`."""
-    add_options(parser, "--session", "--config", "--set", "--duration", "--json")
+    add_options(parser, "--session", "--config", "--set", "--insecure", "--duration", "--json")
     parser.add_argument(
         "action",
         nargs="*",

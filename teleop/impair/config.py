@@ -101,7 +101,7 @@ class ImpairConfig:
     The slave and all listeners use the endpoints of `link`.
     """
 
-    endpoint: str = "tcp/127.0.0.1:7449"  # the master's `link.slave`
+    endpoint: str = "127.0.0.1:7449"  # HOST:PORT, the master's `link.slave`
     seed: int = 0  # of the random numbers; results are reproducible
     presence: float = field(  # [s] duration of a cut after which presence is withdrawn
         default=2.0, metadata=MAY_BE_INFINITE
@@ -116,9 +116,9 @@ class ImpairConfig:
 
     @staticmethod
     def require_direct(shared: LinkConfig) -> None:
-        """Raise `UsageError` if master and slave meet at a router, where no proxy can be between."""
+        """Raise `UsageError` if master and slave meet at a router, with no place for a proxy."""
         if shared.routers:
-            raise UsageError("impair: master and slave must connect directly, without link.routers")
+            raise UsageError("impair: works between direct neighbours only, without link.routers")
 
     def link(self, shared: LinkConfig) -> LinkConfig:
         """Return the master's link: as `shared`, but to the proxy."""

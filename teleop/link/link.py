@@ -9,12 +9,14 @@ import zenoh
 
 from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
+from teleop.keys import OFFICE_OF
 from teleop.link import presence
 from teleop.link.config import LinkConfig
 from teleop.link.inbox import Inbox
 from teleop.link.listener import Listener
 from teleop.link.network import Mode, declare_publisher, open_session
 from teleop.link.presence import Stage, Token
+from teleop.link.protection import credentials_of
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.roster import Roster
 from teleop.messages import LAYOUT, Message
@@ -51,7 +53,7 @@ class Link:
     PeerError
         On entering: the session has a master (slave) already, or a peer of another message layout.
     UsageError
-        On entering: an endpoint cannot be listened on.
+        There are no valid keys for this role; on entering: an endpoint cannot be listened on.
     TeleopError
         On entering: no router answers, if the config names some.
     """
@@ -61,6 +63,7 @@ class Link:
             raise ValueError(f"a {role!r} must look about before it takes its place")
         self._at_once = at_once
         self.config, self.session, self.role = config, session, role
+        self.credentials = credentials_of(config, session, OFFICE_OF[role])
         self.nonce = presence.new_nonce()
         self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
         self._publishers: dict[str, _Publisher] = {}
@@ -227,7 +230,7 @@ class Link:
         listen, connect = self._endpoints()
         mode: Mode = "client" if self.config.routers else "peer"
         try:
-            return open_session(self.config, listen, connect, mode)
+            return open_session(self.credentials, listen, connect, mode)
         except UsageError:
             if listen:
                 self._blame_rival(listen)
@@ -235,7 +238,7 @@ class Link:
 
     def _blame_rival(self, endpoints: list[str]) -> None:
         """Raise `PeerError` if it is our own session's peer that has the endpoint."""
-        with open_session(self.config, [], endpoints) as session:
+        with open_session(self.credentials, [], endpoints) as session:
             roster = Roster(session, self.session, self.nonce, relay=False)
             time.sleep(SETTLE_S)
             roster.close()

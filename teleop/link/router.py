@@ -1,14 +1,16 @@
 """A Zenoh router with our settings, and who comes and goes through it."""
 
-import json
 from collections.abc import Callable
 from typing import Any, Self
 
 import zenoh
 
+from teleop.keys import Office
+from teleop.keys.identity import ALL_SESSIONS
 from teleop.link.config import LinkConfig
-from teleop.link.network import config_of, open_session, settings
+from teleop.link.network import open_session
 from teleop.link.presence import Stage, Token, root
+from teleop.link.protection import credentials_of
 from teleop.topics import Role
 
 Presence = Callable[[str, Role, bool], None]
@@ -33,7 +35,7 @@ class Router:
     Raises
     ------
     UsageError
-        On entering: an endpoint cannot be listened on.
+        On entering: there are no valid keys of a router; an endpoint cannot be listened on.
     """
 
     def __init__(
@@ -72,12 +74,7 @@ def open_router(config: LinkConfig, listen: list[str], connect: list[str]) -> ze
     Raises
     ------
     UsageError
-        An endpoint cannot be listened on.
+        There are no valid keys of a router; an endpoint cannot be listened on.
     """
-    return open_session(config, listen, connect, "router")
-
-
-def zenohd_config(config: LinkConfig, listen: list[str], connect: list[str]) -> str:
-    """Return the same settings as the config file of `zenohd`, Zenoh's own router."""
-    whole = json.loads(str(config_of(settings(config, listen, connect, "router"))))
-    return json.dumps({key: value for key, value in whole.items() if value is not None}, indent=2)
+    credentials = credentials_of(config, ALL_SESSIONS, Office.ROUTER)
+    return open_session(credentials, listen, connect, "router")

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--session", metavar="NAME", help="replay as session NAME (<recorded session>-replay)"
     )
-    add_options(parser, "--config", "--set", "--view")
+    add_options(parser, "--config", "--set", "--insecure", "--view")
 
 
 def main(args: argparse.Namespace) -> int:

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop set`."""
     parser.add_argument("key", metavar="KEY", help="e.g. force.scale")
     parser.add_argument("value", metavar="VALUE", help="as in a config file")
-    add_options(parser, "--session", "--config")
+    add_options(parser, "--session", "--config", "--insecure")
     add_option(
         parser,
         "--set",

@@ -34,7 +34,7 @@ SIDES: dict[Role, Topic[Any]] = {Role.MASTER: COMMAND, Role.SLAVE: STATE}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop stop`."""
-    add_options(parser, "--session", "--config", "--set")
+    add_options(parser, "--session", "--config", "--set", "--insecure")
     way = parser.add_mutually_exclusive_group()
     way.add_argument("--reset", action="store_true", help="reset an emergency stop")
     way.add_argument("--watch", action="store_true", help="stop when this process ends")

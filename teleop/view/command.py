@@ -53,7 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a recording (.mcap) or a Rerun file (.rrd); none = live",
     )
-    add_options(parser, "--session", "--config", "--set", "--view", "--duration", "--json")
+    add_options(
+        parser, "--session", "--config", "--set", "--insecure", "--view", "--duration", "--json"
+    )
     parser.add_argument(
         "--layout",
         choices=LAYOUTS,

@@ -35,7 +35,7 @@ def runtime(tmp_path, monkeypatch):
 
 
 def entry(session="a", port=20001, config=""):
-    link = {"master": f"tcp/127.0.0.1:{port}", "slave": f"tcp/127.0.0.1:{port + 1}"}
+    link = {"master": f"127.0.0.1:{port}", "slave": f"127.0.0.1:{port + 1}"}
     return RunningSession(
         session=session,
         overrides=(f"session={session}", f"link={json.dumps(link)}"),
@@ -85,16 +85,16 @@ def test_without_a_runtime_folder_the_registry_is_one_of_the_user_below_tmp(monk
 def test_a_command_joins_the_only_session_and_asks_which_of_several():
     assert load_shared(words()).session == "demo"
     with registered(entry("a", 20001)):
-        assert load_shared(words()).link.slave == "tcp/127.0.0.1:20002"
+        assert load_shared(words()).link.slave == "127.0.0.1:20002"
         with registered(entry("b", 20005)):
             with pytest.raises(UsageError, match=r"2 sessions are running: .*name one with"):
                 load_shared(words())
             joined = words(session="b")
-            assert load_shared(joined).link.master == "tcp/127.0.0.1:20005"
+            assert load_shared(joined).link.master == "127.0.0.1:20005"
             assert load(None, RunConfig, None, joined.overrides).session == "b"
-            assert load_shared(words("session=b")).link.master == "tcp/127.0.0.1:20005"
-            elsewhere = load_shared(words("link.slave=tcp/127.0.0.1:9"))
-            assert (elsewhere.session, elsewhere.link.slave) == ("demo", "tcp/127.0.0.1:9")
+            assert load_shared(words("session=b")).link.master == "127.0.0.1:20005"
+            elsewhere = load_shared(words("link.slave=127.0.0.1:9"))
+            assert (elsewhere.session, elsewhere.link.slave) == ("demo", "127.0.0.1:9")
             assert load_shared(words(), join=False).session == "demo"
 
 
@@ -132,7 +132,7 @@ def test_what_config_or_options_state_is_kept(tmp_path):
         "link.master", "link.slave", "impair.endpoint",
     }  # fmt: skip
     assert load(path, RunConfig, None, chosen).session == "bench"
-    assert own_endpoints.choose(None, ["link.master=tcp/127.0.0.1:9"], None) == []
+    assert own_endpoints.choose(None, ["link.master=127.0.0.1:9"], None) == []
     named = own_endpoints.choose(path, [], "mine")
     assert load(path, RunConfig, None, named).session == "mine"
 
@@ -147,15 +147,13 @@ def test_a_name_is_given_once(tmp_path):
 
 def test_the_entry_leads_to_the_session_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("ca", "certificate", "key"):
-        (tmp_path / name).touch()
-    tls = [f"link.tls.{name}={name}" for name in ("ca", "certificate", "key")]
-    chosen = own_endpoints.choose(None, tls, None)
-    run = load(None, RunConfig, None, [*tls, *chosen])
+    (tmp_path / "keys").mkdir()
+    chosen = own_endpoints.choose(None, ["link.keys=keys"], None)
+    run = load(None, RunConfig, None, ["link.keys=keys", *chosen])
     with registered(own_endpoints.entry_of(run, None, None)):
         monkeypatch.chdir("/")
         joined = load_shared(words())
-    assert joined.link.tls.ca == tmp_path / "ca"
+    assert joined.link.keys == tmp_path / "keys"
     assert (joined.session, joined.link.slave) == (run.session, run.link.slave)
 
 
@@ -166,5 +164,5 @@ def test_the_command_lists_them(capsys, tmp_path):
         assert cli.main(["sessions", "--json", str(tmp_path / "s.json")]) == 0
     out = capsys.readouterr().out
     assert out.startswith(f"a  process {os.getpid()}  since ")
-    assert "tcp/127.0.0.1:20001" in out
+    assert "127.0.0.1:20001" in out
     assert json.loads(Path(tmp_path / "s.json").read_text())["sessions"][0]["session"] == "a"

@@ -71,7 +71,15 @@ _NEVER_BEGAN = (INTERRUPTED, -signal.SIGTERM)  # exit codes of a child told to e
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop run`."""
     add_options(
-        parser, "--config", "--set", "--duration", "--view", "--calibration", "--model", "--json"
+        parser,
+        "--config",
+        "--set",
+        "--insecure",
+        "--duration",
+        "--view",
+        "--calibration",
+        "--model",
+        "--json",
     )
     add_option(parser, "--session", help="name of the session (default one of its own)")
     parser.add_argument("--record", type=folder, metavar="DIR", help="record the session into DIR")
