@@ -1,6 +1,6 @@
 """A Zenoh router with our settings, and who comes and goes through it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 import zenoh
@@ -27,8 +27,8 @@ class Router:
     ----------
     config : LinkConfig
         Protection of the wire.
-    listen, connect : list of str
-        Endpoints of this router, and of others, which are tried until they answer.
+    listen, connect : tuple of str
+        `HOST:PORT` of this router, and of others, which are tried until they answer.
     on_presence : callable
         Called from Zenoh's thread.
 
@@ -39,9 +39,13 @@ class Router:
     """
 
     def __init__(
-        self, config: LinkConfig, listen: list[str], connect: list[str], on_presence: Presence
+        self,
+        config: LinkConfig,
+        listen: Sequence[str],
+        connect: Sequence[str],
+        on_presence: Presence = lambda *_: None,
     ) -> None:
-        self._arguments = config, listen, connect
+        self._arguments = config, list(listen), list(connect)
         self._on_presence = on_presence
 
     def __enter__(self) -> Self:

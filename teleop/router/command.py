@@ -28,11 +28,11 @@ come back by themselves, into holding, never into motion. See docs/topologies.md
 import argparse
 import dataclasses
 import queue
-from collections import Counter
 from pathlib import Path
 
 from teleop.config import load
 from teleop.errors import UsageError
+from teleop.link import LinkConfig
 from teleop.link.router import Router
 from teleop.options import add_options
 from teleop.process import Stop, write_summary
@@ -58,25 +58,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run the router until told to stop; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
-    config = router_config(args, shared)
-    link = dataclasses.replace(shared.link, keys=args.keys or shared.link.keys)
-    check_protection(config, link)
+    config = endpoints(args, shared.link)
+    link = protection(shared.link, config, args.keys)
     stop = Stop(args.duration)
     granted = go_realtime(shared.realtime)  # before the router: its threads inherit the priority
     changes: queue.SimpleQueue[tuple[str, Role, bool]] = queue.SimpleQueue()
-    present: Counter[tuple[str, Role]] = Counter()
     seen: set[str] = set()
     with Router(link, config.listen, config.connect, lambda *change: changes.put(change)):
-        print(_beginning(config, link.insecure), flush=True)
+        print(_beginning(config, link), flush=True)
         while not stop():
             try:
                 session, role, came = changes.get(timeout=_LOOK_S)
             except queue.Empty:
                 continue
             seen.add(session)
-            present[session, role] += 1 if came else -1
-            print(f"session {session}: {role_name(role)} {'joined' if came else 'left'}", flush=True)
+            print(
+                f"session {session}: {role_name(role)} {'joined' if came else 'left'}", flush=True
+            )
     summary = {"sessions": sorted(seen), "stopped": stop.reason, "realtime": granted}
     write_summary(args.json, summary)
     print(f"router ended ({stop.reason}): {len(seen)} sessions seen")
     return 0
+
+
+def endpoints(args: argparse.Namespace, link: LinkConfig) -> RouterConfig:
+    """Return where the router listens and connects, by options, config or defaults."""
+    config = load(args.config, RouterConfig, "router", args.overrides)
+    return RouterConfig(
+        listen=tuple(args.listen) or config.listen or link.routers or (DEFAULT,),
+        connect=tuple(args.connect) or config.connect,
+    )
+
+
+def protection(link: LinkConfig, config: RouterConfig, keys: Path | None) -> LinkConfig:
+    """Return the link of the router; `UsageError` if it must have keys and has none."""
+    ends = (*config.listen, *config.connect)
+    try:
+        return dataclasses.replace(link, routers=ends, keys=keys or link.keys)
+    except ValueError as error:
+        raise UsageError(f"router: {str(error).partition(': ')[2]}") from error
+
+
+def _beginning(config: RouterConfig, link: LinkConfig) -> str:
+    ends = ", ".join(config.listen)
+    text = f'router at {ends}; sessions find it by link.routers: ["{config.listen[0]}"]'
+    if config.connect:
+        text += f"; connects to {', '.join(config.connect)}"
+    return text + ("; INSECURE: plaintext, no keys" if link.insecure else "")

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from teleop.link.config import Address
 
+DEFAULT = "127.0.0.1:7450"  # where a router listens that is told nothing
+
 
 @dataclass(frozen=True, slots=True)
 class RouterConfig:
