@@ -9,6 +9,7 @@ from typing import BinaryIO
 
 import pytest
 
+from tests.conftest import ROOT
 from tests.system.processes import OURS
 
 PREFIX = "10.71"  # of all addresses here; cable N is PREFIX.N.0/24, its ends .1 and .2
@@ -19,12 +20,27 @@ def require_namespaces() -> None:
     if shutil.which("ip") is None:
         pytest.skip("network namespaces need iproute2 (the command ip)")
     probe = f"teleop-{os.getpid()}-probe"
-    made = subprocess.run(["ip", "netns", "add", probe], capture_output=True, text=True)
+    made = subprocess.run(
+        ["ip", "netns", "add", probe], check=False, capture_output=True, text=True
+    )
     if made.returncode:
         pytest.skip(f"no network namespace can be made here: {made.stderr.strip()} (not root?)")
     try:
-        cable = ["ip", "-n", probe, "link", "add", "a", "type", "veth", "peer", "name", "b"]
-        joined = subprocess.run(cable, capture_output=True, text=True)
+        cable = [
+            "ip",
+            "-n",
+            probe,
+            "link",
+            "add",
+            "name",
+            "end1",
+            "type",
+            "veth",
+            "peer",
+            "name",
+            "end2",
+        ]
+        joined = subprocess.run(cable, check=False, capture_output=True, text=True)
         if joined.returncode:
             pytest.skip(f"no veth pair can be made here: {joined.stderr.strip()}")
     finally:
@@ -65,13 +81,13 @@ class Network:
             process.wait()
             log.close()
         for space in self._spaces.values():
-            subprocess.run(["ip", "netns", "delete", space], capture_output=True)
+            subprocess.run(["ip", "netns", "delete", space], check=False, capture_output=True)
 
     def start(self, host: str, words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
         """Start a command on a host; it ends with the network."""
         out = log.open("wb")
         space = ["ip", "netns", "exec", self._spaces[host]]  # replaced by the command itself
-        process = subprocess.Popen([*space, *words], stdout=out, stderr=out, env=OURS)
+        process = subprocess.Popen([*space, *words], stdout=out, stderr=out, env=OURS, cwd=ROOT)
         self._started.append((process, out))
         return process
 
@@ -82,7 +98,7 @@ class Network:
 
     def _lay(self, number: int, cable: tuple[str, str], name: str) -> None:
         one, two = (self._spaces[host] for host in cable)
-        pair = ["link", "add", name, "netns", one, "type", "veth", "peer", "name", name]
+        pair = ["link", "add", "name", name, "netns", one, "type", "veth", "peer", "name", name]
         _ip(*pair, "netns", two)
         for end, (host, other) in enumerate((cable, cable[::-1]), 1):
             address = self.address[host, other] = f"{PREFIX}.{number}.{end}"

@@ -4,7 +4,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 
 from teleop.app import cli
 from teleop.app.launch.supervisor import wait_for
+from teleop.clock import now_ns
 from teleop.recording.reader import open_recording, read_columns
 from teleop.session import State
 from teleop.topics import COMMAND, HAND, STATE, TENDONS
@@ -51,13 +51,16 @@ class Theatre:
         listen = [f"--listen={end}" for end in self.routers.values()]
         self._start("router", "router", *listen, f"--keys={self.folder / 'router-keys'}")
         self.wait_for_text("router", "router at")
+        watch = [sys.executable, "-m", "tests.system.watch_states", self.routers["slave"]]
+        watch += [str(self.folder / "watch-keys"), SESSION]
+        self.network.start("router", watch, self.folder / "watch.log")
         self._join("router", "record", self.routers["slave"], "--out", str(self.folder))
         self._join("slave", "slave", self.routers["slave"])
-        self.wait_for_text("slave", "ready")
+        self.wait_for_text("watch", "slave ready")
         switch = f"master.device.engage=[[0.5, {HELD_S}]]"
         period = f"master.device.engage_period={PERIOD_S}"
         self._join("master", "master", self.routers["master"], "--set", switch, "--set", period)
-        self.wait_for_text("master", "engaged")
+        self.wait_for_text("watch", "slave engaged")
 
     def _join(self, host: str, command: str, router: str, *more: str) -> None:
         keys = self.folder / f"{command}-keys"
@@ -77,11 +80,11 @@ class Theatre:
         assert wait_for(lambda: words in self.text(command), START_S), self.text(command)
 
     def cut(self, side: str, seconds: float) -> tuple[int, int]:
-        """Pull the cable of a side for some time; return when, on the monotonic clock [ns]."""
+        """Pull the cable of a side for some time; return when [ns]."""
         self.network.plug("router", side, up=False)
-        begin = time.monotonic_ns()
+        begin = now_ns()
         pause(seconds)
-        end = time.monotonic_ns()
+        end = now_ns()
         self.network.plug("router", side, up=True)
         return begin, end
 
@@ -109,6 +112,7 @@ def issue_keys(folder: Path) -> None:
         ("master", "master", SESSION),
         ("slave", "slave", SESSION),
         ("record", "recorder", SESSION),
+        ("watch", "viewer", SESSION),
         ("router", "router", "all"),
     ):
         keys = ["--role", role, "--session", session, "--out", str(folder / f"{command}-keys")]
@@ -133,8 +137,8 @@ def theatre(tmp_path, demo_config):
 def test_a_cable_that_is_pulled_and_plugged_in_again_never_moves_anything(theatre, side, seconds):
     pause(1.5)  # hand and tip are moving
     begin, end = theatre.cut(side, seconds)
-    log = "slave" if side == "master" else "master"
-    theatre.wait_for_text(log, "holding")
+    other = "slave" if side == "master" else "master"
+    theatre.wait_for_text("watch", f"{other} holding")
     pause(max(0.0, PERIOD_S + 4.0 - 3.0 - seconds))  # until it was released and pressed again
     summaries = theatre.end()
 
