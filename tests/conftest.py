@@ -44,6 +44,7 @@ REAL_TIME = (  # loops, sockets, clocks
     "teleop/link/test_frozen_and_killed.py",
     "teleop/link/test_rivals.py",
     "teleop/link/test_router.py",
+    "teleop/test_router_command.py",
     "teleop/link/test_sessions.py",
     "teleop/link/test_tls.py",
     "teleop/test_meter.py",

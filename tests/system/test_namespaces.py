@@ -77,7 +77,7 @@ class Theatre:
         return (self.folder / f"{command}.log").read_text()
 
     def wait_for_text(self, command: str, words: str) -> None:
-        assert wait_for(lambda: words in self.text(command), START_S), self.text(command)
+        assert wait_for(lambda: words in self.text(command), 2 * START_S), self.text(command)
 
     def cut(self, side: str, seconds: float) -> tuple[int, int]:
         """Pull the cable of a side for some time; return when [ns]."""
