@@ -54,7 +54,7 @@ def latencies(config: LinkConfig, shared: LinkConfig, delay: float, proxied: boo
 
 
 def main() -> None:
-    a, b, c = (f"tcp/127.0.0.1:{port}" for port in free_ports(3))
+    a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
     shared, config = LinkConfig(master=a, slave=b), LinkConfig(master=a, slave=c)
     print("Added by the proxy, over what was asked for [ms]; one message a millisecond")
     direct = latencies(shared, shared, 0.0, proxied=False) * 1e3

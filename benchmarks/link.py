@@ -18,7 +18,7 @@ from teleop.link.ping_pong import PERIOD_S, percentiles_ms, ping_pong
 from teleop.messages import Command, SlaveState
 from teleop.topics import COMMAND, STATE, Role
 
-CONFIG = LinkConfig(master="tcp/127.0.0.1:7457", slave="tcp/127.0.0.1:7458")
+CONFIG = LinkConfig(master="127.0.0.1:7457", slave="127.0.0.1:7458")
 SESSION = "benchmark"
 
 

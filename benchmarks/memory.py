@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("--stops", type=int, default=12)
     parser.add_argument("--seconds", type=float, default=1.0, help="that each stop lasts")
     args = parser.parse_args()
-    a, b, c = (f"tcp/127.0.0.1:{port}" for port in free_ports(3))
+    a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
     shared = LinkConfig(master=a, slave=b)
     words = [f"session={SESSION}", f"link.master={a}", f"link.slave={b}"]
     published: Counter[str] = Counter()

@@ -43,7 +43,7 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
     """Run a session, with and without `teleop ros`; return its recording and when was what."""
     shared = ["--config", str(CONFIG), "--set", "session=ros-benchmark"]
     for side in ("master", "slave"):
-        shared += ["--set", f"link.{side}=tcp/127.0.0.1:{free_port(0)}"]
+        shared += ["--set", f"link.{side}=127.0.0.1:{free_port(0)}"]
     router, counts = f"tcp/127.0.0.1:{free_port(0)}", folder / "counts.json"
     spans: Spans = {"off": []} | {f"{rate} Hz": [] for rate in RATES_HZ}
 

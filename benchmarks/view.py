@@ -67,7 +67,7 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
     """Run a session, with and without a viewer; return its recording and when was what."""
     shared = ["--config", str(CONFIG), "--set", "session=view-benchmark"]
     for side in ("master", "slave"):
-        shared += ["--set", f"link.{side}=tcp/127.0.0.1:{free_port(0)}"]
+        shared += ["--set", f"link.{side}=127.0.0.1:{free_port(0)}"]
     spans: Spans = {"off": [], "on": [], "stopped": [], "killed": []}
 
     with ExitStack() as stack:
@@ -225,7 +225,7 @@ def processes(file: Path, seconds: float) -> None:
     """Print processor time and memory of the view that `teleop run` starts, and of its spare."""
     shared = ["--config", str(file), "--set", "session=view-benchmark"]
     for side in ("master", "slave"):
-        shared += ["--set", f"link.{side}=tcp/127.0.0.1:{free_port(0)}"]
+        shared += ["--set", f"link.{side}=127.0.0.1:{free_port(0)}"]
     command = [sys.executable, "-m", "teleop", "run", *shared, "--view", "web"]
     with ExitStack() as stack:
         launcher = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)

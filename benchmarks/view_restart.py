@@ -45,7 +45,7 @@ class Run:
         words = ["run", "--config", str(config), "--view", "web", "--record", str(folder)]
         for text in (
             *("session=view-restart", f"view.web_port={self.port}"),
-            *(f"link.{side}=tcp/127.0.0.1:{free_port(0)}" for side in ("master", "slave")),
+            *(f"link.{side}=127.0.0.1:{free_port(0)}" for side in ("master", "slave")),
         ):
             words += ["--set", text]
         self.process = subprocess.Popen(

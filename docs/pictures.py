@@ -99,7 +99,7 @@ def recorded(name: str, folder: Path) -> Recorded:
     file = ROOT / "configs" / f"{name}.yaml"
     where = folder / name
     master, slave = free_ports(2)
-    own = (f"session={name}-picture", *(f"link.{side}=tcp/127.0.0.1:{port}"
+    own = (f"session={name}-picture", *(f"link.{side}=127.0.0.1:{port}"
            for side, port in (("master", master), ("slave", slave))))  # fmt: skip
     words = [word for text in own for word in ("--set", text)]
     words += ["--config", str(file), "--duration", "16", "--view", "none", "--record", str(where)]

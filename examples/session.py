@@ -13,7 +13,7 @@ from teleop.link import Link, LinkConfig
 from teleop.session import State
 from teleop.topics import STATE, Role
 
-HOST = "tcp/127.0.0.1:"
+HOST = "127.0.0.1:"
 SHARED = ["--set", "session=example", "--set", f"link.master={HOST}7661"]
 SHARED += ["--set", f"link.slave={HOST}7662", "--set", "slave.calibration=as-built"]
 sides = [subprocess.Popen([sys.executable, "-m", "teleop", side, *SHARED]) for side in

@@ -33,7 +33,7 @@ from teleop.link import NEVER_NS, Link
 from teleop.loop_process import LoopProcess, conclude, run_session
 from teleop.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
 from teleop.meter import format_reason
-from teleop.options import add_options
+from teleop.options import add_option, add_options
 from teleop.packet import Packet
 from teleop.process import Stop
 from teleop.remote.requests import Requests, SettingRequest
@@ -327,12 +327,13 @@ class Master(LoopProcess):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop master`."""
-    add_options(parser, "--config", "--set", "--duration", "--json")
+    add_option(parser, "--session", help="name of the session (default that of the config)")
+    add_options(parser, "--config", "--set", "--insecure", "--duration", "--json")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the master; returns the exit code."""
-    shared, config = load_section(args, MasterConfig, "master")
+    shared, config = load_section(args, MasterConfig, "master", join=False)
     with announced("the master's loop", COMPILE_S):
         warm_up()
     stop = Stop(args.duration)

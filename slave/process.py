@@ -56,7 +56,7 @@ from teleop.messages import (
     TensionProfile,
 )
 from teleop.meter import format_reason
-from teleop.options import add_options
+from teleop.options import add_option, add_options
 from teleop.packet import Packet
 from teleop.process import Stop
 from teleop.remote.requests import RequestListener, Requests, call_stop
@@ -275,12 +275,13 @@ class SlaveProcess(LoopProcess):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop slave`."""
-    add_options(parser, "--config", "--set", "--model", "--duration", "--json")
+    add_option(parser, "--session", help="name of the session (default that of the config)")
+    add_options(parser, "--config", "--set", "--insecure", "--model", "--duration", "--json")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the slave; returns the exit code."""
-    shared, config = load_section(args, SlaveConfig, "slave")
+    shared, config = load_section(args, SlaveConfig, "slave", join=False)
     files = model_files.parse(args.model)
     if files and config.initialise.at_start:
         raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")

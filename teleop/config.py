@@ -37,7 +37,7 @@ from teleop.suggestions import did_you_mean
 
 # of teleop.run_config.RunConfig
 SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "realtime")
-SECTIONS = ("record", "view", "master", "slave", "impair", "ros")
+SECTIONS = ("record", "view", "master", "slave", "impair", "ros", "router")
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 
 T = TypeVar("T")
@@ -79,6 +79,11 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
         return cast(T, _Builder(source).dataclass(cls, tree.get(section), (section,), None))
     mine = {key: value for key, value in tree.items() if key in own}
     return cast(T, _Builder(source).dataclass(cls, mine, (), None))
+
+
+def stated_keys(path: Path | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Return what a config file and overrides state, as nested mappings, unchecked."""
+    return _Source(path, [_Override.parse(text) for text in overrides]).tree()
 
 
 def as_tree(config: Any) -> Any:

@@ -40,6 +40,13 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "help": "leave out rows with values that are not finite",
     },
     "--duration": {"type": seconds, "metavar": "S", "help": "end after S seconds"},
+    "--insecure": {
+        "dest": "overrides",
+        "action": "append_const",
+        "const": "link.insecure=true",
+        "default": [],
+        "help": "plaintext: whoever reaches the endpoints may move the robot",
+    },
     "--jobs": {
         "type": int,
         "metavar": "N",
@@ -55,12 +62,16 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--out": {"type": Path, "metavar": "DIR", "help": "folder for the report"},
     "--quick": {"action": "store_true", "help": "less accurate, in less time"},
+    "--session": {
+        "metavar": "NAME",
+        "help": "a session of `teleop sessions` (default the only one that is running)",
+    },
     "--set": {
         "dest": "overrides",
         "action": "append",
         "default": [],
         "metavar": "KEY=VALUE",
-        "help": "override one value of the config, e.g. --set link.master=tcp/127.0.0.1:9000",
+        "help": "override one value of the config, e.g. --set link.master=127.0.0.1:9000",
     },
     "--validate": {
         "nargs": "+",

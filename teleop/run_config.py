@@ -1,11 +1,15 @@
 """The config file's shared keys, for every process of a session."""
 
 import argparse
+import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
-from teleop.config import load
+from teleop import running_sessions
+from teleop.config import load, stated_keys
 from teleop.coupling.config import Bilateral, CouplingConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.errors import UsageError
@@ -16,6 +20,8 @@ from teleop.realtime import RealtimeConfig
 T = TypeVar("T")
 
 RATE_MIN_HZ, RATE_MAX_HZ = 100.0, 4000.0
+SESSION_LENGTH = 40  # characters: with a role, the 64 of a certificate's common name
+ENDPOINT_KEYS = frozenset({"master", "slave", "routers"})  # of `link`
 PERIODS = 3  # least timeout in periods of the link, to tolerate a lost message and jitter
 
 
@@ -38,10 +44,18 @@ class RunConfig:
         return Bilateral(self.confidence, self.coupling)
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.session):
-            raise ValueError("session: allowed are 1 to 64 of a-z 0-9 _ -")
+        try:
+            check_session(self.session)
+        except ValueError as error:
+            raise ValueError(f"session: {error}") from error
         if not RATE_MIN_HZ <= self.rate_hz <= RATE_MAX_HZ:
             raise ValueError(f"rate_hz: must be within {RATE_MIN_HZ:g} ... {RATE_MAX_HZ:g} [Hz]")
+
+
+def check_session(name: str) -> None:
+    """Raise `ValueError` if `name` cannot be that of a session."""
+    if not re.fullmatch(rf"[a-z0-9_-]{{1,{SESSION_LENGTH}}}", name):
+        raise ValueError(f"allowed are 1 to {SESSION_LENGTH} of a-z 0-9 _ -")
 
 
 @runtime_checkable
@@ -52,12 +66,57 @@ class RateChecked(Protocol):
         """Raise `UsageError` if a value of this section conflicts with `rate_hz` [Hz]."""
 
 
-def load_section(args: argparse.Namespace, cls: type[T], section: str) -> tuple[RunConfig, T]:
+def states_endpoints(config: Path | None, overrides: Sequence[str]) -> bool:
+    """Return whether a config file or overrides say where the processes of a session meet."""
+    link = stated_keys(config, overrides).get("link")
+    return isinstance(link, dict) and not ENDPOINT_KEYS.isdisjoint(link)
+
+
+def load_shared(args: argparse.Namespace, join: bool = True) -> RunConfig:
+    """Return the shared keys of the config that a command line names.
+
+    A command with `--session` joins a running session of this user on this machine, unless `join`
+    is false or the config or options state endpoints: the session's name and endpoints are added to
+    `args.overrides`.
+
+    Raises
+    ------
+    UsageError
+        The config is invalid, there is no such session, or it is not said which of several.
+    """
+    join = join and hasattr(args, "session")
+    if join and not states_endpoints(args.config, args.overrides):
+        args.overrides = [*_running_overrides(args), *args.overrides]
+    if getattr(args, "session", None):
+        args.overrides = [*args.overrides, f"session={json.dumps(args.session)}"]
+    return load(args.config, RunConfig, None, args.overrides)
+
+
+def _running_overrides(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the overrides of the running session that a command line means, if there is one."""
+    stated = stated_keys(args.config, args.overrides).get("session")
+    name = args.session or (stated if isinstance(stated, str) else "")
+    entry = running_sessions.find(name, args.config)
+    if entry is not None:
+        return entry.overrides
+    if args.session and args.config is None:
+        entries = running_sessions.running()
+        names = running_sessions.names_of(entries) or "none"
+        raise UsageError(
+            f"--session {args.session}: no such session of yours runs on this machine; running: "
+            f"{names}. For a session on other machines add --config FILE"
+        )
+    return ()
+
+
+def load_section(
+    args: argparse.Namespace, cls: type[T], section: str, join: bool = True
+) -> tuple[RunConfig, T]:
     """Return the shared keys and one section of the config that a command line names.
 
-    `UsageError` if they cannot be, or do not go with each other.
+    `UsageError` if they cannot be, or do not go with each other; see `load_shared`.
     """
-    shared = load(args.config, RunConfig, None, args.overrides)
+    shared = load_shared(args, join)
     config = load(args.config, cls, section, args.overrides)
     if isinstance(config, RateChecked):
         config.check_rate(shared.rate_hz)

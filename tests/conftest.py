@@ -1,6 +1,9 @@
 """What all tests may ask for."""
 
+import atexit
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,9 @@ from teleop import compile_cache
 
 ROOT = Path(__file__).parents[1]
 compile_cache.choose()  # before anything imports numba
+# keys of this test run, also of the processes that it starts; not those of the user
+KEYS = os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="teleop-tests-")
+atexit.register(shutil.rmtree, KEYS, ignore_errors=True)
 settings.register_profile("short", deadline=None, max_examples=50)  # a busy machine takes long
 settings.load_profile("short")
 REAL_TIME = (  # loops, sockets, clocks
@@ -37,6 +43,8 @@ REAL_TIME = (  # loops, sockets, clocks
     "app/test_launch.py",
     "teleop/link/test_frozen_and_killed.py",
     "teleop/link/test_rivals.py",
+    "teleop/link/test_router.py",
+    "teleop/test_router_command.py",
     "teleop/link/test_sessions.py",
     "teleop/link/test_tls.py",
     "teleop/test_meter.py",

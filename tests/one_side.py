@@ -25,7 +25,7 @@ def arguments_of(process, *words):
     for name in ("master", "slave"):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
-            links.append(f"--set=link.{name}=tcp/127.0.0.1:{probe.getsockname()[1]}")
+            links.append(f"--set=link.{name}=127.0.0.1:{probe.getsockname()[1]}")
     parser = argparse.ArgumentParser()
     process.add_arguments(parser)
     return parser.parse_args([*links, "--set=session=alone", *words])

@@ -28,7 +28,7 @@ class FaultSession(Processes):
 
     def __init__(self, folder: Path, config: Path, *overrides: str) -> None:
         (port,) = free_ports(1)
-        self.proxy = f"tcp/127.0.0.1:{port}"
+        self.proxy = f"127.0.0.1:{port}"
         super().__init__(folder, config, f"impair.endpoint={self.proxy}", *MOTION, *overrides)
         self.link: Link | None = None
         self._begun: list[str] = []

@@ -21,6 +21,7 @@ COMMANDS = {
     ),
     "master": ("master.process", "run the operator's side (master) alone"),
     "slave": ("slave.process", "run the robot's side (slave) alone"),
+    "sessions": ("teleop.app.sessions", "list your sessions that run on this machine"),
     "stop": ("teleop.remote.stop", "emergency stop of a session; --reset takes it back"),
     "set": ("teleop.remote.set", "change a setting of a running session"),
     "record": ("teleop.recording.command", "record a session to a file"),
@@ -30,6 +31,7 @@ COMMANDS = {
         "teleop.impair.command",
         "put delay, loss, corruption or a cut between master and slave",
     ),
+    "router": ("teleop.router.command", "connect the two sides of many sessions at one place"),
     "replay": ("teleop.recording.replay", "play a recording back onto the link"),
     "recordings": ("teleop.ros.recordings_command", "convert a recording to a rosbag2"),
     "devices": (
@@ -48,6 +50,7 @@ COMMANDS = {
         "measure a pair's friction against the bend of its sheath",
     ),
     "simulate": ("teleop.tools.simulate", "write data as a simulated rig would measure it"),
+    "keys": ("teleop.keys.command", "make and manage the keys of sessions across machines"),
     "bench": (
         "teleop.tools.bench.command",
         "measure the loops here, or repeat a published experiment",

@@ -8,7 +8,7 @@
   teleop impair status                       counts of delayed and lost messages
 
 `teleop run` gives the master the proxy's endpoint; start a separate master with
-`teleop master --set link.slave=tcp/127.0.0.1:7449`. Recorder and viewer receive from both sides
+`teleop master --set link.slave=127.0.0.1:7449`. Recorder and viewer receive from both sides
 directly: a recording has the messages as sent.
 """
 
@@ -22,7 +22,6 @@ from contextlib import ExitStack
 from typing import Any, get_type_hints
 
 from teleop.clock import quiet_garbage
-from teleop.config import load
 from teleop.errors import UsageError
 from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import WAIT_S, DelayQueue
@@ -31,7 +30,7 @@ from teleop.link.bridge import Bank, send_request
 from teleop.options import add_options
 from teleop.process import Stop, supervised, write_summary
 from teleop.realtime import go_realtime, limit_computing
-from teleop.run_config import RunConfig
+from teleop.run_config import RunConfig, load_shared
 from teleop.summary import impair_lines
 
 DIRECTIONS = ("to_slave", "to_master")
@@ -147,7 +146,7 @@ class Proxy:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop impair`."""
-    add_options(parser, "--config", "--set", "--duration", "--json")
+    add_options(parser, "--session", "--config", "--set", "--insecure", "--duration", "--json")
     parser.add_argument(
         "action",
         nargs="*",
@@ -171,13 +170,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the proxy, or control the running one; returns the exit code."""
-    shared = load(args.config, RunConfig, None, args.overrides)
+    shared = load_shared(args, join=bool(args.action))
     overrides = [*options(args), *args.overrides]
 
     def read(changes: list[str]) -> ImpairConfig:
         return wanted(args.config, [*overrides, *changes]) or ImpairConfig()
 
     config = read([])
+    config.require_direct(shared.link)
     if args.action:
         link = config.link(shared.link)
         answer = send_request(link, shared.session, config.endpoint, "\n".join(args.action))

@@ -101,7 +101,7 @@ class ImpairConfig:
     The slave and all listeners use the endpoints of `link`.
     """
 
-    endpoint: str = "tcp/127.0.0.1:7449"  # the master's `link.slave`
+    endpoint: str = "127.0.0.1:7449"  # HOST:PORT, the master's `link.slave`
     seed: int = 0  # of the random numbers; results are reproducible
     presence: float = field(  # [s] duration of a cut after which presence is withdrawn
         default=2.0, metadata=MAY_BE_INFINITE
@@ -113,6 +113,12 @@ class ImpairConfig:
         """Check the values; raises `ValueError`."""
         if not self.presence >= 0.0:
             raise ValueError("presence: must be at least 0 [s]")
+
+    @staticmethod
+    def require_direct(shared: LinkConfig) -> None:
+        """Raise `UsageError` if master and slave meet at a router, with no place for a proxy."""
+        if shared.routers:
+            raise UsageError("impair: works between direct neighbours only, without link.routers")
 
     def link(self, shared: LinkConfig) -> LinkConfig:
         """Return the master's link: as `shared`, but to the proxy."""

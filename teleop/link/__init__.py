@@ -3,7 +3,7 @@
 Keys are `teleop/<session>/<topic>`; presence tokens are below `teleop/<session>/@`.
 """
 
-from teleop.link.config import LinkConfig, TlsConfig
+from teleop.link.config import LinkConfig
 from teleop.link.link import Link
 from teleop.link.listener import Listener, ReceivedMessage
 from teleop.link.reception import NEVER_NS, Counts, Latest
@@ -16,5 +16,4 @@ __all__ = [
     "LinkConfig",
     "Listener",
     "ReceivedMessage",
-    "TlsConfig",
 ]

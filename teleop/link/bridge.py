@@ -13,9 +13,11 @@ import zenoh
 
 from teleop.clock import now_ns
 from teleop.errors import TeleopError
+from teleop.keys import Office
 from teleop.link.config import LinkConfig
 from teleop.link.network import declare_publisher, open_session
 from teleop.link.presence import root
+from teleop.link.protection import credentials_of
 from teleop.topics import TOPICS, Topic
 
 ANSWER_S = 3.0  # timeout of a request to the bridge
@@ -48,7 +50,9 @@ class Bank:
         tokens_changed: Callable[[], None],
     ) -> None:
         self._session = session
-        self._zenoh: Any = open_session(config, listen, connect)
+        self._zenoh: Any = open_session(
+            credentials_of(config, session, Office.ROUTER), listen, connect
+        )
         self._remote = zenoh.Locality.REMOTE  # not from or to ourselves, to avoid loops
         self._publishers: dict[str, Any] = {
             topic.name: declare_publisher(
@@ -136,7 +140,8 @@ def send_request(config: LinkConfig, session: str, endpoint: str, request: str) 
         No answer, or a refusal.
     """
     end = now_ns() + ANSWER_S * 1e9
-    with open_session(config, [], [endpoint]) as asking:
+    credentials = credentials_of(config, session, Office.SUPERVISOR)
+    with open_session(credentials, [], [endpoint]) as asking:
         while now_ns() < end:
             replies: Any = asking.get(_control(session), payload=request, timeout=0.5)
             for reply in replies:

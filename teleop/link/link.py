@@ -9,12 +9,14 @@ import zenoh
 
 from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
+from teleop.keys import OFFICE_OF
 from teleop.link import presence
 from teleop.link.config import LinkConfig
 from teleop.link.inbox import Inbox
 from teleop.link.listener import Listener
-from teleop.link.network import declare_publisher, open_session
+from teleop.link.network import Mode, declare_publisher, open_session
 from teleop.link.presence import Stage, Token
+from teleop.link.protection import credentials_of
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.roster import Roster
 from teleop.messages import LAYOUT, Message
@@ -41,7 +43,7 @@ class Link:
         Root of all keys.
     role : Role
         Role of this process. The master listens and connects to the slave, the slave listens, the
-        others connect to both.
+        others connect to both. With routers, all connect to one of them.
     at_once : bool
         Whether to skip the detection of peers, which takes up to twice `SETTLE_S`: for listeners
         that repeat their messages until they are answered.
@@ -51,7 +53,9 @@ class Link:
     PeerError
         On entering: the session has a master (slave) already, or a peer of another message layout.
     UsageError
-        On entering: an endpoint cannot be listened on.
+        There are no valid keys for this role; on entering: an endpoint cannot be listened on.
+    TeleopError
+        On entering: no router answers, if the config names some.
     """
 
     def __init__(self, config: LinkConfig, session: str, role: Role, at_once: bool = False) -> None:
@@ -59,6 +63,7 @@ class Link:
             raise ValueError(f"a {role!r} must look about before it takes its place")
         self._at_once = at_once
         self.config, self.session, self.role = config, session, role
+        self.credentials = credentials_of(config, session, OFFICE_OF[role])
         self.nonce = presence.new_nonce()
         self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
         self._publishers: dict[str, _Publisher] = {}
@@ -68,7 +73,7 @@ class Link:
     def __enter__(self) -> Self:
         self._zenoh: Any = self._open()
         try:
-            relay = self.role == Role.SLAVE
+            relay = self.role == Role.SLAVE and not self.config.routers
             self._roster = Roster(self._zenoh, self.session, self.nonce, relay)
             liveliness = self._zenoh.liveliness()
             claim = liveliness.declare_token(self._token.key(self.session))
@@ -215,14 +220,17 @@ class Link:
     def _endpoints(self) -> tuple[list[str], list[str]]:
         """Return the endpoints to listen on and to connect to."""
         master, slave = self.config.master, self.config.slave
+        if self.config.routers:
+            return [], list(self.config.routers)
         if self.role == Role.MASTER:
             return [master], [slave]
         return ([slave], []) if self.role == Role.SLAVE else ([], [master, slave])
 
     def _open(self) -> Any:
         listen, connect = self._endpoints()
+        mode: Mode = "client" if self.config.routers else "peer"
         try:
-            return open_session(self.config, listen, connect)
+            return open_session(self.credentials, listen, connect, mode)
         except UsageError:
             if listen:
                 self._blame_rival(listen)
@@ -230,7 +238,7 @@ class Link:
 
     def _blame_rival(self, endpoints: list[str]) -> None:
         """Raise `PeerError` if it is our own session's peer that has the endpoint."""
-        with open_session(self.config, [], endpoints) as session:
+        with open_session(self.credentials, [], endpoints) as session:
             roster = Roster(session, self.session, self.nonce, relay=False)
             time.sleep(SETTLE_S)
             roster.close()
@@ -248,7 +256,8 @@ class Link:
         while True:
             self.check_peers()
             now = now_ns()
-            if linked is None and self._zenoh.info.peers_zid():
+            info = self._zenoh.info
+            if linked is None and (info.peers_zid() or info.routers_zid()):
                 linked = now
             if now - (begin if linked is None else linked) > SETTLE_S * 1e9:
                 return

@@ -2,12 +2,12 @@
 
 import json
 import re
-from typing import Any
+from typing import Any, Literal
 
 import zenoh
 
-from teleop.errors import UsageError
-from teleop.link.config import LinkConfig
+from teleop.errors import TeleopError, UsageError
+from teleop.keys import Credentials
 
 RETRY_MS = 100  # between attempts to connect to a peer
 QUEUE = 16  # messages of one priority waiting to be sent to one peer
@@ -16,21 +16,60 @@ OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 
 
-def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> zenoh.Session:
-    """Open a Zenoh session on the given endpoints; `UsageError` if one cannot be listened on.
+Mode = Literal["peer", "client", "router"]
 
-    An unreachable target is not an error: it is retried every `RETRY_MS`.
+
+def open_session(
+    credentials: Credentials | None, listen: list[str], connect: list[str], mode: Mode = "peer"
+) -> zenoh.Session:
+    """Open a Zenoh session on `HOST:PORT`s; `UsageError` if one cannot be listened on.
+
+    Without `credentials` everything is plaintext.
+
+    An unreachable target is not an error: it is retried every `RETRY_MS`. A client needs one of its
+    targets at the start; later it connects to the next one when it loses one.
+
+    Raises
+    ------
+    TeleopError
+        No target of a client answers.
     """
+    try:
+        return zenoh.open(config_of(settings(credentials, listen, connect, mode)))
+    except zenoh.ZError as error:
+        if mode == "client":
+            routers = ", ".join(connect)
+            raise TeleopError(
+                f"no router answers at {routers}; start one there: teleop router --help"
+            ) from error
+        place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
+        raise UsageError(f"{place}: {_reason(str(error))}") from error
+
+
+def config_of(settings: dict[str, Any]) -> zenoh.Config:
+    """Return Zenoh's form of settings by their path, such as `connect/endpoints`."""
+    zenoh_config = zenoh.Config()
+    for key, value in settings.items():
+        zenoh_config.insert_json5(key, json.dumps(value))
+    return zenoh_config
+
+
+def settings(
+    credentials: Credentials | None, listen: list[str], connect: list[str], mode: Mode
+) -> dict[str, Any]:
+    """Return the settings of a Zenoh session by their path."""
+    client = mode == "client"
+    protocol = "tcp" if credentials is None else "tls"
     settings: dict[str, Any] = {
-        "mode": "peer",
+        "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "open/return_conditions/connect_scouted": False,
-        "listen/endpoints": listen,
+        "listen/endpoints": [f"{protocol}/{address}" for address in listen],
         "listen/exit_on_failure": True,
-        "connect/endpoints": connect,
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
+        "connect/endpoints": [f"{protocol}/{address}" for address in connect],
+        "connect/timeout_ms": 0 if client else -1,  # 0: each target once
+        "connect/exit_on_failure": client,
         "connect/retry": {
             "period_init_ms": RETRY_MS,
             "period_max_ms": RETRY_MS,
@@ -38,7 +77,7 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
         },
         "transport/unicast/open_timeout": OPEN_MS,
         "transport/shared_memory/enabled": False,
-        "transport/link/protocols": ["tcp"],
+        "transport/link/protocols": [protocol],
         "transport/link/tx/lease": LEASE_MS,
         # A full queue drops at once: waiting for space, 1 ms by default, would be a missed tick. Of
         # the default two places, a hiccup of the sending thread made 2 % of messages drop; of
@@ -50,27 +89,16 @@ def open_session(config: LinkConfig, listen: list[str], connect: list[str]) -> z
         "transport/link/tx/batch_size": BATCH_BYTES,
         "transport/link/tx/queue/size/real_time": QUEUE,
         "transport/link/tx/queue/size/interactive_high": QUEUE,
+        "timestamping/enabled": False,  # by routers; a message has the stamp of its sender
     }
-    if config.tls is not None:
-        tls = config.tls
-        settings["transport/link/protocols"] = ["tls"]
+    if credentials is not None:
         settings["transport/link/tls"] = {
             "enable_mtls": True,
-            "verify_name_on_connect": True,
-            "root_ca_certificate": str(tls.ca),
-            "listen_certificate": str(tls.certificate),
-            "listen_private_key": str(tls.key),
-            "connect_certificate": str(tls.certificate),
-            "connect_private_key": str(tls.key),
+            # a certificate names a role, which the other side checks, and no host
+            "verify_name_on_connect": False,
+            **credentials.for_tls(),
         }
-    zenoh_config = zenoh.Config()
-    for key, value in settings.items():
-        zenoh_config.insert_json5(key, json.dumps(value))
-    try:
-        return zenoh.open(zenoh_config)
-    except zenoh.ZError as error:
-        place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
-        raise UsageError(f"{place}: {_reason(str(error))}") from error
+    return settings
 
 
 def declare_publisher(

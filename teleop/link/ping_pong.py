@@ -19,7 +19,8 @@ import numpy as np
 import zenoh
 
 from teleop.clock import quiet_garbage
-from teleop.link.config import LinkConfig
+from teleop.keys import Office
+from teleop.keys.local import local_credentials
 from teleop.link.inbox import Inbox
 from teleop.link.network import declare_publisher, open_session
 from teleop.process import SUPERVISED, die_with_launcher
@@ -30,6 +31,7 @@ PATIENCE_S = 0.05  # timeout of an answer
 START_S = 5.0  # timeout for the start of the other process
 _WORD = 8  # bytes: a command begins with its number, an answer with that and its own stamp
 _RING = 16
+_SESSION = "ping-pong"
 _DEFAULT = RealtimeConfig()
 
 
@@ -53,7 +55,7 @@ def ping_pong(
         `n` answered; `p50_ms`, `p99_ms`, `p99_9_ms` of the round trip; the same with the prefix
         `one_way_` for the way back; `realtime`, the scheduling granted. Empty without an answer.
     """
-    endpoint = f"tcp/127.0.0.1:{_free_port()}"
+    endpoint = f"127.0.0.1:{_free_port()}"
     scheduling = [str(realtime.priority), json.dumps(realtime.cores)]
     pong = _start(["pong", endpoint, str(state_bytes), *scheduling])
     try:
@@ -91,7 +93,7 @@ def _start(words: list[str]) -> subprocess.Popen[bytes]:
 def _ping(endpoint: str, size: int, realtime: RealtimeConfig, n: int) -> dict[str, Any]:
     """Send `n` commands and return their round trips."""
     granted = go_realtime(realtime)
-    with open_session(LinkConfig(), [], [endpoint]) as session:
+    with open_session(local_credentials(_SESSION, Office.MASTER), [], [endpoint]) as session:
         inbox = _subscribe(session, "pong")
         publisher = declare_publisher(session, "teleop-ping-pong/ping", live=True, patient=False)
         enter_loop(granted, realtime)
@@ -132,7 +134,7 @@ def _answer(publisher: zenoh.Publisher, inbox: Inbox, size: int, k: int) -> tupl
 def _pong(endpoint: str, size: int, realtime: RealtimeConfig) -> None:
     """Answer every command until standard input closes."""
     granted = go_realtime(realtime)
-    with open_session(LinkConfig(), [endpoint], []) as session:
+    with open_session(local_credentials(_SESSION, Office.SLAVE), [endpoint], []) as session:
         inbox = _subscribe(session, "ping")
         publisher = declare_publisher(session, "teleop-ping-pong/pong", live=True, patient=False)
         closed = threading.Event()

@@ -10,7 +10,7 @@ nonce begins with the start time of its process, but a holder never yields to a 
 clock cannot displace it.
 
 Two masters are not connected to each other, only to the slave. The slave therefore repeats the
-tokens of masters, below `relay`.
+tokens of masters, below `relay`. Behind a router all see all tokens, and nothing is repeated.
 """
 
 import secrets

@@ -25,7 +25,7 @@ from teleop.topics import TOPICS, Role
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop record`."""
-    add_options(parser, "--config", "--set", "--duration", "--json")
+    add_options(parser, "--session", "--config", "--set", "--insecure", "--duration", "--json")
     parser.add_argument(
         "--out", type=folder, metavar="DIR", help="record into DIR (default recordings)"
     )

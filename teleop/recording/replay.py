@@ -2,7 +2,7 @@
 
   teleop replay recordings/demo-20260102T030405Z.mcap --view web
   teleop replay FILE                                 without a view; in another terminal:
-  teleop view --set session=demo-replay
+  teleop view --session demo-replay
   teleop replay FILE --speed 0.1 --loop              in slow motion, repeated
 
 A replay is a separate session, `<session>-replay`, in which it has the roles of master and slave.
@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
+from teleop import own_endpoints
 from teleop.clock import now_ns
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
@@ -31,6 +32,7 @@ from teleop.recording.readdress import Readdress
 from teleop.recording.reader import RecordingInfo, open_recording, read_messages
 from teleop.recording.scan import RecordingError
 from teleop.run_config import RunConfig
+from teleop.running_sessions import registered
 from teleop.status_line import StatusLine
 from teleop.topics import Role
 
@@ -53,29 +55,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--session", metavar="NAME", help="replay as session NAME (<recorded session>-replay)"
     )
-    add_options(parser, "--config", "--set", "--view")
+    add_options(parser, "--config", "--set", "--insecure", "--view")
 
 
 def main(args: argparse.Namespace) -> int:
     """Play a recording; returns the exit code."""
     if not 0.001 <= args.speed <= 1000:
         raise UsageError(f"--speed {args.speed:g}: allowed are 0.001 to 1000")
-    overrides = [*args.overrides, *([f"session={args.session}"] if args.session else [])]
-    run = load(args.config, RunConfig, None, overrides)
+    named = [f"session={args.session}"] if args.session else []
+    run = load(args.config, RunConfig, None, [*args.overrides, *named])
     info = open_recording(args.file)
     require_playable(info)
     session = args.session or f"{info.session or run.session}-replay"
+    args.overrides += own_endpoints.choose(args.config, args.overrides, session)
+    run = load(args.config, RunConfig, None, args.overrides)
     stop, status = Stop(), StatusLine()
     with ExitStack() as stack:
         links = {
             role: stack.enter_context(Link(run.link, session, role))
             for role in (Role.SLAVE, Role.MASTER)
         }
+        stack.enter_context(registered(own_endpoints.entry_of(run, None, args.config)))
         how = ""
         if args.view in (None, "none"):
-            how = f"; see it with: teleop view --set session={session}"
+            how = f"; see it with: teleop view --session {session}"
         else:
-            view = stack.enter_context(viewing(args, session))
+            view = stack.enter_context(viewing(args))
             wait_for_view(view, links[Role.MASTER])
         status.say(f"playing {info.seconds:.1f} s as session {session!r}{how}")
         player = Player(info, args.speed, links)
@@ -93,10 +98,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def viewing(args: argparse.Namespace, session: str) -> Iterator[subprocess.Popen[bytes]]:
+def viewing(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
     """Show the replay with `teleop view` while this context lasts."""
     words = ["--view", str(args.view), *(f"--set={text}" for text in args.overrides)]
-    words += [*(["--config", str(args.config)] if args.config else []), f"--set=session={session}"]
+    words += ["--config", str(args.config)] if args.config else []
     process = subprocess.Popen([sys.executable, "-m", "teleop", "view", *words])
     try:
         yield process

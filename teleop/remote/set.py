@@ -10,12 +10,11 @@ The master answers with the new value or the reason of a refusal. The config fil
 import argparse
 import time
 
-from teleop.config import load
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages import TEXT_BYTES, Answer, Setting, text_bytes, text_of
 from teleop.options import add_option, add_options
-from teleop.run_config import RunConfig
+from teleop.run_config import load_shared
 from teleop.topics import ANSWER, SETTING, Role
 
 PATIENCE_S = 2.0
@@ -25,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop set`."""
     parser.add_argument("key", metavar="KEY", help="e.g. force.scale")
     parser.add_argument("value", metavar="VALUE", help="as in a config file")
-    add_options(parser, "--config")
+    add_options(parser, "--session", "--config", "--insecure")
     add_option(
         parser,
         "--set",
@@ -39,7 +38,7 @@ def main(args: argparse.Namespace) -> int:
     for text in (args.key, args.value):
         if len(text.encode()) > TEXT_BYTES:
             raise UsageError(f"{text[:20]}...: longer than {TEXT_BYTES} bytes")
-    config = load(args.config, RunConfig, None, args.overrides)
+    config = load_shared(args)
     with Link(config.link, config.session, Role.REMOTE) as link:
         listener = link.listen((ANSWER,))
         deadline = time.monotonic() + PATIENCE_S

@@ -16,14 +16,13 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from teleop.config import load
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.options import add_options
 from teleop.process import Stop
 from teleop.remote.requests import CALL, LEAVE, RESET, WATCH, call_reset, call_stop
 from teleop.remote.watches import BEAT_S
-from teleop.run_config import RunConfig
+from teleop.run_config import load_shared
 from teleop.session import Reason, State
 from teleop.topics import COMMAND, STATE, Role, Topic
 
@@ -35,7 +34,7 @@ SIDES: dict[Role, Topic[Any]] = {Role.MASTER: COMMAND, Role.SLAVE: STATE}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop stop`."""
-    add_options(parser, "--config", "--set")
+    add_options(parser, "--session", "--config", "--set", "--insecure")
     way = parser.add_mutually_exclusive_group()
     way.add_argument("--reset", action="store_true", help="reset an emergency stop")
     way.add_argument("--watch", action="store_true", help="stop when this process ends")
@@ -46,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Stop a session, reset the stop, or watch the session; returns the exit code."""
-    config = load(args.config, RunConfig, None, args.overrides)
+    config = load_shared(args)
     role = Role.WATCH if args.watch else Role.REMOTE
     stop = Stop()
     # an emergency stop does not wait for the detection of peers

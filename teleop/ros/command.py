@@ -30,7 +30,7 @@ _LOOK_S = 0.5  # [s] between two looks for the router
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop ros`."""
-    add_options(parser, "--config", "--set", "--duration", "--json")
+    add_options(parser, "--session", "--config", "--set", "--insecure", "--duration", "--json")
     parser.add_argument(
         "--package",
         type=Path,

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 
 from teleop.errors import UsageError
-from teleop.link.config import Endpoint, LinkConfig
+from teleop.link.config import Address, Endpoint, LinkConfig
 from teleop.ros.graph import is_name
 from teleop.ros.outputs import OUTPUTS
 from teleop.suggestions import did_you_mean
@@ -57,8 +57,8 @@ def check_ports(router: str, link: LinkConfig) -> None:
     """Raise `UsageError` if the router's endpoint is one of the link's."""
     port = Endpoint.parse(router).port
     for name in ("master", "slave"):
-        endpoint = Endpoint.parse(getattr(link, name))
-        if endpoint.loopback and endpoint.port == port:
+        address = Address.parse(getattr(link, name))
+        if address.loopback and address.port == port:
             raise UsageError(
                 f"ros.router: {router}: link.{name} has this port; set another one in link.{name}"
             )

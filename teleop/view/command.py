@@ -53,7 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a recording (.mcap) or a Rerun file (.rrd); none = live",
     )
-    add_options(parser, "--config", "--set", "--view", "--duration", "--json")
+    add_options(
+        parser, "--session", "--config", "--set", "--insecure", "--view", "--duration", "--json"
+    )
     parser.add_argument(
         "--layout",
         choices=LAYOUTS,
@@ -69,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
-    run, config = load_section(args, ViewConfig, "view")
+    run, config = load_section(args, ViewConfig, "view", join=args.file is None)
     foxglove = args.foxglove or config.foxglove
     config = replace(config, layout=args.layout or config.layout, foxglove=foxglove)
     mode, out = destination_of(args.view, args.out)

@@ -38,9 +38,7 @@ class Processes:
         master, slave = free_ports(2)
         self.folder = folder
         self.session = f"test-{uuid.uuid4().hex[:8]}"
-        self.link_config = LinkConfig(
-            master=f"tcp/127.0.0.1:{master}", slave=f"tcp/127.0.0.1:{slave}"
-        )
+        self.link_config = LinkConfig(master=f"127.0.0.1:{master}", slave=f"127.0.0.1:{slave}")
         self.shared = ["--config", str(config)]
         for text in (
             f"session={self.session}",

@@ -14,7 +14,7 @@ from tests.teleop.ros.peers import Heard, peer, router
 
 def test_a_router_on_a_port_of_the_link_is_refused_before_anything_starts(capsys):
     words = ["run", "--view", "none", "--set", "ros.start=true"]
-    assert cli.main([*words, "--set", "link.slave=tcp/127.0.0.1:7447"]) == 2
+    assert cli.main([*words, "--set", "link.slave=127.0.0.1:7447"]) == 2
     assert "link.slave has this port" in capsys.readouterr().err
 
 
@@ -26,7 +26,7 @@ def test_a_session_is_in_the_graph_while_it_runs(tmp_path):
         heard = Heard(other)
         settings = (
             "session=ros-run", "ros.start=true", f"ros.router={endpoint}", "ros.prefix=/lab",
-            f"link.master=tcp/127.0.0.1:{master}", f"link.slave=tcp/127.0.0.1:{slave}",
+            f"link.master=127.0.0.1:{master}", f"link.slave=tcp/127.0.0.1:{slave}",
         )  # fmt: skip
         words = [f"--set={setting}" for setting in settings]
         config = str(ROOT / "configs" / "demo.yaml")

@@ -27,8 +27,8 @@ def run(config, folder, *arguments, wait=True, environment=OURS):
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "teleop", "run", "--config", str(config)),
-            *("--set", f"link.master=tcp/127.0.0.1:{master}"),
-            *("--set", f"link.slave=tcp/127.0.0.1:{slave}"),
+            *("--set", f"link.master=127.0.0.1:{master}"),
+            *("--set", f"link.slave=127.0.0.1:{slave}"),
             *("--json", str(folder / "run.json"), *arguments),
         ],
         stdout=subprocess.PIPE,
@@ -128,7 +128,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(demo_config, tmp_path):
         taken.listen()
         port = taken.getsockname()[1]
         code, _, err = run(
-            demo_config, tmp_path, "--view", "none", "--set", f"link.slave=tcp/127.0.0.1:{port}"
+            demo_config, tmp_path, "--view", "none", "--set", f"link.slave=127.0.0.1:{port}"
         )
     assert code == 2
     assert len(err.splitlines()) == 1
@@ -186,7 +186,7 @@ def test_a_second_master_is_refused(demo_config, tmp_path):
     with Processes(tmp_path, demo_config) as session:
         session.start_all()
         (port,) = free_ports(1)
-        second = session.start("master", "--set", f"link.master=tcp/127.0.0.1:{port}")
+        second = session.start("master", "--set", f"link.master=127.0.0.1:{port}")
         assert second.wait(30) == 2
         out = (tmp_path / "3-master.log").read_text()
         assert len(out.strip().splitlines()) == 1

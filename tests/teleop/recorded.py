@@ -47,7 +47,7 @@ def free_link() -> LinkConfig:
         one.bind(("127.0.0.1", 0))
         other.bind(("127.0.0.1", 0))
         ports = one.getsockname()[1], other.getsockname()[1]
-    return LinkConfig(master=f"tcp/127.0.0.1:{ports[0]}", slave=f"tcp/127.0.0.1:{ports[1]}")
+    return LinkConfig(master=f"127.0.0.1:{ports[0]}", slave=f"127.0.0.1:{ports[1]}")
 
 
 RUN = textwrap.dedent(

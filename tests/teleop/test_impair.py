@@ -244,7 +244,7 @@ def test_the_proxy_leaves_the_machine_no_easier_than_a_side():
     with pytest.raises(
         UsageError, match=r"^impair\.endpoint: .*plain tcp is only allowed on loopback"
     ):
-        ImpairConfig(endpoint="tcp/10.0.0.1:7449").link(LinkConfig())
+        ImpairConfig(endpoint="10.0.0.1:7449").link(LinkConfig())
 
 
 # --- the delay queue ------------------------------------------------------------------------------
@@ -326,7 +326,7 @@ class Bridged:
     """A proxy process, and how to reach each side of it."""
 
     def __init__(self, folder, *arguments):
-        ends = [f"tcp/127.0.0.1:{port}" for port in free_ports(3)]
+        ends = [f"127.0.0.1:{port}" for port in free_ports(3)]
         self.session = f"test-{uuid.uuid4().hex[:8]}"
         self.shared = LinkConfig(master=ends[0], slave=ends[1])
         self.to_proxy = LinkConfig(master=ends[0], slave=ends[2])

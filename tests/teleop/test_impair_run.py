@@ -11,7 +11,7 @@ from tests.system.test_run import run
 def test_a_run_goes_through_its_proxy_and_tells_what_that_did(demo_config, tmp_path):
     (port,) = free_ports(1)
     words = [
-        f"impair.endpoint=tcp/127.0.0.1:{port}",
+        f"impair.endpoint=127.0.0.1:{port}",
         "impair.to_slave.delay=0.02",
         "impair.to_master.loss=0.1",
     ]

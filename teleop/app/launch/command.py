@@ -6,6 +6,10 @@
   teleop run --config rig.yaml --model diagnosis/model.yaml   with the model of a diagnosis
   teleop run --set impair.to_slave.delay=0.02           with a network impairment: `teleop impair`
 
+It takes free endpoints and a session name of its own, which the first line shows, unless config or
+options state them (`--session`, `link.master`, `link.slave`): any number of sessions run side by
+side on one machine. `teleop sessions` lists yours.
+
 Slave, master, recorder (`teleop record`) and viewer (`teleop view`) can also run alone, each on its
 own machine: see `teleop slave --help` etc.
 """
@@ -19,6 +23,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from teleop import own_endpoints
 from teleop import summary as summaries
 from teleop.app.launch import watch
 from teleop.app.launch.console import Console
@@ -31,11 +36,12 @@ from teleop.impair.config import wanted
 from teleop.link import Link
 from teleop.link.ping_pong import ping_pong
 from teleop.messages import Command, SlaveState
-from teleop.options import add_options
+from teleop.options import add_option, add_options
 from teleop.process import INTERRUPTED, Stop, folder, has_display, write_summary
 from teleop.realtime import RealtimeConfig
 from teleop.ros.config import RosConfig, check_ports
 from teleop.run_config import RateChecked, RunConfig
+from teleop.running_sessions import registered
 from teleop.status_line import StatusLine
 from teleop.topics import EVENT, LATENCY, REPORT, Role
 from teleop.view.config import ViewConfig
@@ -49,6 +55,7 @@ SECTIONS = {
     "view": ("teleop.view.config", "ViewConfig"),
     "impair": ("teleop.impair.config", "ImpairConfig"),
     "ros": ("teleop.ros.config", "RosConfig"),
+    "router": ("teleop.router.config", "RouterConfig"),
 }
 ENDING = (
     "master",
@@ -64,8 +71,17 @@ _NEVER_BEGAN = (INTERRUPTED, -signal.SIGTERM)  # exit codes of a child told to e
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop run`."""
     add_options(
-        parser, "--config", "--set", "--duration", "--view", "--calibration", "--model", "--json"
+        parser,
+        "--config",
+        "--set",
+        "--insecure",
+        "--duration",
+        "--view",
+        "--calibration",
+        "--model",
+        "--json",
     )
+    add_option(parser, "--session", help="name of the session (default one of its own)")
     parser.add_argument("--record", type=folder, metavar="DIR", help="record the session into DIR")
     parser.add_argument(
         "--replay", type=Path, metavar="DATA", help="measured data in place of the rig"
@@ -76,6 +92,7 @@ def main(args: argparse.Namespace) -> int:
     """Run a session; returns the exit code."""
     stop = Stop()
     overrides = [*args.overrides, *_rig_overrides(args)]
+    overrides += own_endpoints.choose(args.config, overrides, args.session)
     config = load(args.config, RunConfig, None, overrides)
     for section, (module, name) in SECTIONS.items():
         part = load(args.config, getattr(import_module(module), name), section, overrides)
@@ -88,6 +105,8 @@ def main(args: argparse.Namespace) -> int:
     if args.config:
         shared = ["--config", str(args.config), *shared]
     impair = wanted(args.config, overrides)
+    if impair is not None:
+        impair.require_direct(config.link)
     to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
     view = args.view or ("native" if has_display() else "web")
 
@@ -98,6 +117,8 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free(link)  # before anything is started
+        stack.enter_context(registered(own_endpoints.entry_of(config, impair, args.config)))
+        console.status.say(_how_to_join(config.session))
         listener, hearing = link.listen((EVENT, REPORT, LATENCY)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
@@ -126,6 +147,13 @@ def main(args: argparse.Namespace) -> int:
             console.finish()
         summary = _summary(family, ended, stop.reason)
     return _conclude(summary, args.json, config.realtime, console)
+
+
+def _how_to_join(session: str) -> str:
+    return (
+        f"Session {session}. In another terminal: teleop view --session {session} (or stop, "
+        "record, set KEY VALUE)"
+    )
 
 
 def _view_ports(args: argparse.Namespace, overrides: list[str]) -> list[str]:

@@ -37,8 +37,8 @@ def run_session(config: Path, seconds: float) -> Measured:
         words = [
             *("--config", str(config), "--view", "none", "--duration", str(seconds)),
             *("--json", str(out), "--set", f"session=bench-{os.getpid()}"),
-            *("--set", f"link.master=tcp/127.0.0.1:{master}"),
-            *("--set", f"link.slave=tcp/127.0.0.1:{slave}"),
+            *("--set", f"link.master=127.0.0.1:{master}"),
+            *("--set", f"link.slave=127.0.0.1:{slave}"),
         ]
         process = stack.enter_context(
             subprocess.Popen(

@@ -21,7 +21,7 @@ def free_config(**changes: Any) -> LinkConfig:
         for probe in (one, two):
             probe.bind(("127.0.0.1", 0))
         ports = [probe.getsockname()[1] for probe in (one, two)]
-    endpoints = dict(zip(("master", "slave"), (f"tcp/127.0.0.1:{p}" for p in ports), strict=True))
+    endpoints = dict(zip(("master", "slave"), (f"127.0.0.1:{p}" for p in ports), strict=True))
     return LinkConfig(**(endpoints | changes))
 
 

@@ -4,64 +4,64 @@ from pathlib import Path
 
 import pytest
 
-from teleop.link import LinkConfig, TlsConfig
-from teleop.link.config import Endpoint
+from teleop.link import LinkConfig
+from teleop.link.config import Address, Endpoint
 
 
 @pytest.mark.parametrize(
-    ("text", "endpoint", "loopback"),
+    ("text", "address", "loopback"),
     [
-        ("tcp/127.0.0.1:7447", ("tcp", "127.0.0.1", 7447), True),
-        ("tcp/127.8.9.1:1", ("tcp", "127.8.9.1", 1), True),
-        ("tcp/localhost:65535", ("tcp", "localhost", 65535), True),
-        ("tls/[::1]:7447", ("tls", "::1", 7447), True),
-        ("tls/console.lab.example:7447", ("tls", "console.lab.example", 7447), False),
-        ("tcp/192.168.1.2:7447", ("tcp", "192.168.1.2", 7447), False),
-        ("tcp/127.0.0.1.example.org:7447", ("tcp", "127.0.0.1.example.org", 7447), False),
+        ("127.0.0.1:7447", ("127.0.0.1", 7447), True),
+        ("127.8.9.1:1", ("127.8.9.1", 1), True),
+        ("localhost:65535", ("localhost", 65535), True),
+        ("[::1]:7447", ("::1", 7447), True),
+        ("console.lab.example:7447", ("console.lab.example", 7447), False),
+        ("192.168.1.2:7447", ("192.168.1.2", 7447), False),
+        ("127.0.0.1.example.org:7447", ("127.0.0.1.example.org", 7447), False),
     ],
 )
-def test_endpoints(text: str, endpoint: tuple[str, str, int], loopback: bool) -> None:
-    assert Endpoint.parse(text) == endpoint
-    assert Endpoint.parse(text).loopback == loopback
+def test_addresses(text: str, address: tuple[str, int], loopback: bool) -> None:
+    assert Address.parse(text) == address
+    assert Address.parse(text).loopback == loopback
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        "", "127.0.0.1:7447", "udp/127.0.0.1:7447", "tcp/127.0.0.1", "tcp/127.0.0.1:0",
-        "tcp/127.0.0.1:65536", "tcp/:7447", "tcp/::1:7447", "tcp/[::1:7447", "tcp/[localhost]:7447",
-        "tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/224.0.0.1:7447", "tcp/a b:7447", "tcp/-a:7447",
-        "tcp/127.0.0.1:7447;tcp/10.0.0.1:7447", "tcp/127.0.0.1:7447#iface=eth0", "tcp/*:7447",
+        "", "127.0.0.1", "127.0.0.1:0", "127.0.0.1:65536", ":7447", "::1:7447", "[::1:7447",
+        "[localhost]:7447", "0.0.0.0:7447", "[::]:7447", "224.0.0.1:7447", "a b:7447", "-a:7447",
+        "127.0.0.1:7447;10.0.0.1:7447", "127.0.0.1:7447#iface=eth0", "*:7447", "ws/127.0.0.1:7447",
     ],
 )  # fmt: skip
-def test_bad_endpoints_are_refused(text: str) -> None:
-    with pytest.raises(ValueError, match=r"endpoint|port|host|connected"):
-        Endpoint.parse(text)
+def test_bad_addresses_are_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"address|port|host|connected"):
+        Address.parse(text)
     with pytest.raises(ValueError, match=r"^slave: "):
         LinkConfig(slave=text)
 
 
-def test_plaintext_never_leaves_the_machine_unasked(tmp_path: Path) -> None:
-    with pytest.raises(
-        ValueError, match=r"^slave: plain tcp is only allowed on loopback.*link\.tls"
-    ):
-        LinkConfig(slave="tcp/192.168.1.2:7448")
-    with pytest.raises(ValueError, match=r"^master: plain tcp is only allowed on loopback"):
-        LinkConfig(master="tcp/rig.lab:7447")
-    asked = LinkConfig(slave="tcp/192.168.1.2:7448", insecure_plaintext_off_loopback=True)
-    assert asked.slave.startswith("tcp/192")
-    with pytest.raises(ValueError, match=r"^slave: needs link\.tls"):
-        LinkConfig(slave="tls/192.168.1.2:7448")
-    for name in ("ca", "certificate", "key"):
-        (tmp_path / name).touch()
-    tls = TlsConfig(ca=tmp_path / "ca", certificate=tmp_path / "certificate", key=tmp_path / "key")
-    with pytest.raises(ValueError, match=r"^master: must be tls"):
-        LinkConfig(slave="tls/192.168.1.2:7448", tls=tls, insecure_plaintext_off_loopback=True)
-    LinkConfig(master="tls/192.168.1.1:7447", slave="tls/192.168.1.2:7448", tls=tls)
+@pytest.mark.parametrize("protocol", ["tcp", "tls"])
+def test_an_old_address_is_refused_with_the_new_form(protocol: str) -> None:
+    with pytest.raises(ValueError, match=rf"^slave: write 127.0.0.1:7448 without {protocol}/"):
+        LinkConfig(slave=f"{protocol}/127.0.0.1:7448")
 
 
-def test_missing_certificates_and_twice_the_same_endpoint_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"^ca: no such file"):
-        TlsConfig(ca=tmp_path / "no", certificate=tmp_path / "no", key=tmp_path / "no")
+def test_a_router_of_ros_has_its_protocol() -> None:
+    assert Endpoint.parse("tcp/127.0.0.1:7447") == ("tcp", "127.0.0.1", 7447)
+    for text in ("127.0.0.1:7447", "udp/127.0.0.1:7447", "tcp/127.0.0.1"):
+        with pytest.raises(ValueError, match=r"endpoint|address"):
+            Endpoint.parse(text)
+
+
+def test_off_loopback_keys_are_needed_unless_asked_otherwise(tmp_path: Path) -> None:
+    for change in ({"slave": "192.168.1.2:7448"}, {"master": "rig.lab:7447"}):
+        (name,) = change
+        with pytest.raises(ValueError, match=rf"^{name}: off loopback, link\.keys must"):
+            LinkConfig(**change)
+        LinkConfig(**change, insecure=True)
+        LinkConfig(**change, keys=tmp_path)
+
+
+def test_twice_the_same_endpoint_is_refused() -> None:
     with pytest.raises(ValueError, match=r"^slave: must differ from the endpoint"):
-        LinkConfig(master="tcp/127.0.0.1:7000", slave="tcp/127.0.0.1:7000")
+        LinkConfig(master="127.0.0.1:7000", slave="127.0.0.1:7000")

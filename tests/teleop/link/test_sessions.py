@@ -10,7 +10,7 @@ import pytest
 from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
 from teleop.link import Counts, Link, LinkConfig
-from teleop.link.config import Endpoint
+from teleop.link.config import Address
 from teleop.link.network import BATCH_BYTES, open_session
 from teleop.link.ping_pong import ping_pong
 from teleop.link.presence import Stage, Token, new_nonce
@@ -219,7 +219,7 @@ def test_a_topic_subscribed_to_twice_has_one_inbox_that_is_emptied(config: LinkC
 
 def test_a_port_of_someone_else_is_named_with_a_remedy(config: LinkConfig) -> None:
     with socket.socket() as other:
-        other.bind(("127.0.0.1", Endpoint.parse(config.slave).port))
+        other.bind(("127.0.0.1", Address.parse(config.slave).port))
         other.listen()
         with pytest.raises(UsageError) as caught, Link(config, "test", Role.SLAVE):
             pass
@@ -230,7 +230,7 @@ def test_a_port_of_someone_else_is_named_with_a_remedy(config: LinkConfig) -> No
 
 
 def test_an_address_of_another_machine_is_named_with_a_remedy() -> None:
-    config = free_config(slave="tcp/192.0.2.1:7448", insecure_plaintext_off_loopback=True)
+    config = free_config(slave="192.0.2.1:7448", insecure=True)
     with (
         pytest.raises(UsageError, match=r"192\.0\.2\.1:7448.*not an address of this machine"),
         Link(config, "test", Role.SLAVE),

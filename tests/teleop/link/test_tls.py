@@ -1,72 +1,59 @@
-"""Links with certificates."""
+"""Who is let in: certificates of one authority, and nothing in the clear."""
 
-import subprocess
 import time
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.serialization import Encoding
 
-from teleop.link import Counts, Link, LinkConfig, TlsConfig
+from teleop.keys.authority import Authority, write, write_key
+from teleop.keys.credentials import stem
+from teleop.keys.identity import RIGHTS, Identity, Office
+from teleop.link import Counts, Link, LinkConfig
 from teleop.messages import Command
 from teleop.topics import COMMAND, Role
 from tests.teleop.link.bench import pump, session
 
 
-def openssl(folder: Path, *arguments: str) -> None:
-    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
-
-
-def make_certificates(folder: Path) -> TlsConfig:
-    """An authority, and a certificate of it for 127.0.0.1."""
-    folder.mkdir()
-    key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
-    openssl(
-        folder, "req", "-x509", *key, "-keyout", "ca.key", "-out", "ca.pem", "-days", "2",
-        "-subj", "/CN=test authority",
-    )  # fmt: skip
-    openssl(folder, "req", *key, "-keyout", "key.pem", "-out", "request.pem", "-subj", "/CN=peer")
-    (folder / "names").write_text(
-        "subjectAltName=IP:127.0.0.1,DNS:localhost\nextendedKeyUsage=serverAuth,clientAuth\n"
-        "basicConstraints=CA:FALSE\n"
-    )
-    openssl(
-        folder, "x509", "-req", "-in", "request.pem", "-CA", "ca.pem", "-CAkey", "ca.key",
-        "-CAcreateserial", "-out", "cert.pem", "-days", "2", "-extfile", "names",
-    )  # fmt: skip
-    return TlsConfig(ca=folder / "ca.pem", certificate=folder / "cert.pem", key=folder / "key.pem")
+def make_keys(folder: Path, session_name: str = "test") -> Path:
+    """A folder of keys of all roles, of an authority of its own."""
+    authority = Authority.create("test authority", 2)
+    authority.publish(folder)
+    for office in Office:
+        rights = RIGHTS if office is Office.SUPERVISOR else ()
+        certificate, key = authority.issue(Identity(office, session_name, rights), 1)
+        path = folder / f"{stem(office, session_name)}.pem"
+        write(path, certificate.public_bytes(Encoding.PEM), 0o644)
+        write_key(path.with_suffix(".key"), key)
+    return folder
 
 
 @pytest.fixture(scope="module")
-def certificates(tmp_path_factory: pytest.TempPathFactory) -> tuple[TlsConfig, TlsConfig]:
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Ours, and those of someone with an authority of his own."""
-    folder = tmp_path_factory.mktemp("certificates")
-    try:
-        return make_certificates(folder / "ours"), make_certificates(folder / "theirs")
-    except FileNotFoundError:
-        pytest.skip("needs the openssl command")
+    folder = tmp_path_factory.mktemp("keys")
+    return make_keys(folder / "ours"), make_keys(folder / "theirs")
 
 
-def over_tls(tls: TlsConfig, like: LinkConfig) -> LinkConfig:
-    return LinkConfig(
-        master=like.master.replace("tcp", "tls"), slave=like.slave.replace("tcp", "tls"), tls=tls
-    )
+def with_keys(keys: Path | None, like: LinkConfig, insecure: bool = False) -> LinkConfig:
+    return LinkConfig(master=like.master, slave=like.slave, keys=keys, insecure=insecure)
 
 
-def test_mutual_tls_lets_our_own_in(
-    certificates: tuple[TlsConfig, TlsConfig], config: LinkConfig
+def test_certificates_of_one_authority_find_together(
+    folders: tuple[Path, Path], config: LinkConfig
 ) -> None:
-    with session(over_tls(certificates[0], config), Role.SLAVE, Role.MASTER) as (slave, master):
+    with session(with_keys(folders[0], config), Role.SLAVE, Role.MASTER) as (slave, master):
         pump(master, slave, 20)
 
 
-def test_mutual_tls_keeps_out_another_authority_and_plain_tcp(
-    certificates: tuple[TlsConfig, TlsConfig], config: LinkConfig
+def test_another_authority_the_local_one_and_plaintext_are_kept_out(
+    folders: tuple[Path, Path], config: LinkConfig
 ) -> None:
-    ours, theirs = certificates
-    believes_us = TlsConfig(ca=ours.ca, certificate=theirs.certificate, key=theirs.key)
-    with Link(over_tls(ours, config), "test", Role.SLAVE) as slave:
+    ours, theirs = folders
+    with Link(with_keys(ours, config), "test", Role.SLAVE) as slave:
         slave.subscribe_latest(COMMAND)
-        for intruder in (over_tls(theirs, config), over_tls(believes_us, config), config):
+        intruders = (with_keys(theirs, config), config, with_keys(None, config, insecure=True))
+        for intruder in intruders:
             with Link(intruder, "test", Role.MASTER) as master:
                 for _ in range(100):
                     master.publish(COMMAND, Command())
@@ -74,3 +61,11 @@ def test_mutual_tls_keeps_out_another_authority_and_plain_tcp(
                     assert not slave.present(Role.MASTER)
                     assert not master.present(Role.SLAVE)
         assert slave.latest(COMMAND).counts == Counts()
+
+
+def test_a_plaintext_session_is_possible_if_asked_for(config: LinkConfig) -> None:
+    with session(with_keys(None, config, insecure=True), Role.SLAVE, Role.MASTER) as (
+        slave,
+        master,
+    ):
+        pump(master, slave, 20)

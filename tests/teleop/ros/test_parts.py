@@ -39,8 +39,8 @@ def test_a_wrong_config_is_one_line_with_the_key(text, words):
 def test_the_port_of_the_router_is_not_that_of_the_link():
     check_ports(RosConfig().router, LinkConfig())
     with pytest.raises(UsageError, match=r"link\.slave has this port"):
-        check_ports("tcp/localhost:7500", LinkConfig(slave="tcp/127.0.0.1:7500"))
-    assert cli.main(["ros", "--set", "link.master=tcp/127.0.0.1:7447"]) == 2
+        check_ports("tcp/localhost:7500", LinkConfig(slave="127.0.0.1:7500"))
+    assert cli.main(["ros", "--set", "link.master=127.0.0.1:7447"]) == 2
 
 
 def test_the_package_declares_the_messages_that_are_sent(tmp_path, capsys):

@@ -1,0 +1,9 @@
+"""Keys and certificates: who may take part in a session, and as what.
+
+A process proves its role by a certificate of an authority that all processes of a session trust.
+"""
+
+from teleop.keys.credentials import CertificateError, Credentials
+from teleop.keys.identity import OFFICE_OF, RIGHTS, Identity, Office
+
+__all__ = ["OFFICE_OF", "RIGHTS", "CertificateError", "Credentials", "Identity", "Office"]

@@ -1,0 +1,84 @@
+"""A Zenoh router with our settings, and who comes and goes through it."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Self
+
+import zenoh
+
+from teleop.keys import Office
+from teleop.keys.identity import ALL_SESSIONS
+from teleop.link.config import LinkConfig
+from teleop.link.network import open_session
+from teleop.link.presence import Stage, Token, root
+from teleop.link.protection import credentials_of
+from teleop.topics import Role
+
+Presence = Callable[[str, Role, bool], None]
+"""Called with a session, a role, and whether a process of it has come, or else gone."""
+
+
+class Router:
+    """A router, as a context manager: forwards between the processes of all sessions.
+
+    It forwards bytes unread, only to who subscribes to their key. Keys begin with the session, so
+    nothing crosses from one session to another.
+
+    Parameters
+    ----------
+    config : LinkConfig
+        Protection of the wire.
+    listen, connect : tuple of str
+        `HOST:PORT` of this router, and of others, which are tried until they answer.
+    on_presence : callable
+        Called from Zenoh's thread.
+
+    Raises
+    ------
+    UsageError
+        On entering: there are no valid keys of a router; an endpoint cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        config: LinkConfig,
+        listen: Sequence[str],
+        connect: Sequence[str],
+        on_presence: Presence = lambda *_: None,
+    ) -> None:
+        self._arguments = config, list(listen), list(connect)
+        self._on_presence = on_presence
+
+    def __enter__(self) -> Self:
+        self._zenoh: Any = open_router(*self._arguments)
+        self._watch: Any = self._zenoh.liveliness().declare_subscriber(
+            f"{root('*')}/**", self._on_token, history=True
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._watch.undeclare()
+        self._zenoh.close()
+
+    @property
+    def neighbours(self) -> int:
+        """Number of other routers connected to this one."""
+        return len(self._zenoh.info.routers_zid())
+
+    def _on_token(self, sample: Any) -> None:
+        key = str(sample.key_expr)
+        token = Token.from_key(key)
+        if token is not None and token.stage == Stage.HELD and not token.relayed:
+            came = sample.kind == zenoh.SampleKind.PUT
+            self._on_presence(key.split("/", 2)[1], token.role, came)
+
+
+def open_router(config: LinkConfig, listen: list[str], connect: list[str]) -> zenoh.Session:
+    """Open a router that listens on some endpoints and connects to other routers.
+
+    Raises
+    ------
+    UsageError
+        There are no valid keys of a router; an endpoint cannot be listened on.
+    """
+    credentials = credentials_of(config, ALL_SESSIONS, Office.ROUTER)
+    return open_session(credentials, listen, connect, "router")

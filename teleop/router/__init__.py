@@ -1,0 +1,1 @@
+"""A router: where the processes of many sessions meet."""

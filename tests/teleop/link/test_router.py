@@ -1,0 +1,184 @@
+"""Sessions behind routers: all meet there, nothing crosses over, nobody is there twice."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+
+from teleop.errors import PeerError, TeleopError
+from teleop.link import Link, LinkConfig, Listener
+from teleop.link.presence import Stage, Token
+from teleop.link.router import Router
+from teleop.messages import LAYOUT, LoopReport, SlaveState
+from teleop.topics import COMMAND, REPORT, STATE, TOPICS, Role
+from tests.system.processes import free_ports
+from tests.teleop.link.bench import pump, wait_until
+
+
+def endpoints(count: int) -> list[str]:
+    return [f"127.0.0.1:{port}" for port in free_ports(count)]
+
+
+@contextmanager
+def routed() -> Iterator[LinkConfig]:
+    """A router, and the config of a link to it."""
+    (end,) = endpoints(1)
+    config = LinkConfig(routers=(end,))
+    with Router(config, [end], []):
+        yield config
+
+
+@contextmanager
+def pair(config: LinkConfig, name: str, other: LinkConfig | None = None) -> Iterator[list[Link]]:
+    """A slave and a master who know each other; the master may be at another router."""
+    with (
+        Link(config, name, Role.SLAVE) as slave,
+        Link(other or config, name, Role.MASTER) as master,
+    ):
+        wait_until(lambda: slave.present(Role.MASTER) and master.present(Role.SLAVE))
+        yield [slave, master]
+
+
+def test_two_sides_and_a_listener_meet_at_a_router() -> None:
+    with routed() as config, pair(config, "a") as (slave, master):
+        pump(master, slave, 3)
+        with Link(config, "a", Role.VIEWER) as viewer:
+            heard = viewer.listen((STATE,))
+            wait_until(lambda: viewer.present(Role.SLAVE))
+
+            def sees() -> bool:
+                slave.publish(STATE, SlaveState(state=2))
+                return bool(heard.drain()) and master.latest(STATE).is_there
+
+            wait_until(sees)
+    assert master.counts().rejected == slave.counts().rejected == 0
+
+
+def test_nothing_crosses_from_one_session_to_another() -> None:
+    with routed() as config, ExitStack() as stack:
+        names = ("room-1", "room-1-left", "room-2")  # one is the beginning of another
+        pairs = {name: stack.enter_context(pair(config, name)) for name in names}
+        ears: dict[str, Listener] = {}
+        for name in names:
+            ears[name] = stack.enter_context(Link(config, name, Role.RECORDER)).listen(TOPICS)
+        for number, (slave, master) in enumerate(pairs.values()):
+            pump(master, slave, number + 3)
+            slave.publish(REPORT, LoopReport(role=Role.SLAVE))
+        nonces = {name: {link.nonce for link in links} for name, links in pairs.items()}
+        for name, ear in ears.items():
+            slave, master = pairs[name]
+            messages = []
+
+            def heard_reports(ear=ear, messages=messages) -> bool:
+                messages.extend(ear.drain())
+                return any(item.topic is REPORT for item in messages)
+
+            wait_until(heard_reports)
+            assert {item.sender for item in messages} <= nonces[name]
+            for topic in TOPICS:
+                counts = ear.counts(topic)
+                assert counts.rejected + counts.unknown == 0
+            for link in (slave, master):
+                others = {token.nonce for token in link._roster.others if token.role in (1, 2)}
+                assert others <= nonces[name]
+                assert link.counts().rejected + link.counts().unknown == 0
+
+
+@pytest.mark.usefixtures("true_settling")
+@pytest.mark.parametrize("role", [Role.MASTER, Role.SLAVE])
+def test_a_second_one_at_the_router_is_refused_and_the_first_stays(role: Role) -> None:
+    with routed() as config, pair(config, "a") as (slave, master):
+        late = Link(config, "a", role)
+        late.nonce = 1  # its clock is far behind, so it looks the oldest
+        late._token = Token(role, LAYOUT, 1, Stage.CLAIM)
+        with pytest.raises(PeerError, match=rf"'a' has a {role.name.lower()} already"), late:
+            pass
+        for link in (slave, master):
+            link.check_peers()
+        pump(master, slave)
+        with Link(config, "b", role):  # another session
+            pass
+
+
+@pytest.mark.usefixtures("true_settling")
+def test_of_two_masters_started_at_once_at_two_routers_one_runs() -> None:
+    ends = endpoints(2)
+    configs = [LinkConfig(routers=(end,)) for end in ends]
+    with Router(configs[0], ends[:1], []), Router(configs[1], ends[1:], ends[:1]):
+        opened: list[Link] = []
+        refused: list[PeerError] = []
+
+        def start(config: LinkConfig) -> None:
+            try:
+                opened.append(Link(config, "a", Role.MASTER).__enter__())
+            except PeerError as error:
+                refused.append(error)
+
+        with Link(configs[0], "a", Role.SLAVE), Link(configs[1], "a", Role.VIEWER) as viewer:
+            wait_until(lambda: viewer.present(Role.SLAVE))  # the routers are connected
+            threads = [threading.Thread(target=start, args=(c,)) for c in configs]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            assert (len(opened), len(refused)) == (1, 1)
+            opened[0].__exit__()
+
+
+def test_two_sites_with_a_router_each_are_one_session() -> None:
+    ends = endpoints(2)
+    near, far = (LinkConfig(routers=(end,)) for end in ends)
+    with (
+        Router(near, ends[:1], ends[1:]),  # its neighbour is not there yet
+        Router(far, ends[1:], []),
+        pair(far, "a", near) as (slave, master),
+    ):
+        pump(master, slave, 3)
+
+
+def test_a_router_that_is_started_again_brings_all_back() -> None:
+    (end,) = endpoints(1)
+    config = LinkConfig(routers=(end,))
+    with ExitStack() as stack:
+        first = Router(config, [end], []).__enter__()
+        slave, master = stack.enter_context(pair(config, "a"))
+        pump(master, slave)
+        first.__exit__()
+        wait_until(lambda: not slave.present(Role.MASTER) and not master.present(Role.SLAVE))
+        stack.enter_context(Router(config, [end], []))
+        wait_until(lambda: slave.present(Role.MASTER) and master.present(Role.SLAVE))
+        pump(master, slave)
+        assert slave.latest(COMMAND).counts.restarts == 0
+
+
+def test_a_second_router_takes_over() -> None:
+    ends = endpoints(2)
+    config = LinkConfig(routers=tuple(ends))
+    with Router(config, ends[1:], []), ExitStack() as stack:
+        first = Router(config, ends[:1], ends[1:]).__enter__()
+        slave, master = stack.enter_context(pair(config, "a"))
+        pump(master, slave)
+        first.__exit__()
+        wait_until(lambda: slave.present(Role.MASTER) and master.present(Role.SLAVE))
+        pump(master, slave)
+
+
+def test_without_a_router_it_says_so_at_once() -> None:
+    begin = time.monotonic()
+    config = LinkConfig(routers=tuple(endpoints(2)))
+    with pytest.raises(TeleopError, match=r"no router answers at .*, .*: teleop router"):
+        Link(config, "a", Role.SLAVE).__enter__()
+    assert time.monotonic() - begin < 5.0
+
+
+def test_who_comes_and_goes_is_told() -> None:
+    (end,) = endpoints(1)
+    config = LinkConfig(routers=(end,))
+    told: list[tuple[str, Role, bool]] = []
+    with Router(config, [end], [], lambda *change: told.append(change)):
+        with Link(config, "a", Role.SLAVE):
+            wait_until(lambda: ("a", Role.SLAVE, True) in told)
+        wait_until(lambda: ("a", Role.SLAVE, False) in told)
+    assert len(told) == 2

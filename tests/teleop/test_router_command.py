@@ -1,0 +1,131 @@
+"""`teleop router`: where it listens, what it demands, and the configs of docs/topologies.md."""
+
+import argparse
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from docs.topology_drawings import DRAWINGS, IMAGES
+from master.config import MasterConfig
+from slave.config import SlaveConfig
+from teleop.app import cli
+from teleop.config import load
+from teleop.errors import UsageError
+from teleop.link import Link, LinkConfig
+from teleop.router.command import endpoints, protection
+from teleop.router.config import DEFAULT, RouterConfig
+from teleop.run_config import RunConfig
+from teleop.topics import Role
+from tests.conftest import ROOT
+from tests.system.processes import OURS, free_ports
+from tests.teleop.link.bench import wait_until
+
+TOPOLOGIES = sorted((ROOT / "configs" / "topologies").glob("*.yaml"))
+PAGE = (ROOT / "docs" / "topologies.md").read_text()
+
+
+def words(*overrides, listen=(), connect=(), config=None):
+    return argparse.Namespace(
+        config=config, overrides=list(overrides), listen=list(listen), connect=list(connect)
+    )
+
+
+def test_it_listens_where_options_config_or_sessions_say():
+    link = LinkConfig(routers=("127.0.0.1:1",))
+    assert endpoints(words(), LinkConfig()).listen == (DEFAULT,)
+    assert endpoints(words(), link).listen == ("127.0.0.1:1",)
+    stated = words('router.listen=["127.0.0.1:2"]', 'router.connect=["127.0.0.1:3"]')
+    assert endpoints(stated, link) == RouterConfig(("127.0.0.1:2",), ("127.0.0.1:3",))
+    assert endpoints(words(listen=["127.0.0.1:4"]), link).listen == ("127.0.0.1:4",)
+
+
+def test_off_loopback_it_must_have_keys(tmp_path):
+    far = RouterConfig(("10.0.0.5:7450",))
+    with pytest.raises(UsageError, match=r"router: off loopback, link\.keys"):
+        protection(LinkConfig(), far, None)
+    assert protection(LinkConfig(), far, tmp_path).keys == tmp_path
+    assert protection(LinkConfig(insecure=True), far, None).insecure
+    assert protection(LinkConfig(), RouterConfig((DEFAULT,)), None).keys is None
+
+
+@pytest.mark.parametrize("bad", ["tcp/127.0.0.1:1", "127.0.0.1", "0.0.0.0:7450"])
+def test_a_wrong_endpoint_is_one_line(bad):
+    with pytest.raises(UsageError, match=r"router\.listen\.0: "):
+        endpoints(words(f'router.listen=["{bad}"]'), LinkConfig())
+
+
+def test_the_command_says_where_it_is_and_who_comes(tmp_path):
+    (port,) = free_ports(1)
+    command = [sys.executable, "-m", "teleop", "router", "--listen", f"127.0.0.1:{port}"]
+    with subprocess.Popen(
+        [*command, "--json", str(tmp_path / "r.json")], stdout=subprocess.PIPE, text=True, env=OURS
+    ) as process:
+        assert f'link.routers: ["127.0.0.1:{port}"]' in process.stdout.readline()
+        with Link(LinkConfig(routers=(f"127.0.0.1:{port}",)), "room-1", Role.SLAVE):
+            assert process.stdout.readline() == "session room-1: slave joined\n"
+        assert process.stdout.readline() == "session room-1: slave left\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10.0) == 0
+    assert json.loads((tmp_path / "r.json").read_text())["sessions"] == ["room-1"]
+
+
+@pytest.mark.parametrize("path", TOPOLOGIES, ids=lambda path: path.stem)
+def test_the_config_of_a_topology_is_whole_and_on_the_page(path):
+    shared = load(path, RunConfig, None)
+    load(path, SlaveConfig, "slave").check_rate(shared.rate_hz)
+    load(path, MasterConfig, "master").check_rate(shared.rate_hz)
+    router = load(path, RouterConfig, "router")
+    assert set(shared.link.routers[:1]) >= set(router.listen[:1])
+    assert path.name in PAGE
+    assert (shared.link.keys is None) == (path.stem == "one-machine")
+
+
+def test_the_two_sites_of_the_wide_area_meet():
+    console, robot = (
+        load(ROOT / f"configs/topologies/wide-area-{side}.yaml", RouterConfig, "router")
+        for side in ("console", "robot")
+    )
+    assert set(robot.connect) <= set(console.listen)
+    assert not console.connect
+
+
+def test_drawings_are_those_of_the_script():
+    for name, draw in DRAWINGS.items():
+        assert (IMAGES / name).read_text() == draw()
+        assert f"images/{name}" in PAGE
+
+
+def test_commands_of_the_page_are_understood():
+    """Each is parsed with its options, and not run."""
+    found = re.findall(r"^ *(?:[\w-]+)?\$ +(teleop .*)$", PAGE, re.MULTILINE)
+    assert len(found) > 20
+    for line in found:
+        command = line.split()[1:]
+        cli.build_parser(command[0]).parse_args(command)
+
+
+def test_any_zenoh_router_takes_the_settings_of_the_page(tmp_path):
+    authority, keys = str(tmp_path / "authority"), tmp_path / "keys"
+    assert cli.main(["keys", "init", authority]) == 0
+    for role, session in (("slave", "a"), ("viewer", "a"), ("router", "all")):
+        issue = ["keys", "issue", authority, "--role", role, "--session", session]
+        assert cli.main([*issue, "--out", str(keys)]) == 0
+    (port,) = free_ports(1)
+    text = re.search(r"```json5\n(.*?)```", PAGE, re.DOTALL)[1]
+    text = text.replace("10.0.0.5:7450", f"127.0.0.1:{port}").replace("keys/", f"{keys}/")
+    path = Path(tmp_path / "router.json5")
+    path.write_text(text)
+    config = LinkConfig(routers=(f"127.0.0.1:{port}",), keys=keys)
+    with (
+        zenoh.open(zenoh.Config.from_file(str(path))),
+        Link(config, "a", Role.SLAVE) as slave,
+        Link(config, "a", Role.VIEWER) as viewer,
+    ):
+        wait_until(lambda: viewer.present(Role.SLAVE))
+        assert slave.credentials is not None

@@ -1,0 +1,168 @@
+"""Sessions of one user on one machine: each has its own place, and commands find them."""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from teleop import own_endpoints
+from teleop.app import cli
+from teleop.config import load
+from teleop.errors import PeerError, UsageError
+from teleop.run_config import RunConfig, load_shared
+from teleop.running_sessions import RunningSession, find, own_name, registered, running
+from tests.teleop.link.bench import wait_until
+
+_HOLDER = """
+import time
+from teleop.running_sessions import RunningSession, registered
+with registered(RunningSession(session="other", overrides=(), endpoints=())):
+    print("listed", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture(autouse=True)
+def runtime(tmp_path, monkeypatch):
+    """A folder of the user for the registry."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path / "tendon-teleop"
+
+
+def entry(session="a", port=20001, config=""):
+    link = {"master": f"127.0.0.1:{port}", "slave": f"127.0.0.1:{port + 1}"}
+    return RunningSession(
+        session=session,
+        overrides=(f"session={session}", f"link={json.dumps(link)}"),
+        endpoints=tuple(link.values()),
+        config=config,
+    )
+
+
+def words(*overrides, session=None, config=None):
+    return argparse.Namespace(session=session, config=config, overrides=list(overrides))
+
+
+def test_a_session_is_listed_while_it_runs(runtime):
+    with registered(entry("a")), registered(entry("b")):
+        assert {e.session for e in running()} == {"a", "b"}
+        assert runtime.stat().st_mode & 0o077 == 0
+    assert running() == []
+    assert list(runtime.iterdir()) == []
+
+
+def test_a_session_whose_process_was_killed_is_forgotten(runtime):
+    with subprocess.Popen([sys.executable, "-c", _HOLDER], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"listed\n"
+        assert [e.session for e in running()] == ["other"]
+        process.send_signal(signal.SIGKILL)
+    wait_until(lambda: running() == [])
+    assert list(runtime.iterdir()) == []
+
+
+def test_a_folder_where_others_may_write_is_not_believed(runtime):
+    runtime.mkdir()
+    (runtime / "x.1.json").write_text("{}")
+    runtime.chmod(0o777)
+    with registered(entry()):
+        assert running() == []
+    assert os.listdir(runtime) == ["x.1.json"]
+
+
+def test_without_a_runtime_folder_the_registry_is_one_of_the_user_below_tmp(monkeypatch, tmp_path):
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    with registered(entry()):
+        assert [e.session for e in running()] == ["a"]
+        assert (tmp_path / f"tendon-teleop-{os.getuid()}").is_dir()
+
+
+def test_a_command_joins_the_only_session_and_asks_which_of_several():
+    assert load_shared(words()).session == "demo"
+    with registered(entry("a", 20001)):
+        assert load_shared(words()).link.slave == "127.0.0.1:20002"
+        with registered(entry("b", 20005)):
+            with pytest.raises(UsageError, match=r"2 sessions are running: .*name one with"):
+                load_shared(words())
+            joined = words(session="b")
+            assert load_shared(joined).link.master == "127.0.0.1:20005"
+            assert load(None, RunConfig, None, joined.overrides).session == "b"
+            assert load_shared(words("session=b")).link.master == "127.0.0.1:20005"
+            elsewhere = load_shared(words("link.slave=127.0.0.1:9"))
+            assert (elsewhere.session, elsewhere.link.slave) == ("demo", "127.0.0.1:9")
+            assert load_shared(words(), join=False).session == "demo"
+
+
+def test_a_config_file_finds_the_session_that_was_started_with_it(tmp_path):
+    mine, other = tmp_path / "mine.yaml", tmp_path / "other.yaml"
+    for path in (mine, other):
+        path.write_text("rate_hz: 500\n")
+    with registered(entry("m", 20001, str(mine))), registered(entry("o", 20005, str(other))):
+        assert load_shared(words(config=mine)).session == "m"
+        assert load_shared(words(config=other)).session == "o"
+        assert find("m").config == str(mine)
+
+
+def test_a_session_that_does_not_run_here_is_named_with_those_that_do():
+    with registered(entry("a")), pytest.raises(UsageError, match=r"--session x: .*running: a\."):
+        load_shared(words(session="x"))
+
+
+def test_a_session_takes_a_name_and_endpoints_of_its_own(tmp_path):
+    path = tmp_path / "Two Arms.yaml"
+    path.write_text("rate_hz: 500\n")
+    runs = [load(path, RunConfig, None, own_endpoints.choose(path, [], None)) for _ in range(5)]
+    ends = [end for run in runs for end in (run.link.master, run.link.slave)]
+    assert len(set(ends)) == len(ends)
+    assert len({run.session for run in runs}) == len(runs)
+    assert all(run.session.startswith("two-arms-") for run in runs)
+    assert own_name("demo") != own_name("demo")
+
+
+def test_what_config_or_options_state_is_kept(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("session: bench\nimpair: {seed: 1}\n")
+    chosen = own_endpoints.choose(path, [], None)
+    assert {text.split("=")[0] for text in chosen} == {
+        "link.master", "link.slave", "impair.endpoint",
+    }  # fmt: skip
+    assert load(path, RunConfig, None, chosen).session == "bench"
+    assert own_endpoints.choose(None, ["link.master=127.0.0.1:9"], None) == []
+    named = own_endpoints.choose(path, [], "mine")
+    assert load(path, RunConfig, None, named).session == "mine"
+
+
+def test_a_name_is_given_once(tmp_path):
+    with (
+        registered(entry("bench")),
+        pytest.raises(PeerError, match="'bench' is running already"),
+    ):
+        own_endpoints.choose(None, ["session=bench"], None)
+
+
+def test_the_entry_leads_to_the_session_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "keys").mkdir()
+    chosen = own_endpoints.choose(None, ["link.keys=keys"], None)
+    run = load(None, RunConfig, None, ["link.keys=keys", *chosen])
+    with registered(own_endpoints.entry_of(run, None, None)):
+        monkeypatch.chdir("/")
+        joined = load_shared(words())
+    assert joined.link.keys == tmp_path / "keys"
+    assert (joined.session, joined.link.slave) == (run.session, run.link.slave)
+
+
+def test_the_command_lists_them(capsys, tmp_path):
+    assert cli.main(["sessions"]) == 0
+    assert capsys.readouterr().out == "no sessions running\n"
+    with registered(entry("a", config="/x/demo.yaml")):
+        assert cli.main(["sessions", "--json", str(tmp_path / "s.json")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"a  process {os.getpid()}  since ")
+    assert "127.0.0.1:20001" in out
+    assert json.loads(Path(tmp_path / "s.json").read_text())["sessions"][0]["session"] == "a"
