@@ -32,7 +32,8 @@ from teleop.link import Link
 from teleop.link.ping_pong import ping_pong
 from teleop.messages import Command, SlaveState
 from teleop.options import add_options
-from teleop.process import INTERRUPTED, Stop, folder, has_display, write_summary
+from teleop.output_file import SharedFolder
+from teleop.process import INTERRUPTED, Stop, has_display, write_summary
 from teleop.realtime import RealtimeConfig
 from teleop.ros.config import RosConfig, check_ports
 from teleop.run_config import RateChecked, RunConfig
@@ -66,7 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser, "--config", "--set", "--duration", "--view", "--calibration", "--model", "--json"
     )
-    parser.add_argument("--record", type=folder, metavar="DIR", help="record the session into DIR")
+    parser.add_argument(
+        "--record", type=SharedFolder(), metavar="DIR", help="record the session into DIR"
+    )
     parser.add_argument(
         "--replay", type=Path, metavar="DATA", help="measured data in place of the rig"
     )
