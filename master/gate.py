@@ -20,8 +20,14 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import compiled
 from master.hand_input import all_finite
+from teleop.bounds import Bound, check_bounds
 from teleop.messages import MAX_JOINTS
 
+BOUNDS = (
+    Bound("axis_max", 12.0, "N"),
+    Bound("total_max", 20.0, "N"),
+    Bound("slew_max", 5e3, "N/s"),
+)
 FADE_S = 0.015  # [s] within which the largest force on one axis is gone; 30 ms + this < 50 ms
 _DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
@@ -33,12 +39,14 @@ class GateConfig:
     axis_max: float = 3.0  # [N] on one axis; desktop haptic devices reach about 3 N
     total_max: float = 4.0  # [N] length of the force vector
     slew_max: float = 200.0  # [N/s] at which a force may grow
+    exceed_bounds: bool = False  # accept limits beyond those of docs/safety.md
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
         for name in ("axis_max", "total_max", "slew_max"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be above 0 and finite")
+        check_bounds(self, BOUNDS, self.exceed_bounds)
 
 
 class GateFlags(IntFlag):

@@ -18,7 +18,16 @@ from estimator.compiled import compiled
 from estimator.records import F64, Record, Records
 from slave.control.joint import JointEstimates
 from slave.tendons import RigLayout
+from teleop.bounds import Bound, check_bounds
 from teleop.config import MAY_BE_INFINITE
+
+BOUNDS = (
+    Bound("displacement_min", 0.5, "m"),
+    Bound("displacement_max", 0.5, "m"),
+    Bound("speed_max", 0.5, "m/s"),
+    Bound("tension_max", 300.0, "N"),
+    Bound("force_max", 300.0, "N"),
+)
 
 _DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
@@ -42,6 +51,7 @@ class GateConfig:
         default=math.inf, metadata=MAY_BE_INFINITE
     )
     yield_gain: float = 0.004  # [m/s/N] paying-out gain of a holding tendon above tension_max
+    exceed_bounds: bool = False  # accept limits beyond those of docs/safety.md
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
@@ -60,6 +70,7 @@ class GateConfig:
             raise ValueError("force_max: must be above 0 [N]")
         if not 0.0 <= self.yield_gain <= 1.0:
             raise ValueError("yield_gain: must be 0 to 1 [m/s/N]")
+        check_bounds(self, BOUNDS, self.exceed_bounds)
 
 
 class GateFlags(IntFlag):

@@ -10,12 +10,16 @@ from enum import IntEnum
 from typing import Any
 
 from teleop.messages import (
+    ENCAPSULATION,
     LAYOUT,
     MESSAGES,
     PHASE_NAMES,
     STAGE_NAMES,
     STATUS_NAMES,
     STOP_ACTIONS,
+    TEXT_BYTES,
+    EmergencyStop,
+    Head,
     Message,
 )
 from teleop.session import Reason, State
@@ -52,10 +56,12 @@ Every message begins with these fields.
 | byte | field | type | |
 |---|---|---|---|
 {fields}
+**Encapsulation header.** Bytes 0 to 3 are `{encapsulation}` in every message: CDR, little-endian.
+
 **Checksum.** CRC-32 as `zlib.crc32` computes it (IEEE 802.3: polynomial `04c11db7`, reflected
 `edb88320`, initial value and final exclusive or `ffffffff`), seeded with the CRC-32 of the
-message's name in ASCII. It covers bytes 8 to the end, that is, everything after the checksum
-itself. So it equals the CRC-32 of the name followed by these bytes:
+message's name in ASCII ([seeds](#seeds-and-sizes)). It covers bytes 8 to the end, that is,
+everything after the checksum itself. So it equals the CRC-32 of the name followed by these bytes:
 
 ```python
 def seal(name: str, message: bytearray) -> None:  # seal("Command", ...)
@@ -67,6 +73,41 @@ def seal(name: str, message: bytearray) -> None:  # seal("Command", ...)
 page its name, then one `type name` for each field, the head's included, each on a line of its own.
 Array types have their length: `float64[8] position`. In this version `{layout:08x}`; a message of
 another layout is dropped.
+
+## Write a message
+
+1. Take as many zero bytes as the message has; padding stays zero.
+2. Put the encapsulation header into bytes 0 to 3.
+3. Put each field at its byte, little-endian: those of the head but the checksum, then those of the
+   message. An element of an array follows the one before without a gap; text is UTF-8, one byte an
+   element, filled up with zeros.
+4. Put the checksum into bytes 4 to 7.
+5. Publish the bytes at the key `teleop/<session>/<topic>`.
+
+| type | bytes | `struct` of Python | |
+|---|---|---|---|
+{types}
+
+### Seeds and sizes
+
+| message | bytes | seed of the checksum |
+|---|---|---|
+{seeds}
+
+### An example
+
+{example_name} with these values (hexadecimal where in code type), all others zero:
+
+| byte | field | value |
+|---|---|---|
+{example_values}
+
+```text
+{example_bytes}
+```
+
+To stop the session `demo`, publish this at `teleop/demo/stop`, with a sender and a stamp of your
+own; from another sender, with another stamp, it has another checksum.
 
 ## A client of your own
 
@@ -85,6 +126,19 @@ Topics from the master or the slave are accepted from the announced process of t
 session has one of each; a newcomer first announces itself with `claim` in place of `held`
 (`teleop/link/presence.py`).
 """
+
+_TYPES = (  # of fields: ROS 2 name, meaning
+    ("uint8", "unsigned"),
+    ("uint32", "unsigned"),
+    ("uint64", "unsigned"),
+    ("int64", "two's complement"),
+    ("float64", "IEEE 754"),
+)
+
+_EXAMPLE = EmergencyStop(
+    role=int(Role.REMOTE), text=(*b"a switch by the door", *(0,) * (TEXT_BYTES - 20))
+)
+_EXAMPLE_HEAD = Head(0x0123456789ABCDEF, 1, 1_700_000_000_000_000_000)
 
 _HEAD_COMMENTS = {
     "checksum": "see below",
@@ -118,7 +172,7 @@ def page() -> str:
     lines.append("|---|---|---|---|---|")
     lines += map(_topic_row, TOPICS)
     head = "\n".join(_field_rows(MESSAGES[0], _HEAD_COMMENTS, slice(_HEAD_FIELDS)))
-    lines += ["", _HEAD_TEXT.format(fields=head + "\n", layout=LAYOUT)]
+    lines += ["", _HEAD_TEXT.format(fields=head + "\n", layout=LAYOUT, **_instructions())]
     lines += map(_section, MESSAGES)
     lines.append(_numbers())
     return "\n".join(lines).rstrip() + "\n"
@@ -136,6 +190,41 @@ def _topic_row(topic: Topic[Any]) -> str:
     kind = "live" if topic.live else "reliable"
     name = topic.message.__name__
     return f"| `{topic.name}` | [{name}](#{name.lower()}) | {sender} | {rate} | {kind} |"
+
+
+def _instructions() -> dict[str, str]:
+    """Return what the page says on writing a message: types, seeds and an example."""
+    wires = {wire.ros: wire for cls in MESSAGES for wire in cls.schema.wires.values()}
+    types = [f"| {t} | {wires[t].size} | `<{wires[t].code}` | {text} |" for t, text in _TYPES]
+    seeds = [f"| {c.__name__} | {c.schema.size} | `{c.schema.seed:08x}` |" for c in MESSAGES]
+    return {
+        "encapsulation": ENCAPSULATION.hex(" "),
+        "types": "\n".join(types),
+        "seeds": "\n".join(seeds),
+        "example_name": f"`{type(_EXAMPLE).__name__}`",
+        "example_values": "\n".join(_example_values()),
+        "example_bytes": hex_dump(_EXAMPLE.pack(*_EXAMPLE_HEAD)),
+    }
+
+
+def _example_values() -> list[str]:
+    """Return a table's rows of the example's fields that are not zero."""
+    offsets: Mapping[str, Any] = _EXAMPLE.schema.dtype.fields or {}
+    values = {"layout": f"`{LAYOUT:08x}`", "sender": f"`{_EXAMPLE_HEAD.sender:016x}`"}
+    values |= {name: str(getattr(_EXAMPLE_HEAD, name)) for name in ("sequence", "stamp_ns")}
+    for name, wire in list(_EXAMPLE.schema.wires.items())[_HEAD_FIELDS:]:
+        value = getattr(_EXAMPLE, name)
+        if wire.count > 1:
+            values[name] = f'"{bytes(value).rstrip(bytes(1)).decode()}"'
+        elif value:
+            values[name] = str(value)
+    return [f"| {offsets[name][1]} | `{name}` | {value} |" for name, value in values.items()]
+
+
+def hex_dump(data: bytes) -> str:
+    """Return bytes as lines of 16, each with the number of its first byte."""
+    starts = range(0, len(data), 16)
+    return "\n".join(f"{at:04x}  {data[at : at + 16].hex(' ')}" for at in starts)
 
 
 def _section(cls: type[Message]) -> str:

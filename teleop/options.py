@@ -4,21 +4,29 @@ import argparse
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
-from teleop.process import destination, seconds
+from teleop.output_file import OutputFile, OutputFolder
+from teleop.process import seconds
 
 ViewMode = Literal["native", "web", "rrd", "none"]
 
 
-def view_mode(text: str) -> ViewMode | Path:
-    """Read a mode of the view, or the name of a Rerun file to be written: `type` of an argument."""
-    for mode in get_args(ViewMode):
-        if text == mode:
-            return cast(ViewMode, mode)
-    if Path(text).suffix == ".rrd":
-        return destination(text)
-    raise argparse.ArgumentTypeError(
-        f"{text!r} is none of {', '.join(get_args(ViewMode))}, nor a file name that ends in .rrd"
-    )
+class ViewOutput(OutputFile):
+    """A mode of the view, or a Rerun file to be written: the `type` of an argument."""
+
+    def __call__(self, text: str) -> ViewMode | Path:
+        """Return the mode, or the path of the file."""
+        for mode in get_args(ViewMode):
+            if text == mode:
+                return cast(ViewMode, mode)
+        if Path(text).suffix == ".rrd":
+            return cast(Path, super().__call__(text))
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is none of {', '.join(get_args(ViewMode))}, nor a file name that ends in "
+            ".rrd"
+        )
+
+
+view_mode = ViewOutput()
 
 
 _OPTIONS: dict[str, dict[str, Any]] = {
@@ -52,7 +60,11 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "N",
         "help": "processes that work in parallel (default one for each processor)",
     },
-    "--json": {"type": destination, "metavar": "FILE", "help": "write the results to FILE as JSON"},
+    "--json": {
+        "type": OutputFile(),
+        "metavar": "FILE",
+        "help": "write the results to FILE as JSON",
+    },
     "--model": {
         "action": "append",
         "default": [],
@@ -60,7 +72,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "help": "model.yaml of `teleop diagnose --out`; replaces friction and stiffness from "
         "config or calibration; 1a=FILE for one tendon of several",
     },
-    "--out": {"type": Path, "metavar": "DIR", "help": "folder for the report"},
+    "--out": {"type": OutputFolder(), "metavar": "DIR", "help": "folder for the report"},
     "--quick": {"action": "store_true", "help": "less accurate, in less time"},
     "--session": {
         "metavar": "NAME",

@@ -1,7 +1,6 @@
 """What each of our processes does around its work: when to stop, and what it leaves."""
 
 import argparse
-import contextlib
 import ctypes
 import json
 import math
@@ -15,6 +14,7 @@ from types import FrameType
 from typing import Any
 
 from teleop.errors import TeleopError, UsageError
+from teleop.output_file import replacing
 
 _PR_SET_PDEATHSIG = 1
 
@@ -131,44 +131,6 @@ def seconds(text: str) -> float:
     return value
 
 
-def folder(text: str) -> str:
-    """Read the name of a folder to write into: the `type` of an argument."""
-    if not text:
-        raise argparse.ArgumentTypeError("the name of the folder is empty")
-    return text
-
-
-def destination(text: str) -> Path:
-    """Read the name of a file to be written: the `type` of an argument.
-
-    It is found out now, not after an hour of running, that no file can be written there.
-    """
-    path = Path(text)
-    try:
-        if path.is_dir():
-            raise argparse.ArgumentTypeError(f"{text!r} is a folder, not a file")
-        if not _is_special(path):
-            partial = _partial(path.resolve())
-            partial.touch()
-            partial.unlink()
-    except OSError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} cannot be written: {error.strerror}") from error
-    return path
-
-
-def make_folder(folder: Path, first: str) -> None:
-    """Make the folder of an `--out`, and see that the file `first` can be written there."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        destination(str(folder / first))
-    except (FileExistsError, NotADirectoryError) as error:
-        raise UsageError(f"--out {folder}: is a file, or in one; name a folder") from error
-    except OSError as error:
-        raise UsageError(f"--out {folder}: cannot be made: {error.strerror}") from error
-    except argparse.ArgumentTypeError as error:
-        raise UsageError(f"--out {folder}: {error}") from error
-
-
 def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
     """Write `summary` as JSON to `path`, whole or not at all; `UsageError` if that cannot be."""
     if path is not None:
@@ -178,27 +140,7 @@ def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
 def write_whole(path: str | Path, text: str, what: str) -> None:
     """Write `text` to `path`, whole or not at all; `UsageError` if that cannot be."""
     try:
-        target = Path(path)
-        if _is_special(target):
-            target.write_text(text)
-            return
-        target = target.resolve()  # a link stays one
-        partial = _partial(target)
-        try:
+        with replacing(Path(path)) as partial:
             partial.write_text(text)
-            partial.replace(target)
-        except OSError:
-            with contextlib.suppress(OSError):
-                partial.unlink()
-            raise
     except OSError as error:
         raise UsageError(f"{path}: {what} cannot be written: {error.strerror}") from error
-
-
-def _is_special(path: Path) -> bool:
-    """Return whether this is a pipe or a device, which is written to and never replaced."""
-    return path.exists() and not path.is_file()
-
-
-def _partial(path: Path) -> Path:
-    return path.with_name(f".{path.name[:200]}.{os.getpid()}.partial")

@@ -17,12 +17,13 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from slave.calibration import file
 from slave.calibration.file import Calibration, Direction, Value
 from slave.calibration.initialise import InitialiseResult, initialise
 from slave.calibration.refusals import tendon_name
-from slave.calibration.run import Progress, fast_ticks
+from slave.calibration.run import ProcedureData, Progress, fast_ticks
 from slave.config import SlaveConfig
 from slave.rig import Rig
 from slave.rigs import open_rig
@@ -32,7 +33,8 @@ from teleop.clock import Grid, Tick, now_ns
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.options import add_option, add_options
-from teleop.process import Stop, destination
+from teleop.output_file import FIGURES, OutputFile, UpdatedFile, parse, same_file, save_figure
+from teleop.process import Stop
 from teleop.realtime import go_realtime
 from teleop.run_config import RunConfig
 
@@ -60,13 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--out",
-        type=destination,
+        type=UpdatedFile(),
         metavar="FILE",
         help="the calibration (default <rig name>-calibration.yaml)",
     )
     parser.add_argument(
         "--figure",
-        type=destination,
+        type=OutputFile(*FIGURES),
         metavar="FILE.png",
         help="draw tension over motor travel, as in figure 6 of the paper",
     )
@@ -81,6 +83,7 @@ def main(args: argparse.Namespace) -> int:
             "slave.rig.type: a replayed rig cannot be calibrated; fit the data instead: teleop "
             "estimate DATA --fit --save FILE"
         )
+    figure = None if args.figure is None else drawing()
     stop = Stop()
     is_real = not isinstance(config.rig, SimulatedRigConfig)
     if is_real:
@@ -88,10 +91,10 @@ def main(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        out = args.out or destination(f"{rig.name}-calibration.yaml")
+        out = args.out or parse(UpdatedFile(), "--out", f"{rig.name}-calibration.yaml")
         joints = selected_joints(args.joint, len(rig.joints))
-        replaced = replaceable(out, args.config)
-        require_other(args.figure, (out, args.config))
+        replaced = replaceable(out, args.config, args.force)
+        require_other(args.figure, out)
         earlier = replaced or earlier_file(config, needed=bool(joints))
         start_ns, ticks = pace(shared.rate_hz, is_real)
         found = initialise(
@@ -109,8 +112,8 @@ def main(args: argparse.Namespace) -> int:
         if sys.stderr.isatty():
             print(file=sys.stderr)
     file.save(out, found.calibration)
-    if args.figure is not None:
-        draw(args.figure, found)
+    if figure is not None:
+        save_figure(figure(found.record, found.calibration), args.figure, dpi=150)
     print("\n".join(format_report(found, out, replaced)))
     return 0
 
@@ -123,30 +126,30 @@ def selected_joints(numbers: list[int], count: int) -> tuple[int, ...]:
     return tuple(sorted({number - 1 for number in numbers}))
 
 
-def replaceable(out: Path, config: Path | None) -> Calibration | None:
+def replaceable(out: Path, config: Path | None, force: bool) -> Calibration | None:
     """Return the calibration in `out` that will be replaced; None if there is no file.
 
-    Raises `UsageError` before the procedure starts if `out` is any other file.
+    Raises `UsageError` before the procedure starts if `out` is any other file, and not `force`.
     """
-    if config is not None and out.resolve() == config.resolve():
+    if config is not None and same_file(out, config):
         raise UsageError(f"{out}: this is the config file; choose another file with --out")
     if not out.is_file():
         return None
     try:
         return file.load(out)
     except UsageError as error:
+        if force:
+            return None
         raise UsageError(
-            f"{out}: exists and is not a calibration; choose another file with --out, or move "
-            "this one"
+            f"{out}: exists and is not a calibration; choose another file with --out, or replace "
+            "it with --force"
         ) from error
 
 
-def require_other(figure: Path | None, used: tuple[Path | None, ...]) -> None:
-    """Raise `UsageError` if the figure would overwrite the config or the calibration."""
-    if figure is not None and figure.resolve() in [one.resolve() for one in used if one]:
-        raise UsageError(
-            f"{figure}: this is the config or the calibration; choose another file with --figure"
-        )
+def require_other(figure: Path | None, out: Path) -> None:
+    """Raise `UsageError` if the figure would overwrite the calibration."""
+    if figure is not None and figure.resolve() == out.resolve():
+        raise UsageError(f"{figure}: this is the calibration; choose another file with --figure")
 
 
 def earlier_file(config: SlaveConfig, needed: bool) -> Calibration | None:
@@ -217,13 +220,13 @@ def _name(rig: Rig, progress: Progress) -> str:
     return tendon_name(progress.joint, count, progress.side % count)
 
 
-def draw(path: Path, found: InitialiseResult) -> None:
-    """Draw the measured loops."""
+def drawing() -> Callable[[ProcedureData, Calibration], Any]:
+    """Return what draws the measured loops; found out before any motor moves."""
     try:
         from slave.calibration.figure import figure
     except ImportError as error:
         raise UsageError(f"--figure: {error}; install matplotlib") from error
-    figure(found.record, found.calibration).savefig(path, dpi=150)
+    return figure
 
 
 def format_report(

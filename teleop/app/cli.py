@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from teleop import compile_cache
+from teleop import compile_cache, output_file
 from teleop.errors import TeleopError, UsageError
 from teleop.process import INTERRUPTED, die_with_launcher, interruption
 from teleop.realtime import limit_numeric_threads
@@ -98,6 +98,7 @@ def build_parser(command: str | None) -> argparse.ArgumentParser:
             implementation = importlib.import_module(module)
             sub.description = implementation.__doc__
             implementation.add_arguments(sub)
+            output_file.add_force(sub)
             sub.set_defaults(main=implementation.main)
     return parser
 
@@ -115,7 +116,9 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
         die_with_launcher()
         if command in COMPILED:
             compile_cache.choose()
-        args = build_parser(command).parse_args(words)
+        parser = build_parser(command)
+        args = parser.parse_args(words)
+        output_file.check(parser, args)
         args.command_line = shlex.join(["teleop", *words])
         begin()
         return int(args.main(args))

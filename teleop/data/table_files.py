@@ -13,12 +13,16 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from teleop.data import large_csv
 from teleop.errors import UsageError
+from teleop.output_file import replacing
 from teleop.topics import TENDONS
 
 Column = NDArray[Any]  # float64, or object if some cell is text
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mcap")
+
+LARGE = 4_000_000  # [bytes] from which on a CSV file is read in blocks
 
 _ROWS_AT_ONCE = 20_000
 _DAMAGE = (OSError, EOFError, zlib.error, UnicodeError, csv.Error)
@@ -50,14 +54,11 @@ def read_columns(path: Path) -> RawTable:
 def write_columns(path: Path, columns: Mapping[str, Column]) -> None:
     """Write columns of equal length atomically; the suffix decides the format."""
     check_destination(path)
-    partial = path.with_name(path.name + ".partial")
     try:
-        _WRITERS[_suffix(path)](partial, columns)
-        partial.replace(path)
+        with replacing(path) as partial:
+            _WRITERS[_suffix(path)](partial, columns)
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {_reason(error)}") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def check_destination(path: Path) -> None:
@@ -91,6 +92,24 @@ def _open_csv(path: Path) -> IO[str]:
 
 
 def _read_csv(path: Path) -> RawTable:
+    if path.stat().st_size >= LARGE:
+        columns = large_csv.read(path, _header)
+        if columns is not None:
+            return RawTable(columns, lambda row: f"line {_line_of(path, row)}")
+    return _read_any_csv(path)
+
+
+def _line_of(path: Path, row: int) -> int:
+    """Return the line of a row of a CSV file, both as people count: the header is line 1."""
+    with _open_csv(path) as file:
+        rows = csv.reader(file)
+        next(rows)
+        full = (rows.line_num for cells in rows if cells)
+        return next(itertools.islice(full, row, None))
+
+
+def _read_any_csv(path: Path) -> RawTable:
+    """Read a CSV file row by row, so that whatever is wrong in it is found with its line."""
     with _open_csv(path) as file:
         rows = csv.reader(file, strict=True)
         names = _header(path, next(rows, []))

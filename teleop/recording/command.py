@@ -16,7 +16,8 @@ from typing import Any
 from teleop.clock import now_ns
 from teleop.link import Link
 from teleop.options import add_options
-from teleop.process import Stop, folder, let_loops_first, supervised, write_summary
+from teleop.output_file import SharedFolder
+from teleop.process import Stop, let_loops_first, supervised, write_summary
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.run_config import load_section
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop record`."""
     add_options(parser, "--session", "--config", "--set", "--insecure", "--duration", "--json")
     parser.add_argument(
-        "--out", type=folder, metavar="DIR", help="record into DIR (default recordings)"
+        "--out", type=SharedFolder(), metavar="DIR", help="record into DIR (default recordings)"
     )
 
 
@@ -35,7 +36,7 @@ def main(args: argparse.Namespace) -> int:
     """Record until told to stop; returns the exit code."""
     run, config = load_section(args, RecordConfig, "record")
     if args.out:
-        config = dataclasses.replace(config, directory=args.out)
+        config = dataclasses.replace(config, directory=str(args.out))
     config_text = args.config.read_text() if args.config else ""
     let_loops_first()
     stop = Stop(args.duration)

@@ -12,12 +12,13 @@ its device is `{type: ros}`. See docs/ros.md.
 
 import argparse
 import time
-from pathlib import Path
 
 from teleop.link import Link
 from teleop.link.ros_session import router_listens
 from teleop.options import add_options
+from teleop.output_file import OutputFolder
 from teleop.process import Stop, let_loops_first, supervised, write_summary
+from teleop.recording.names import SCHEMA_PACKAGE
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.node import RosNode
 from teleop.ros.package import write_package
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--session", "--config", "--set", "--insecure", "--duration", "--json")
     parser.add_argument(
         "--package",
-        type=Path,
+        type=OutputFolder(SCHEMA_PACKAGE),
         metavar="DIR",
         help="write the ROS package of our messages into DIR, for colcon, and end",
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 from teleop.errors import UsageError
 from teleop.messages import MESSAGES, Message
 from teleop.messages_page import field_comments
+from teleop.process import write_whole
 from teleop.recording.names import SCHEMA_PACKAGE
 from teleop.ros.interface import interface_of
 
@@ -73,7 +74,7 @@ def write_package(folder: Path) -> Path:
         for name, text in package_files().items():
             path = root / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
+            write_whole(path, text, "the package")
     except OSError as error:
         raise UsageError(f"--package {folder}: cannot be written: {error.strerror}") from error
     return root

@@ -11,6 +11,7 @@ import argparse
 from pathlib import Path
 
 from teleop.errors import UsageError
+from teleop.output_file import NewFolder
 from teleop.recording.reader import open_recording
 from teleop.recording.replay import require_playable
 from teleop.ros.bag_writer import BagWriter
@@ -24,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     to_ros2 = works.add_parser("to-ros2", help="convert a recording to a rosbag2")
     to_ros2.add_argument("file", type=Path, metavar="FILE", help="the recording (.mcap)")
     to_ros2.add_argument(
-        "--out", type=Path, metavar="BAG", required=True, help="folder of the bag, a new one"
+        "--out", type=NewFolder(), metavar="BAG", required=True, help="folder of the bag, a new one"
     )
     to_ros2.add_argument(
         "--rate", type=float, metavar="HZ", help="at most HZ messages a second of a live topic"

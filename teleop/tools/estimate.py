@@ -34,11 +34,12 @@ from slave.rigs.joint_layout import joint_tendons
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.tendon_config import TendonConfig
 from teleop.config import as_tree, load
-from teleop.data.table import Columns, MeasuredTable, check_destination, read_table, write_table
+from teleop.data.table import Columns, MeasuredTable, read_table, write_table
 from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS, PHASE_NAMES
 from teleop.options import add_option, add_options
-from teleop.process import destination, write_summary
+from teleop.output_file import TABLES, OutputFile
+from teleop.process import write_summary
 from teleop.summary import force_line
 
 
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_option(model, name)
     fit = parser.add_argument_group("with --fit")
     fit.add_argument(
-        "--save", type=destination, metavar="FILE", help="write the fit as a calibration"
+        "--save", type=OutputFile(), metavar="FILE", help="write the fit as a calibration"
     )
     fit.add_argument(
         "--rig",
@@ -84,14 +85,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tendon to estimate, if data or model have several: joint and side (1a) or number "
         "(default the first)",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the estimates as a table")
+    parser.add_argument(
+        "--out",
+        type=OutputFile(*TABLES),
+        metavar="FILE",
+        help="write the estimates as a table",
+    )
 
 
 def main(args: argparse.Namespace) -> int:
     """Estimate and report the error; returns the exit code."""
     check_words(args)
-    if args.out is not None:
-        check_destination(args.out)
     files = model_files.parse(args.model)
     known, joints = ((), ()) if args.fit else load_models(args)
     k = select_tendon(args.tendon, joints, len(known))

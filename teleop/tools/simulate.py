@@ -23,9 +23,10 @@ from slave.config import SlaveConfig
 from slave.rigs.simulated.effect_text import describe_effect, late
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.config import load
-from teleop.data.table import Columns, check_destination, write_table
+from teleop.data.table import Columns, write_table
 from teleop.errors import UsageError
 from teleop.options import add_options
+from teleop.output_file import TABLES, OutputFile
 from teleop.tools.motion import MOTIONS, Keep, Motion, MotionSample, MotionState, Scale
 
 KEEP = 0.5  # [N] enough for a tendon not to go slack
@@ -47,7 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scale = Scale()
     parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="config file (YAML)")
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help=".csv, .csv.gz or .parquet"
+        "--out",
+        type=OutputFile(*TABLES),
+        required=True,
+        metavar="FILE",
+        help=".csv, .csv.gz or .parquet",
     )
     parser.add_argument(
         "--duration", type=float, default=30.0, metavar="S", help="duration [s] (default 30)"
@@ -93,7 +98,6 @@ def main(args: argparse.Namespace) -> int:
     for name in ("duration", "rate", "peak", "speed", "stroke", "period", "keep"):
         if not 0.0 < getattr(args, name) <= 1e5:
             raise UsageError(f"--{name} {getattr(args, name)}: must be above 0 and at most 100 000")
-    check_destination(args.out)
     config = _rig_config(args)
     if args.rate * config.period > 1.0 + 1e-9:
         raise UsageError(
@@ -101,7 +105,6 @@ def main(args: argparse.Namespace) -> int:
         )
     scale = Scale(args.peak, args.speed, args.stroke, args.period)
     motion = MOTIONS[args.profile](scale)
-    replaced = args.out.exists()
     SimulatedRig(config)  # compiles, outside the timed part
     began = time.perf_counter()
     run = simulate(
@@ -115,8 +118,6 @@ def main(args: argparse.Namespace) -> int:
     )
     took = time.perf_counter() - began
     write_table(args.out, table_of(run))
-    if replaced:
-        print(f"{args.out}: replaced the existing file")
     _print_summary(args, config, run, took)
     return 0
 

@@ -25,6 +25,7 @@ from typing import Any
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.options import ViewMode, add_options
+from teleop.output_file import OutputFile
 from teleop.process import (
     Stop,
     has_display,
@@ -62,7 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="surgeon, experiment or presentation layout (default view.layout of the config)",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="FILE.rrd", help="write a Rerun file, beside any other view"
+        "--out",
+        type=OutputFile(".rrd"),
+        metavar="FILE.rrd",
+        help="write a Rerun file, beside any other view",
     )
     parser.add_argument(
         "--foxglove", action="store_true", help="serve the live messages to the Foxglove app too"

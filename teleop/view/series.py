@@ -9,6 +9,7 @@ import rerun.blueprint as rrb
 
 from estimator.array_types import Array
 from teleop.errors import UsageError
+from teleop.output_file import replacing
 
 APPLICATION = "teleop"
 TIMELINE = "time"
@@ -49,10 +50,15 @@ def save(path: Path, name: str, columns: Sequence[Sequence[Panel]]) -> None:
         If the file cannot be written.
     """
     try:
-        with path.open("wb"):
-            pass
+        with replacing(path) as partial:
+            with partial.open("wb"):
+                pass
+            _save(partial, name, columns)
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _save(path: Path, name: str, columns: Sequence[Sequence[Panel]]) -> None:
     views = []
     with rr.RecordingStream(APPLICATION) as stream:
         stream.set_sinks(rr.FileSink(path))

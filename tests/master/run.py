@@ -20,7 +20,9 @@ from tests.master.records import message_record, message_records
 
 MS = 1_000_000
 EPOCH = 1_700_000_000 * 10**9
-CONFIG = MasterConfig(force=FeedbackConfig(scale=0.2, slew=1e6), gate=GateConfig(slew_max=1e6))
+CONFIG = MasterConfig(
+    force=FeedbackConfig(scale=0.2, slew=1e6), gate=GateConfig(slew_max=1e6, exceed_bounds=True)
+)
 DIRECT = Bilateral()
 
 

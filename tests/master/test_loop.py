@@ -275,7 +275,7 @@ def inputs(draw):
 @settings(max_examples=200, deadline=None)
 @given(st.lists(inputs(), min_size=1, max_size=60), st.booleans())
 def test_over_any_session_the_force_is_safe_and_a_fault_lasts_until_release(script, engaged):
-    run = Run(MasterConfig(gate=GateConfig(axis_max=1.5, slew_max=1e6)))
+    run = Run(MasterConfig(gate=GateConfig(axis_max=1.5, slew_max=4e3)))
     if engaged:
         run.engaged()
     faulted = False  # and the switch not open since

@@ -77,7 +77,7 @@ def true_model(data, tmp_path):
 
 def summary_of(tmp_path, *words):
     out = tmp_path / "summary.json"
-    assert cli.main(["estimate", *map(str, words), "--json", str(out)]) == 0
+    assert cli.main(["estimate", *map(str, words), "--json", str(out), "--force"]) == 0
     return json.loads(out.read_text())
 
 

@@ -12,13 +12,12 @@ from pathlib import Path
 import pytest
 
 from teleop.errors import TeleopError, UsageError
+from teleop.output_file import OutputFile
 from teleop.process import (
     SUPERVISED,
     Stop,
-    destination,
     die_with_launcher,
     die_with_parent,
-    folder,
     seconds,
     write_summary,
 )
@@ -48,30 +47,6 @@ def test_a_duration_counts_from_the_first_tick_however_long_setting_up_took(monk
     assert stop.reason == "duration reached"
 
 
-def test_an_impossible_destination_is_found_out_at_once(tmp_path):
-    (tmp_path / "file").touch()
-    for place, why in (
-        (tmp_path / "no" / "run.json", "No such file or directory"),
-        (tmp_path / "file" / "run.json", "Not a directory"),
-        (tmp_path, "is a folder"),
-        (Path("/proc/run.json"), "cannot be written"),
-    ):
-        with pytest.raises(argparse.ArgumentTypeError, match=why):
-            destination(str(place))
-    with pytest.raises(argparse.ArgumentTypeError):
-        destination("")
-    with pytest.raises(argparse.ArgumentTypeError):
-        folder("")
-
-
-def test_looking_at_a_destination_leaves_nothing(tmp_path):
-    (tmp_path / "old.json").write_text("old")
-    for name in ("old.json", "new.json"):
-        assert destination(str(tmp_path / name)) == tmp_path / name
-    assert [path.name for path in tmp_path.iterdir()] == ["old.json"]
-    assert (tmp_path / "old.json").read_text() == "old"
-
-
 def test_a_summary_replaces_the_old_one_whole(tmp_path):
     path, link = tmp_path / "run.json", tmp_path / "newest.json"
     link.symlink_to(path)
@@ -92,7 +67,7 @@ def test_a_summary_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_pat
 
 
 def test_a_device_is_written_to_and_stays_one():
-    assert destination("/dev/null") == Path("/dev/null")
+    assert OutputFile()("/dev/null") == Path("/dev/null")
     write_summary("/dev/null", {"ticks": 1})
     assert Path("/dev/null").is_char_device()
 

@@ -41,7 +41,7 @@ def blocked(tmp_path, sections):
 
 def summary_of(tmp_path, *words):
     out = tmp_path / "summary.json"
-    assert cli.main(["estimate", *map(str, words), "--json", str(out)]) == 0
+    assert cli.main(["estimate", *map(str, words), "--json", str(out), "--force"]) == 0
     return json.loads(out.read_text())
 
 

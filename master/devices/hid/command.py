@@ -32,7 +32,8 @@ from master.devices.hid.report_text import describe
 from master.devices.hid.search import FoundDevice
 from master.devices.hid.signs import ForceSign
 from teleop.errors import UsageError
-from teleop.process import seconds
+from teleop.output_file import OutputFile, UpdatedFile
+from teleop.process import seconds, write_whole
 from teleop.status_line import StatusLine
 
 PROBE_S, TEST_S = 2.0, 10.0  # [s] default durations
@@ -68,13 +69,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f"seconds to {purpose} (default {duration:g})",
         )
     _add_device(raw)
-    raw.add_argument("--out", type=Path, metavar="FILE", help="write it to a file")
+    raw.add_argument("--out", type=OutputFile(), metavar="FILE", help="write it to a file")
     test.add_argument(
         "--driver", choices=("auto", *DRIVERS), default="auto", help="driver to use (default auto)"
     )
     test.add_argument(
         "--signs",
-        type=Path,
+        type=UpdatedFile(),
         metavar="FILE",
         help="file of force signs (default ~/.config/tendon-teleop/force-signs.yaml; "
         "XDG_CONFIG_HOME replaces ~/.config)",
@@ -167,10 +168,7 @@ def save_dump(items: Sequence[AttachedNode], file: Path | None) -> None:
     if file is None:
         print(text, end="")
         return
-    try:
-        file.write_text(text)
-    except OSError as error:
-        raise UsageError(f"{file}: {error.strerror}") from error
+    write_whole(file, text, "the dump")
     print(f"written to {file}")
 
 

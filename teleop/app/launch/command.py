@@ -37,7 +37,8 @@ from teleop.link import Link
 from teleop.link.ping_pong import ping_pong
 from teleop.messages import Command, SlaveState
 from teleop.options import add_option, add_options
-from teleop.process import INTERRUPTED, Stop, folder, has_display, write_summary
+from teleop.output_file import SharedFolder
+from teleop.process import INTERRUPTED, Stop, has_display, write_summary
 from teleop.realtime import RealtimeConfig
 from teleop.ros.config import RosConfig, check_ports
 from teleop.run_config import RateChecked, RunConfig
@@ -82,7 +83,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--json",
     )
     add_option(parser, "--session", help="name of the session (default one of its own)")
-    parser.add_argument("--record", type=folder, metavar="DIR", help="record the session into DIR")
+    parser.add_argument(
+        "--record", type=SharedFolder(), metavar="DIR", help="record the session into DIR"
+    )
     parser.add_argument(
         "--replay", type=Path, metavar="DATA", help="measured data in place of the rig"
     )

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from teleop.errors import UsageError
+from teleop.output_file import FORCE
 from teleop.process import HEARTBEAT, STANDBY, SUPERVISED
 from teleop.view.ports import WEB_VIEW
 
@@ -113,7 +114,7 @@ class Supervisor:
     def _spawn(self, name: str, arguments: tuple[str, ...], standby: bool = False) -> Child:
         summary = self._scratch / f"{name}.json"
         process = subprocess.Popen(
-            [sys.executable, "-m", "teleop", name, *arguments, "--json", str(summary)],
+            [sys.executable, "-m", "teleop", name, *arguments, "--json", str(summary), FORCE],
             stdin=subprocess.PIPE if standby else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

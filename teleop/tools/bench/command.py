@@ -12,6 +12,7 @@
 import argparse
 import importlib
 
+from teleop import output_file
 from teleop.app.cli import Parser
 
 # name -> (module with add_arguments and main, summary); imported when run
@@ -62,4 +63,7 @@ def main(args: argparse.Namespace) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     implementation.add_arguments(parser)
-    return int(implementation.main(parser.parse_args(args.words)))
+    output_file.add_force(parser)
+    chosen = parser.parse_args(args.words)
+    output_file.check(parser, chosen)
+    return int(implementation.main(chosen))

@@ -36,7 +36,7 @@ def run_session(config: Path, seconds: float) -> Measured:
         master, slave = _free_ports(2)
         words = [
             *("--config", str(config), "--view", "none", "--duration", str(seconds)),
-            *("--json", str(out), "--set", f"session=bench-{os.getpid()}"),
+            *("--json", str(out), "--force", "--set", f"session=bench-{os.getpid()}"),
             *("--set", f"link.master=127.0.0.1:{master}"),
             *("--set", f"link.slave=127.0.0.1:{slave}"),
         ]

@@ -31,15 +31,16 @@ from teleop.data import model_file
 from teleop.data.table import MeasuredTable, read_table
 from teleop.errors import UsageError
 from teleop.options import add_option, add_options
+from teleop.output_file import OutputFolder, make_folder
 from teleop.parallel import processors
-from teleop.process import make_folder, write_summary, write_whole
+from teleop.process import write_summary, write_whole
+from teleop.progress import Progress
 from teleop.suggestions import did_you_mean
 from teleop.tools import estimate
 from teleop.tools.diagnose import acceptance, effect_choice, report_json
 from teleop.tools.diagnose.acceptance import ComparedParameter
 from teleop.tools.diagnose.channel_options import NamedColumns, channel_columns
 from teleop.tools.diagnose.noise_option import parse_noise
-from teleop.tools.report.progress import Progress
 
 TENSIONS = ("proximal_tension", "distal_tension")  # whose zero errors a diagnosis identifies
 
@@ -98,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--supplement",
-        type=Path,
+        type=OutputFolder(),
         metavar="DIR",
         help="folder for a supplement to a paper: a page with equations, figures as SVG, tables as "
         "CSV",

@@ -8,6 +8,7 @@ import matplotlib as mpl
 from estimator.diagnosis.figures import figures
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.drawing import STYLE
+from teleop.output_file import save_figure
 
 
 def draw(
@@ -23,6 +24,6 @@ def draw(
         for drawn in figures(found, files, further):
             file = f"diagnosis-{drawn.name}.{kind}"
             metadata = {"Date": None} if kind == "svg" else None
-            drawn.figure.savefig(folder / file, metadata=metadata)
+            save_figure(drawn.figure, folder / file, metadata=metadata)
             captions[file] = drawn.caption
     return captions

@@ -21,6 +21,7 @@ from estimator.text_table import Table
 from estimator.units import Units
 from teleop.citation import citations
 from teleop.data.table import write_table
+from teleop.output_file import replacing
 from teleop.process import write_whole
 from teleop.tools.diagnose import formulas
 from teleop.tools.report.page import Page
@@ -184,7 +185,10 @@ def autocorrelations(parts: dict[str, Autocorrelation], units: Units) -> Figure:
 def _add_table(page: Page, folder: Path, name: str, table: Table) -> None:
     """Add a table to the page, and write it beside it."""
     page.table(table, mark="")
-    with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+    with (
+        replacing(folder / f"{name}.csv") as path,
+        path.open("w", newline="", encoding="utf-8") as file,
+    ):
         csv.writer(file).writerows([table.head, *table.rows])
 
 

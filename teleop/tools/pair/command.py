@@ -19,11 +19,12 @@ from estimator.pair.pair_study import study_pair
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.options import add_options
-from teleop.process import make_folder, write_summary, write_whole
+from teleop.output_file import make_folder
+from teleop.process import write_summary, write_whole
+from teleop.progress import Progress
 from teleop.tools.pair import report_json
 from teleop.tools.pair.config import PairConfig
 from teleop.tools.pair.read import read
-from teleop.tools.report.progress import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

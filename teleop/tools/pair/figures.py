@@ -5,6 +5,7 @@ from pathlib import Path
 from estimator.drawing import styled
 from estimator.pair.figures import figures
 from estimator.pair.pair_study import PairStudy
+from teleop.output_file import save_figure
 
 
 def draw(found: PairStudy, folder: Path) -> dict[str, str]:
@@ -13,6 +14,6 @@ def draw(found: PairStudy, folder: Path) -> dict[str, str]:
     with styled():
         for drawn in figures(found):
             file = f"pair-{drawn.name}.png"
-            drawn.figure.savefig(folder / file)
+            save_figure(drawn.figure, folder / file)
             captions[file] = drawn.caption
     return captions

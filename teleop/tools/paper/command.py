@@ -18,8 +18,9 @@ from typing import TypeVar
 
 from teleop.errors import UsageError
 from teleop.options import add_option, add_options
+from teleop.output_file import make_folder
 from teleop.parallel import parallel_map, processors
-from teleop.process import make_folder, write_summary, write_whole
+from teleop.process import write_summary, write_whole
 from teleop.tools.paper import report
 from teleop.tools.paper.demonstration import SPECIMEN, Demonstration, demonstrate
 from teleop.tools.paper.methods import METHODS, OURS

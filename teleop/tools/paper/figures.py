@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estimator.drawing import BLACK, BLUE, GREEN, GREY, STYLE, VERMILION
+from teleop.output_file import save_figure
 from teleop.tools.paper import scoring
 from teleop.tools.paper.demonstration import Demonstration
 from teleop.tools.paper.methods import METHODS, OURS, PAPER, PAPER_AT_BEST
@@ -34,7 +35,7 @@ def draw(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[st
     with mpl.rc_context(STYLE):
         for name, (figure, caption) in _figures(shown, outcomes):
             file = f"experiment-{name}.png"
-            figure.savefig(folder / file)
+            save_figure(figure, folder / file)
             captions[file] = caption
     return captions
 

@@ -18,9 +18,10 @@ from typing import Any
 
 from teleop.errors import UsageError
 from teleop.options import add_option
+from teleop.output_file import make_folder
 from teleop.parallel import parallel_map, processors
-from teleop.process import make_folder, write_summary, write_whole
-from teleop.tools.report.progress import Progress
+from teleop.process import write_summary, write_whole
+from teleop.progress import Progress
 from teleop.tools.transparency import page, report, study
 from teleop.tools.transparency.study import COUPLINGS, Case, Study, Task
 

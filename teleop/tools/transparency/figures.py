@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from estimator.drawing import STYLE
+from teleop.output_file import save_figure
 from teleop.tools.transparency import llewellyn
 from teleop.tools.transparency.report import PARAMETERS, RIPPLE, TRUSTED, milliseconds, worst
 from teleop.tools.transparency.study import HANDS, Case, Study
@@ -42,7 +43,7 @@ def draw(study: Study, cases: list[Case], folder: Path) -> dict[str, str]:
     captions = {}
     with mpl.rc_context(STYLE):
         for name, figure, caption in _figures(study, cases):
-            figure.savefig(folder / f"{name}.png")
+            save_figure(figure, folder / f"{name}.png")
             captions[f"{name}.png"] = caption
     return captions
 

@@ -94,12 +94,14 @@ def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monke
     config, other = config_file(tmp_path, rig_config(SHORT)), tmp_path / "notes.yaml"
     other.write_text("of: mine")
     before = config.read_bytes()
-    new = tmp_path / "new.yaml"
+    new, drawn = tmp_path / "new.yaml", tmp_path / "new.png"
     for words, said in [
-        (["--out", config], "is the config"),
+        (["--out", config], "is an input"),
+        (["--out", config, "--force"], "is an input"),
         (["--out", other], "is not a calibration"),
-        (["--out", new, "--figure", config], "is the config or"),
-        (["--out", new, "--figure", new], "is the config or"),
+        (["--out", new, "--figure", config], "must end in one of"),
+        (["--out", drawn, "--figure", drawn], "is that of --out too"),
+        (["--figure", tmp_path / "x.foo"], "must end in one of .png"),
     ]:
         assert teleop("--config", config, *words) == 2
         line = capsys.readouterr().err
@@ -107,6 +109,7 @@ def test_nothing_but_a_calibration_is_written_over(done, tmp_path, capsys, monke
         assert len(line.splitlines()) == 1
     assert (config.read_bytes(), other.read_text()) == (before, "of: mine")
     assert not new.exists()
+    assert not drawn.exists()
 
 
 def test_every_setting_of_the_procedure_is_in_the_document_with_its_default():

@@ -2,7 +2,7 @@
 
 import io
 
-from teleop.tools.report.progress import WIDTH, Progress
+from teleop.progress import WIDTH, Progress
 
 
 class Terminal(io.StringIO):

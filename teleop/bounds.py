@@ -1,0 +1,29 @@
+"""Upper bounds of the limits in a config: what no rig or hand of this kind should be given.
+
+A limit protects only while it is near what it protects. So a gate's limits have bounds of their own
+(docs/safety.md), which a slip of the decimal point or a wrong unit exceeds; `exceed_bounds: true`
+beside them says that it is no slip.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Bound(NamedTuple):
+    """The bound of one limit: its magnitude may be `most` [unit], or infinite if that is none."""
+
+    name: str
+    most: float
+    unit: str
+
+
+def check_bounds(config: object, bounds: Sequence[Bound], exceed: bool) -> None:
+    """Raise `ValueError` for a limit beyond its bound, unless `exceed`."""
+    for name, most, unit in bounds:
+        value = abs(getattr(config, name))
+        if most < value < math.inf and not exceed:
+            raise ValueError(
+                f"{name}: must be at most {most:g} {unit} (docs/safety.md); check the unit, or set "
+                "exceed_bounds: true beside it"
+            )

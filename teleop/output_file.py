@@ -1,0 +1,259 @@
+"""What a command writes: named on the command line, checked before any work, never by accident.
+
+An option that names an output has one of the classes below as its `type`. What exists is refused
+unless `--force` is given, which `add_force` adds to every command with such an option. An output
+that is an input of the same command, by another name or a link too, is refused always. Files are
+written beside their name and renamed, so that an interrupted command leaves the old one.
+"""
+
+# ruff: noqa: ARG002 - one signature of `require` for all kinds of output
+
+import argparse
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from teleop.errors import UsageError
+
+TABLES = (".csv", ".csv.gz", ".parquet")
+FIGURES = (".png", ".pdf", ".svg")
+
+FORCE = "--force"
+
+
+class Output:
+    """The `type` of an option that names an output; `require` is asked when all is parsed."""
+
+    def __call__(self, text: str) -> Any:
+        """Return the path, if something can be written there.
+
+        Raises
+        ------
+        argparse.ArgumentTypeError
+            Nothing can, or the name does not end as it must.
+        """
+        if not text:
+            raise argparse.ArgumentTypeError("the name is empty")
+        return Path(text)
+
+    def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
+        """Raise `UsageError` if writing would overwrite anything that must not be."""
+        for one in inputs:
+            if same_file(one, path):
+                other = "" if str(one) == str(path) else f", as {one}"
+                raise UsageError(f"is an input of this command too{other}; name another file")
+
+
+class OutputFile(Output):
+    """A file, new unless `--force`; its name ends in one of `suffixes`, if there are any."""
+
+    def __init__(self, *suffixes: str) -> None:
+        self.suffixes = suffixes
+
+    def __call__(self, text: str) -> Any:
+        """Return the path; found out now, not after an hour of running."""
+        path = Path(text)
+        try:
+            if path.is_dir():
+                raise argparse.ArgumentTypeError(f"{text!r} is a folder, not a file")
+            if self.suffixes and not path.name.lower().endswith(self.suffixes):
+                ends = ", ".join(self.suffixes)
+                raise argparse.ArgumentTypeError(f"{text!r} must end in one of {ends}")
+            if not is_special(path):
+                partial = _partial(path.resolve())
+                partial.touch()
+                partial.unlink()
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise argparse.ArgumentTypeError(f"{text!r} cannot be written: {why}") from error
+        return path
+
+    def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
+        """Raise `UsageError` for an existing file without `--force`, and for an input."""
+        if is_special(path):
+            return
+        super().require(path, force, inputs)
+        if path.exists() and not force:
+            raise UsageError(f"exists; name another file, or replace it with {FORCE}")
+
+
+class UpdatedFile(OutputFile):
+    """A file of ours that the command reads, checks and updates: existing is as it should be."""
+
+    def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
+        """Raise `UsageError` for an input."""
+        super().require(path, True, inputs)
+
+
+class OutputFolder(Output):
+    """A folder of files, new or empty unless `--force`; `inside` it, if all go into one there."""
+
+    def __init__(self, inside: str = "") -> None:
+        self.inside = inside
+
+    def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
+        """Raise `UsageError` for a folder with files without `--force`, or with an input."""
+        folder = path / self.inside
+        if path.exists() and not path.is_dir():
+            raise UsageError("is a file; name a folder")
+        for one in inputs:
+            if folder.resolve() in one.resolve().parents:
+                raise UsageError(f"has {one} in it, an input of this command; name another folder")
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())) and not force:
+            where = f" ({folder})" if self.inside else ""
+            raise UsageError(
+                f"is not empty{where}; name a new folder, or replace its files with {FORCE}"
+            )
+
+
+class NewFolder(Output):
+    """A folder that must not exist, not even with `--force`."""
+
+    def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
+        """Raise `UsageError` for anything that exists."""
+        if path.exists():
+            raise UsageError("exists already; name a new folder")
+
+
+class SharedFolder(Output):
+    """A folder to which files are added, each under a name that no other has."""
+
+    def require(self, path: Path, force: bool, inputs: list[Path]) -> None:
+        """Raise `UsageError` for a file."""
+        if path.exists() and not path.is_dir():
+            raise UsageError("is a file; name a folder")
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add `--force` to a parser, and those below it, that have outputs."""
+    actions = list(parser._actions)
+    for action in actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for one in action.choices.values():
+                add_force(one)
+    if any(isinstance(action.type, Output) for action in actions):
+        parser.add_argument(FORCE, action="store_true", help="replace files that exist")
+
+
+def check(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """Check every output that is named in `args` against what exists and what is read.
+
+    Raises
+    ------
+    UsageError
+        It must not be overwritten; one line, with the option.
+    """
+    outputs = outputs_of(parser, args)
+    if not outputs:
+        return
+    values = {k: v for k, v in vars(args).items() if k not in {a.dest for a, _ in outputs}}
+    inputs = [path for value in values.values() for path in _named(value)]
+    force = bool(getattr(args, "force", False))
+    earlier: list[tuple[str, Path]] = []
+    for action, path in outputs:
+        option = action.option_strings[0]
+        try:
+            action.type.require(path, force, inputs)  # type: ignore[union-attr]
+        except UsageError as error:
+            raise UsageError(f"{option} {path}: {error}") from error
+        except OSError as error:
+            raise UsageError(f"{option} {path}: {error.strerror}") from error
+        for other, taken in earlier:
+            if not is_special(path) and path.resolve() == taken.resolve():
+                raise UsageError(f"{option} {path}: is that of {other} too; name another")
+        earlier.append((option, path))
+
+
+def outputs_of(
+    parser: argparse.ArgumentParser, args: argparse.Namespace
+) -> list[tuple[argparse.Action, Path]]:
+    """Return the options that name outputs, and the paths that `args` has for them."""
+    found = []
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            chosen = action.choices.get(str(getattr(args, action.dest, "")))
+            if chosen is not None:
+                found += outputs_of(chosen, args)
+        elif isinstance(action.type, Output):
+            path = getattr(args, action.dest, None)
+            if isinstance(path, Path):
+                found.append((action, path))
+    return found
+
+
+def parse(kind: Output, option: str, text: str) -> Path:
+    """Return the path of an output that has a default name; `UsageError` if it cannot be."""
+    try:
+        return Path(kind(text))
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(f"{option}: {error}") from error
+
+
+def make_folder(folder: Path, first: str) -> None:
+    """Make the folder of an `--out`, and see that the file `first` can be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        OutputFile()(str(folder / first))
+    except (FileExistsError, NotADirectoryError) as error:
+        raise UsageError(f"--out {folder}: is a file, or in one; name a folder") from error
+    except OSError as error:
+        raise UsageError(f"--out {folder}: cannot be made: {error.strerror}") from error
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(f"--out {folder}: {error}") from error
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a path to write to, which takes the place of `path` when all is written.
+
+    A link stays one; after an error, or an interruption, the old file is as it was.
+    """
+    if is_special(path):
+        yield path
+        return
+    target = path.resolve()
+    partial = _partial(target)
+    try:
+        yield partial
+        partial.replace(target)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def save_figure(figure: Any, path: Path, **how: Any) -> None:
+    """Write a figure of Matplotlib, whole or not at all; the suffix decides the format."""
+    with replacing(path) as partial:
+        figure.savefig(partial, format=path.suffix[1:].lower(), **how)
+
+
+def is_special(path: Path) -> bool:
+    """Return whether this is a pipe or a device, which is written to and never replaced."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(f".{path.name[:200]}.{os.getpid()}.partial")
+
+
+def same_file(one: Path, other: Path) -> bool:
+    """Return whether two paths are one file, links included."""
+    try:
+        return os.path.samefile(one, other)
+    except OSError:
+        return False
+
+
+def _named(value: Any) -> Iterator[Path]:
+    """Yield the existing files that an argument names, as `FILE` or `KEY=FILE`."""
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from _named(item)
+    elif isinstance(value, str | Path):
+        for text in (str(value), str(value).partition("=")[2]):
+            path = Path(text)
+            with contextlib.suppress(OSError, ValueError):
+                if text and path.is_file():
+                    yield path
