@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from teleop.errors import UsageError
+from teleop.process import print_warning
 from teleop.topics import TENDONS
 
 Column = NDArray[Any]  # float64, or object if some cell is text
@@ -193,7 +194,7 @@ def _read_recording(path: Path) -> RawTable:
         "bench_distal_tension": "distal_tension{}_N",
         "bench_distal_displacement": "distal_displacement{}_m",
     }
-    rows = reader.read_columns(path, TENDONS.name, ("tendons", "time_s", *fields))
+    rows = reader.read_columns(path, TENDONS.name, ("tendons", "time_s", *fields), print_warning)
     columns: dict[str, Column] = {"time_s": np.array(rows["time_s"])}
     for tendon in range(int(rows["tendons"].max())):
         number = "" if tendon == 0 else f"_{tendon + 1}"
