@@ -5,11 +5,12 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import IntFlag
 from typing import Any, ClassVar, TypeVar
 
 from estimator.records import Records
-from teleop.clock import Tick, TickStats, quiet_garbage
+from teleop.clock import Tick, TickStats, now_ns, quiet_garbage
 from teleop.coupling import LedgerPublisher
 from teleop.errors import PeerError, TeleopError
 from teleop.link import Counts, Link
@@ -80,6 +81,11 @@ class LoopProcess(ABC):
         verdicts = {str(self.verdict(bits).name): n for bits, n in self._verdicts.items()}
         return self._meter.summary(self._outline(), self._link.counts(), verdicts)
 
+    def publish_end(self) -> None:
+        """Publish the last report, from which a recorder sees whether it has everything."""
+        report = self._meter.last_report(now_ns(), self._outline(), self._link.counts())
+        self._link.publish(REPORT, replace(report, ended=1, sent=self._link.last_sequences()))
+
     def _end(self, error: TeleopError) -> None:
         """End the session; the first error is kept."""
         self.error = self.error or error
@@ -94,7 +100,7 @@ class LoopProcess(ABC):
         report = self._meter.report(stamp_ns, self._outline(), counts)
         if report is None:
             return False
-        self._link.publish(REPORT, report)
+        self._link.publish(REPORT, replace(report, sent=self._link.last_sequences()))
         try:
             self._link.check_peers()
         except PeerError as error:
@@ -116,6 +122,7 @@ def run(process: LoopProcess, clock: Iterable[Tick], stop_for: Callable[[str], N
                     stop_for(process.ended)
     finally:
         process.close()
+        process.publish_end()
 
 
 def run_session(

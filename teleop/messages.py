@@ -33,6 +33,7 @@ MAX_TENDONS = 2 * MAX_JOINTS
 MAX_SECTIONS = 16
 PROFILE_POINTS = 65
 TEXT_BYTES = 256
+TOPIC_SLOTS = 16  # room for the topics of `teleop.topics.TOPICS`
 
 # Names of TendonState.phase, as in the paper
 PHASE_NAMES = ("slack", "virgin", "pull", "pull to release", "release", "release to pull")
@@ -94,6 +95,8 @@ ProfilePoints = Annotated[tuple[float, ...], Wire("d", "float64", "<f8", PROFILE
 
 Stages = Annotated[tuple[int, ...], Wire("q", "int64", "<i8", len(STAGE_NAMES))]
 
+TopicCounts = Annotated[tuple[int, ...], Wire("Q", "uint64", "<u8", TOPIC_SLOTS)]
+
 TextBytes = Annotated[tuple[int, ...], Wire("B", "uint8", "u1", TEXT_BYTES)]
 
 # Field defaults, one per array type
@@ -104,6 +107,7 @@ NO_TENDON_FLAGS = (0,) * MAX_TENDONS
 NO_SECTIONS = (0.0,) * MAX_SECTIONS
 NO_PROFILE = (0.0,) * PROFILE_POINTS
 NO_STAGES = (0,) * len(STAGE_NAMES)
+NO_TOPICS = (0,) * TOPIC_SLOTS
 NO_TEXT = (0,) * TEXT_BYTES
 
 
@@ -370,7 +374,7 @@ class Event(Message):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopReport(Message):
-    """Master and slave to all, twice a second: timing of the loop and losses of the link."""
+    """Master and slave to all, twice a second and at the end: timing, losses, messages sent."""
 
     role: U32 = 0  # teleop.topics.Role of the sender
     state: U32 = 0  # teleop.session.State of the sender
@@ -392,6 +396,8 @@ class LoopReport(Message):
     lateness_max_ns: I64 = 0  # the latest tick since the loop began
     latency_p50_ns: I64 = 0  # command to force, over the last report's span (master only)
     latency_p99_ns: I64 = 0  # the same
+    ended: U32 = 0  # 1 = the last message of the sender
+    sent: TopicCounts = NO_TOPICS  # sequence of its last message of each topic, in their order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -58,8 +58,12 @@ class LoopMeter:
             return None
         periods = 1 + (stamp_ns - self._due_ns) // REPORT_PERIOD_NS  # several after a stall
         self._due_ns += periods * REPORT_PERIOD_NS
+        return self.last_report(stamp_ns, side, counts)
+
+    def last_report(self, stamp_ns: int, side: SessionOutline, counts: Counts) -> LoopReport:
+        """Return the report of the time since the last one, due or not."""
         stats = self._stats
-        rate_hz = (stats.ticks - self._ticks) * 1e9 / (stamp_ns - self._since_ns)
+        rate_hz = (stats.ticks - self._ticks) * 1e9 / max(stamp_ns - self._since_ns, 1)
         self._ticks, self._since_ns = stats.ticks, stamp_ns
         span = self.latency.take_span()
         self.work.take_span()

@@ -22,6 +22,7 @@ INTERRUPTED = 128 + signal.SIGINT  # exit code of a command that was told to end
 SUPERVISED = "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
 STANDBY = "TELEOP_STANDBY"  # set in the environment of a spare, which waits for a line to begin
 HEARTBEAT = "\x06"  # a line that says: not hung; the launcher does not print it
+STATUS = "\x05"  # begins a line for the launcher's status line
 
 
 def supervised() -> bool:
@@ -111,6 +112,11 @@ def die_with_launcher() -> None:
 def let_loops_first() -> None:
     """Lower the priority of this process: loops on the same processor go first."""
     os.nice(5)
+
+
+def print_warning(text: str) -> None:
+    """Print a warning in one line on standard error, which is not the output."""
+    print(f"WARNING: {text}", file=sys.stderr, flush=True)
 
 
 def has_display() -> bool:

@@ -36,7 +36,8 @@ HEAP_RESERVE = 8 << 20  # [B] touched beforehand and kept by malloc
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _MADV_DONTNEED = 4
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+_HEAPS = 2
 _LARGEST_IN_HEAP = 32 << 20  # [B] the highest threshold that glibc takes
 
 _THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -86,6 +87,16 @@ def go_realtime(config: RealtimeConfig = _DEFAULT) -> list[str]:
     if _lock_memory():
         granted.append("memory locked")
     return granted
+
+
+def share_heaps() -> None:
+    """Let all threads share few heaps: each own one keeps what a backlog took once.
+
+    To be called before there are threads.
+    """
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "mallopt"):
+        libc.mallopt(_M_ARENA_MAX, _HEAPS)
 
 
 def enter_loop(granted: list[str], config: RealtimeConfig = _DEFAULT) -> None:

@@ -89,9 +89,13 @@ def lines(summary: Mapping[str, Any], with_loops: bool = True) -> list[str]:
         out += impair_lines(impair)
     recorder = summary.get("record")
     if recorder:
-        gaps = sum(recorder["gaps"].values())
         total = sum(recorder["messages"].values())
-        out.append(f"recording {recorder['file']}: {total} messages, {gaps} gaps")
+        out.append(
+            f"recording {recorder['file']}: {total} messages, {recorder['missing']} missing, "
+            f"at most {recorder['lag_max_s']:.1f} s behind"
+        )
+    elif "record" in summary:
+        out.append("recording left no summary (killed?): its end is missing")
     return out
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from teleop.data import large_csv
 from teleop.errors import UsageError
 from teleop.output_file import replacing
+from teleop.process import print_warning
 from teleop.topics import TENDONS
 
 Column = NDArray[Any]  # float64, or object if some cell is text
@@ -212,7 +213,7 @@ def _read_recording(path: Path) -> RawTable:
         "bench_distal_tension": "distal_tension{}_N",
         "bench_distal_displacement": "distal_displacement{}_m",
     }
-    rows = reader.read_columns(path, TENDONS.name, ("tendons", "time_s", *fields))
+    rows = reader.read_columns(path, TENDONS.name, ("tendons", "time_s", *fields), print_warning)
     columns: dict[str, Column] = {"time_s": np.array(rows["time_s"])}
     for tendon in range(int(rows["tendons"].max())):
         number = "" if tendon == 0 else f"_{tendon + 1}"

@@ -29,7 +29,7 @@ from teleop.impair.direction import Direction
 from teleop.link.bridge import Bank, send_request
 from teleop.options import add_options
 from teleop.process import Stop, supervised, write_summary
-from teleop.realtime import go_realtime, limit_computing
+from teleop.realtime import go_realtime, limit_computing, share_heaps
 from teleop.run_config import RunConfig, load_shared
 from teleop.summary import impair_lines
 
@@ -122,6 +122,7 @@ class Proxy:
         counts = {name: direction.counts() for name, direction in self._directions.items()}
         return counts | {
             "waiting": len(self._queue),
+            "waiting_bytes": self._queue.held_bytes,
             "lateness_us": self._queue.lateness.percentiles(1e-3),
         }
 
@@ -184,6 +185,7 @@ def main(args: argparse.Namespace) -> int:
         print(json.dumps(answer, indent=2))
         return 0
     stop = Stop(args.duration)
+    share_heaps()
     # before the link: its threads inherit the priority
     granted = go_realtime(shared.realtime)
     sys.setswitchinterval(_SWITCH_S)

@@ -42,6 +42,11 @@ class DelayQueue:
     def __len__(self) -> int:
         return len(self._queue)
 
+    @property
+    def held_bytes(self) -> int:
+        """What the waiting messages take, at most `capacity_bytes`."""
+        return self._held_bytes
+
     def send(self, due_ns: int, put: Callable[[bytes], None], data: bytes) -> bool:
         """Schedule `put(data)` at `due_ns` of the machine's monotonic clock.
 

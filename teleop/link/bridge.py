@@ -87,10 +87,11 @@ class Bank:
         """Subscribe to `topic` on this side, or unsubscribe."""
         subscriber = self._subscribers.get(topic.name)
         if wanted and subscriber is None:
+            direct: Any = zenoh.handlers.Callback(  # no thread in between, which would queue too
+                lambda sample: handler(topic, sample.payload.to_bytes()), indirect=False
+            )
             self._subscribers[topic.name] = self._zenoh.declare_subscriber(
-                self._key(topic),
-                lambda sample: handler(topic, sample.payload.to_bytes()),
-                allowed_origin=self._remote,
+                self._key(topic), direct, allowed_origin=self._remote
             )
         elif not wanted and subscriber is not None:
             self._subscribers.pop(topic.name).undeclare()

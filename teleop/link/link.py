@@ -19,9 +19,9 @@ from teleop.link.presence import Stage, Token
 from teleop.link.protection import credentials_of
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.roster import Roster
-from teleop.messages import LAYOUT, Message
+from teleop.messages import LAYOUT, TOPIC_SLOTS, Message
 from teleop.packet import Packet
-from teleop.topics import Role, Topic
+from teleop.topics import TOPICS, Role, Topic
 
 M = TypeVar("M", bound=Message)
 
@@ -175,10 +175,14 @@ class Link:
         return latest
 
     def listen(self, topics: Iterable[Topic[Any]]) -> Listener:
-        """Return a queue of everything published on `topics` from now on."""
+        """Return a queue of everything published on `topics` from now on.
+
+        Without a thread in between: that would keep 256 samples a topic, with their buffers.
+        """
         listener = Listener(self._visit)
         for topic in topics:
-            subscriber = self._zenoh.declare_subscriber(self._key(topic), listener.store(topic))
+            direct = zenoh.handlers.Callback(listener.store(topic), indirect=False)
+            subscriber = self._zenoh.declare_subscriber(self._key(topic), direct)
             self._subscribers.append(subscriber)
         return listener
 
@@ -202,6 +206,12 @@ class Link:
     def counts(self) -> Counts:
         """Return the message counts of all latest-value topics together."""
         return sum((latest.counts for latest, _ in self._latest.values()), Counts())
+
+    def last_sequences(self) -> tuple[int, ...]:
+        """Return the sequence number of our last message of each of `TOPICS`, 0 = none."""
+        publishers = (self._publishers.get(topic.name) for topic in TOPICS)
+        numbers = [0 if publisher is None else publisher.sequence for publisher in publishers]
+        return (*numbers, *(0,) * (TOPIC_SLOTS - len(numbers)))
 
     def _key(self, topic: Topic[Any]) -> str:
         return f"teleop/{self.session}/{topic.name}"

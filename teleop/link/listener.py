@@ -47,11 +47,14 @@ class Listener:
         # copied at once: a payload keeps its whole receive buffer alive
         return lambda sample: put(topic, sample.payload.to_bytes(), now_ns())
 
-    def drain(self) -> list[ReceivedMessage]:
-        """Return the messages since the last call, oldest first, checked as by `Latest`."""
+    def drain(self, limit: int | None = None) -> list[ReceivedMessage]:
+        """Return the messages since the last call, oldest first, checked as by `Latest`.
+
+        With a `limit` at most so many are taken; the others wait for the next call.
+        """
         if not self._queue.has_arrivals:
             return []
-        arrivals, dropped = self._queue.take()
+        arrivals, dropped = self._queue.take(limit)
         for name, count in dropped.items():
             self._senders[name].overflowed_to(count)
         messages = []
@@ -60,6 +63,15 @@ class Listener:
             if head is not None:
                 messages.append(ReceivedMessage(topic, data, received_ns, *head))
         return messages
+
+    @property
+    def has_arrivals(self) -> bool:
+        """Whether messages wait."""
+        return self._queue.has_arrivals
+
+    def oldest_ns(self) -> int | None:
+        """Return when the oldest waiting message was received [ns]; None if none waits."""
+        return self._queue.oldest_ns()
 
     def counts(self, topic: Topic[Any]) -> Counts:
         """Return the message counts of `topic`, all senders together."""

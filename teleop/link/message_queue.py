@@ -2,12 +2,14 @@
 
 import threading
 from collections import deque
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from teleop.topics import Topic
 
 BACKLOG_S = 10.0  # [s] capacity for a topic at its expected rate
 CAPACITY_MIN = 256  # messages, for event topics
+ENTRY_BYTES = 300  # that a waiting message takes beside its own
 
 
 class Arrival(NamedTuple):
@@ -59,17 +61,33 @@ class MessageQueue:
             self._number += 1
             self.has_arrivals = True
 
-    def take(self) -> tuple[list[Arrival], dict[str, int]]:
-        """Return the waiting messages, oldest first, and the dropped messages per topic so far."""
+    def take(self, limit: int | None = None) -> tuple[list[Arrival], dict[str, int]]:
+        """Return the waiting messages, oldest first, and the dropped messages per topic so far.
+
+        With a `limit` only the oldest, at most so many and at least one.
+        """
         arrivals: list[Arrival] = []
         with self._lock:
             dropped = self._dropped.copy()
-            self.has_arrivals = False
-            for queue in self._queues.values():
-                arrivals += queue
-                queue.clear()
+            waiting = [queue for queue in self._queues.values() if queue]
+            if limit is None or sum(map(len, waiting)) <= limit:
+                for queue in waiting:
+                    arrivals += queue
+                    queue.clear()
+            else:
+                end = min(queue[0].number for queue in waiting) + limit
+                for queue in waiting:
+                    while queue and queue[0].number < end:
+                        arrivals.append(queue.popleft())
+            self.has_arrivals = any(waiting)
         arrivals.sort(key=_number)
         return arrivals, dropped
+
+    def oldest_ns(self) -> int | None:
+        """Return when the oldest waiting message was received [ns]; None if none waits."""
+        with self._lock:
+            heads = [queue[0].received_ns for queue in self._queues.values() if queue]
+        return min(heads, default=None)
 
     def dropped(self, topic: Topic[Any]) -> int:
         """Return how many messages of `topic` were dropped."""
@@ -80,6 +98,13 @@ def capacity_of(topic: Topic[Any]) -> int:
     """Return the capacity for a topic; twice as many if both sides publish it."""
     publishers = 2 if topic.publisher is None else 1
     return max(CAPACITY_MIN, round(BACKLOG_S * topic.rate_hz * publishers))
+
+
+def capacity_bytes(topics: Iterable[Topic[Any]]) -> int:
+    """Return the memory [bytes] that messages of `topics` take at most while they wait."""
+    return sum(
+        capacity_of(topic) * (topic.message.schema.size + 1 + ENTRY_BYTES) for topic in topics
+    )
 
 
 def _number(arrival: Arrival) -> int:

@@ -10,18 +10,28 @@ loops. The file (MCAP) opens in Foxglove, PlotJuggler, Rerun and Python: see doc
 import argparse
 import dataclasses
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from teleop.clock import now_ns
+from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.options import add_options
 from teleop.output_file import SharedFolder
-from teleop.process import Stop, let_loops_first, supervised, write_summary
+from teleop.process import Stop, supervised, write_summary
+from teleop.realtime import limit_computing
 from teleop.recording.config import RecordConfig
+from teleop.recording.priority import go_first
+from teleop.recording.progress import Progress
+from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
 from teleop.recording.writer import RecordingWriter
 from teleop.run_config import load_section
+from teleop.status_line import StatusLine
 from teleop.topics import TOPICS, Role
+
+SUPERVISED_GRACE_NS = 3_000_000_000  # the launcher stops us last: the sides have left, or soon will
+_YIELD_S = 0.001  # between two batches of a backlog: others get the processor
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,29 +48,42 @@ def main(args: argparse.Namespace) -> int:
     if args.out:
         config = dataclasses.replace(config, directory=str(args.out))
     config_text = args.config.read_text() if args.config else ""
-    let_loops_first()
+    granted = go_first(config.priority)
     stop = Stop(args.duration)
     with Link(run.link, run.session, Role.RECORDER) as link:
         listener = link.listen(TOPICS)
         writer = RecordingWriter(config, run.session, now_ns(), config_text, args.overrides)
         print(f"recording session {run.session!r} to {writer.path}", flush=True)
+        limit_computing(granted)
+        recorder, progress = Recorder(listener, writer, link.present), Progress(StatusLine())
+        missing = 0
         try:
             with writer:
-                stopping = False
-                while not stopping:
-                    time.sleep(config.drain_s)
-                    stopping = (
-                        stop()
-                    )  # checked before the last read, which gets all earlier messages
-                    messages = listener.drain()
-                    writer.note_dropped({topic.name: listener.dropped(topic) for topic in TOPICS})
-                    writer.write(messages, now_ns())
+                _record(recorder, writer, progress, stop, config.drain_s)
+                missing = recorder.finish()
         finally:
-            summary = summary_of(writer)
+            progress.clear()
+            summary = summary_of(writer) | {"scheduling": granted}
             write_summary(args.json, summary)
             if not supervised():
                 print("\n".join(lines(summary)))
+    if missing or writer.unfinished:
+        raise TeleopError(f"{writer.path}: {incomplete(summary)}")
     return 0
+
+
+def _record(
+    recorder: Recorder, writer: RecordingWriter, progress: Progress, stop: Stop, pause_s: float
+) -> None:
+    """Record until told to stop, then until everything that counts is written, however long."""
+    grace_ns = SUPERVISED_GRACE_NS if supervised() else GRACE_NS
+    stop_ns = 0
+    while not stop_ns or not recorder.is_done(stop_ns, now_ns(), grace_ns):
+        if stop() and not stop_ns:
+            stop_ns = now_ns()
+        written = recorder.step(now_ns)
+        progress.show(now_ns(), recorder.lag_ns, writer.gaps.total, draining=stop_ns > 0)
+        time.sleep(_YIELD_S if written == BATCH else pause_s)
 
 
 def summary_of(writer: RecordingWriter) -> dict[str, Any]:
@@ -71,8 +94,23 @@ def summary_of(writer: RecordingWriter) -> dict[str, Any]:
         "messages": dict(writer.messages),
         "gaps": writer.gaps.by_topic(),
         "dropped": dict(writer.dropped),
+        "missing": writer.gaps.total,
+        "unfinished": list(writer.unfinished),
+        "lag_max_s": writer.lag_max_s,
         "bytes": writer.bytes_written,
     }
+
+
+def incomplete(summary: Mapping[str, Any]) -> str:
+    """Return what a recording lacks, in words; empty if nothing."""
+    parts = []
+    if summary["missing"]:
+        by_topic = {topic: count for topic, count in summary["gaps"].items() if count}
+        counts = ", ".join(f"{count} {topic}" for topic, count in by_topic.items())
+        parts.append(f"{summary['missing']} messages are missing ({counts})")
+    if summary["unfinished"]:
+        parts.append(f"the end of the {' and '.join(summary['unfinished'])} may be missing")
+    return "; ".join(parts)
 
 
 def lines(summary: dict[str, Any]) -> list[str]:
@@ -86,6 +124,8 @@ def lines(summary: dict[str, Any]) -> list[str]:
     if summary["dropped"]:
         dropped = ", ".join(f"{count} {topic}" for topic, count in summary["dropped"].items())
         out.append(f"  dropped because the recorder was too slow: {dropped}; use a faster disk")
+    if lack := incomplete(summary):
+        out.append(f"  {lack}")
     if not summary["messages"]:
         out.append("  no messages in this session")
     return out

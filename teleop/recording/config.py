@@ -6,11 +6,12 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class RecordConfig:
-    """Folder of recordings and write intervals."""
+    """Folder of recordings, write intervals, scheduling."""
 
     directory: str = "recordings"  # created if missing; `--out` overrides it
     chunk_s: float = 0.1  # [s] messages are written to the file in chunks of this duration
     drain_s: float = 0.02  # [s] between two reads from the link
+    priority: int = 1  # SCHED_RR, below the loops (realtime.priority); 0: ordinary, after them
     compression: Literal["zstd", "lz4", "none"] = "zstd"
 
     def __post_init__(self) -> None:
@@ -20,3 +21,5 @@ class RecordConfig:
             raise ValueError(f"chunk_s: {self.chunk_s} s is outside 0.01 to 10 s")
         if not 0.001 <= self.drain_s <= 1:
             raise ValueError(f"drain_s: {self.drain_s} s is outside 0.001 to 1 s")
+        if not 0 <= self.priority <= 49:
+            raise ValueError(f"priority: {self.priority} is outside 0 to 49")

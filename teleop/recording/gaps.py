@@ -11,12 +11,14 @@ class Gaps:
 
     Each sender numbers the messages of a topic 0, 1, 2, ..., and the link delivers them in rising
     order; a skipped number is a lost message. Messages before the first or after the last received
-    one are not counted. A restarted process is a new sender, not a gap. Losses of dropped senders
-    are summed under `FORGOTTEN`.
+    one are not counted, unless `note_sent` says that there were some after it: these are counted by
+    `finish`. A restarted process is a new sender, not a gap. Losses of dropped senders are summed
+    under `FORGOTTEN`.
     """
 
     def __init__(self) -> None:
         self.lost: dict[tuple[str, int], int] = {}  # (topic, sender) -> messages
+        self._sent: dict[tuple[str, int], int] = {}  # the sender's own count
         self._next: dict[str, OrderedDict[int, int]] = {}  # topic -> sender -> number, oldest first
 
     def note(self, topic: str, sender: int, sequence: int) -> None:
@@ -30,7 +32,23 @@ class Gaps:
             oldest, _ = senders.popitem(last=False)
             forgotten = topic, FORGOTTEN
             lost = self.lost.pop((topic, oldest), 0)
+            self._sent.pop((topic, oldest), None)
             self.lost[forgotten] = self.lost.get(forgotten, 0) + lost
+
+    def note_sent(self, topic: str, sender: int, sequence: int) -> None:
+        """Note that a sender says that `sequence` is its last message of a topic so far.
+
+        Ignored while no message of them was received: the recording begins with the first.
+        """
+        if sender in self._next.get(topic, ()):
+            self._sent[topic, sender] = max(sequence, self._sent.get((topic, sender), 0))
+
+    def finish(self) -> None:
+        """Count as lost what senders sent after the last message received; once, at the end."""
+        for (topic, sender), sequence in self._sent.items():
+            expected = self._next[topic][sender]
+            self.lost[topic, sender] += max(0, sequence + 1 - expected)
+        self._sent.clear()
 
     @property
     def total(self) -> int:

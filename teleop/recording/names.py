@@ -6,6 +6,7 @@ SESSION_METADATA = "recording"  # session, start, message layout
 VERSIONS_METADATA = "versions"  # of the writing software
 GAPS_METADATA = "gaps"  # "<topic>/<sender>": lost messages; the last record of the name counts
 DROPPED_METADATA = "dropped"  # "<topic>": came, but the recorder was too slow; the last one counts
+END_METADATA = "end"  # how the recording ended: what is missing, largest lag, unfinished senders
 CONFIG_ATTACHMENT = "config.yaml"
 SCHEMA_PACKAGE = "tendon_teleop"
 

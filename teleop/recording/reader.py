@@ -1,10 +1,10 @@
 """Read recordings: contents, messages, and topics as numpy columns.
 
 A recording is read with its own message definitions, so other message layouts are readable too.
-From a truncated file all finished chunks are read.
+From a truncated file all finished chunks are read, from a damaged one those before the damage.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from teleop.recording.definition import dtype_of
 from teleop.recording.names import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
+    END_METADATA,
     GAPS_METADATA,
     SESSION_METADATA,
     VERSIONS_METADATA,
@@ -43,7 +44,8 @@ class RecordingInfo:
     """Contents of a recording."""
 
     path: Path
-    complete: bool  # closed properly; False = truncated, all finished chunks are readable
+    complete: bool  # closed properly; False = truncated or damaged, `shortfall` says so
+    shortfall: str  # what is wrong with the file and what could be read, one line; "" = nothing
     session: str  # "" = unknown
     layout: int | None  # CRC-32 of the message declarations it was made with, None = unknown
     versions: dict[str, str]
@@ -52,6 +54,7 @@ class RecordingInfo:
     messages: dict[str, int]  # per topic
     lost: dict[str, int]  # per topic: sent, but not recorded
     dropped: dict[str, int]  # per topic: received, but the recorder was too slow to write them
+    unfinished: tuple[str, ...]  # sides that went without saying how much they sent
     first_ns: int  # log time of the first message, 0 = there is none
     last_ns: int
 
@@ -60,9 +63,22 @@ class RecordingInfo:
         """Time [s] from the first message to the last."""
         return (self.last_ns - self.first_ns) * 1e-9
 
+    @property
+    def doubts(self) -> list[str]:
+        """What the file lacks, in lines of text; none if it is whole."""
+        out = [self.shortfall] if self.shortfall else []
+        if lost := {topic: count for topic, count in self.lost.items() if count}:
+            counts = ", ".join(f"{count} {topic}" for topic, count in lost.items())
+            out.append(f"{self.path}: {sum(lost.values())} messages are missing ({counts})")
+        if self.unfinished:
+            out.append(
+                f"{self.path}: the end of the {' and '.join(self.unfinished)} may be missing"
+            )
+        return out
+
 
 def open_recording(path: str | Path) -> RecordingInfo:
-    """Return the contents of a recording; `RecordingError` if the file is invalid or damaged."""
+    """Return the contents of a recording; `RecordingError` if nothing of it can be read."""
     scan = Scan(Path(path))
     counts: dict[int, int] = {}
     first, last = 0, 0
@@ -76,6 +92,8 @@ def open_recording(path: str | Path) -> RecordingInfo:
     for channel, count in counts.items():
         topic = topic_in(scan.channel(channel))
         messages[topic] = messages.get(topic, 0) + count
+    if scan.damage and not messages:
+        raise RecordingError(f"{path}: is damaged {scan.damage}; nothing could be read")
     head = scan.metadata.get(SESSION_METADATA, {})
     try:
         lost = dict.fromkeys(messages, 0)
@@ -90,6 +108,9 @@ def open_recording(path: str | Path) -> RecordingInfo:
     return RecordingInfo(
         path=scan.path,
         complete=scan.complete,
+        shortfall=scan.shortfall(
+            f"{sum(messages.values())} messages, {(last - first) * 1e-9:.1f} s"
+        ),
         session=head.get("session", ""),
         layout=layout,
         versions=scan.metadata.get(VERSIONS_METADATA, {}),
@@ -98,6 +119,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
         messages=messages,
         lost=lost,
         dropped=dropped,
+        unfinished=tuple(scan.metadata.get(END_METADATA, {}).get("unfinished", "").split()),
         first_ns=first,
         last_ns=last,
     )
@@ -118,9 +140,14 @@ def read_messages(
 
 
 def read_columns(
-    path: str | Path, topic: str, names: Sequence[str] | None = None
+    path: str | Path,
+    topic: str,
+    names: Sequence[str] | None = None,
+    doubt: Callable[[str], None] | None = None,
 ) -> NDArray[np.void]:
     """Return all messages of one topic as a structured array, one row per message.
+
+    Of a truncated or damaged file those that can be read.
 
     Parameters
     ----------
@@ -130,6 +157,8 @@ def read_columns(
         Name of the topic, as in `teleop.topics`.
     names : sequence of str, optional
         The fields to read; fewer fields take less memory. All by default.
+    doubt : callable, optional
+        Called with one line if the file is truncated or damaged.
 
     Returns
     -------
@@ -140,7 +169,7 @@ def read_columns(
     Raises
     ------
     RecordingError
-        If the file is not a recording, is damaged, or has no such topic or field.
+        If the file is not a recording, or has no such topic or field.
     """
     scan = Scan(Path(path))
     parts: list[NDArray[np.void]] = []
@@ -152,12 +181,16 @@ def read_columns(
             if channel in wanted
         ]
         if pieces:
-            rows = _rows(pieces, _row_dtype(scan, wanted, topic), scan.path, topic)
-            parts.append(rows if names is None else _selected(rows, names, scan.path, topic))
+            piece = _rows(pieces, _row_dtype(scan, wanted, topic), scan.path, topic)
+            parts.append(piece if names is None else _selected(piece, names, scan.path, topic))
     if not parts:
         present = ", ".join(sorted(map(topic_in, scan.channels.values()))) or "none at all"
-        raise RecordingError(f"{path}: no messages of topic {topic!r}; it has {present}")
-    return np.concatenate(parts)
+        damage = f"; it is damaged {scan.damage}" if scan.damage else ""
+        raise RecordingError(f"{path}: no messages of topic {topic!r}; it has {present}{damage}")
+    rows = np.concatenate(parts)
+    if doubt is not None and (said := scan.shortfall(f"{len(rows)} {topic} messages")):
+        doubt(said)
+    return rows
 
 
 def _row_dtype(scan: Scan, wanted: set[int], topic: str) -> np.dtype[np.void]:

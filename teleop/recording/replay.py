@@ -27,7 +27,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages import LAYOUT
 from teleop.options import add_options
-from teleop.process import Stop
+from teleop.process import Stop, print_warning
 from teleop.recording.readdress import Readdress
 from teleop.recording.reader import RecordingInfo, open_recording, read_messages
 from teleop.recording.scan import RecordingError
@@ -83,6 +83,7 @@ def main(args: argparse.Namespace) -> int:
             view = stack.enter_context(viewing(args))
             wait_for_view(view, links[Role.MASTER])
         status.say(f"playing {info.seconds:.1f} s as session {session!r}{how}")
+        print_doubts(info)
         player = Player(info, args.speed, links)
         stack.callback(status.clear)
         for number in itertools.count() if args.loop else (0,):
@@ -173,6 +174,12 @@ class Player:
         again = f", pass {number + 1}" if number else ""
         late = f", {late_s:.1f} s late" if late_s > _LOOK_S else ""
         show(f"{at_s:.1f} of {self._info.seconds:.1f} s{again}{late}")
+
+
+def print_doubts(info: RecordingInfo) -> None:
+    """Print what a recording lacks, one line each."""
+    for line in info.doubts:
+        print_warning(line)
 
 
 def require_playable(info: RecordingInfo) -> None:

@@ -45,19 +45,34 @@ class Scan:
     """The pass; records other than messages are collected in its fields."""
 
     path: Path
-    complete: bool = False  # the end of the file was read; False = truncated
+    complete: bool = False  # the end of the file was read; False = truncated or damaged
+    damage: str = ""  # where and what; nothing behind it was read
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # the last of each name
     attachments: dict[str, bytes] = field(default_factory=dict)
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the blocks in the order of the file, up to its end or truncation."""
+        """Yield the blocks in the order of the file, up to its end, truncation or damage."""
         try:
             with self.path.open("rb") as file:
                 yield from self._blocks(file, self.path.stat().st_size)
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from error
+
+    def shortfall(self, read: str) -> str:
+        """Return what is wrong with a file of which `read` was read, in one line; empty if nothing.
+
+        Known once `blocks` has ended.
+        """
+        if self.complete:
+            return ""
+        if self.damage:
+            return f"{self.path}: is damaged {self.damage}; up to there {read} could be read"
+        return (
+            f"{self.path}: is truncated, its recorder was killed or still writes; {read} could "
+            "be read"
+        )
 
     def channel(self, number: int) -> records.Channel:
         """Return the channel of a message."""
@@ -78,7 +93,10 @@ class Scan:
             if opcode == Opcode.DATA_END:
                 stated = int.from_bytes(body[:4], "little")
                 if stated not in (0, checksum):
-                    raise RecordingError(f"{self.path}: is damaged: its checksum is wrong")
+                    raise RecordingError(
+                        f"{self.path}: is damaged: the checksum of the file is wrong, and each "
+                        "part's own does not say where; nothing was read"
+                    )
             elif opcode == Opcode.FOOTER:
                 self.complete = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
                 return
@@ -86,9 +104,8 @@ class Scan:
             try:
                 block = self._take(opcode, body)
             except Exception as error:  # each decompressor has its own exceptions
-                raise RecordingError(
-                    f"{self.path}: is damaged before byte {at}: {error}"
-                ) from error
+                self.damage = f"before byte {at}: {error}"
+                return
             if block.messages:
                 yield block
 

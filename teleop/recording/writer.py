@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, NoReturn, Self, cast
 
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
@@ -20,12 +20,13 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages import LAYOUT
 from teleop.process import supervised
-from teleop.recording.chunk_indices import ChunkIndices
+from teleop.recording.chunk_indices import ChunkIndices, MetadataIndices
 from teleop.recording.config import RecordConfig
 from teleop.recording.gaps import Gaps
 from teleop.recording.names import (
     CONFIG_ATTACHMENT,
     DROPPED_METADATA,
+    END_METADATA,
     GAPS_METADATA,
     SCHEMA_PACKAGE,
     SESSION_METADATA,
@@ -78,6 +79,8 @@ class RecordingWriter:
     ) -> None:
         self.messages: dict[str, int] = {}  # topic -> messages in the file
         self.gaps = Gaps()
+        self.lag_max_s = 0.0  # [s] the longest that a message waited to be written
+        self.unfinished: tuple[str, ...] = ()  # roles that went without saying how much they sent
         self.dropped: dict[str, int] = {}  # topic -> messages dropped before reading
         self.first_ns = self.last_ns = 0  # when the first and the last of them were received
         self._taken: dict[str, int] = {}  # topic -> messages in the file or on the way there
@@ -93,8 +96,10 @@ class RecordingWriter:
             compression=_COMPRESSION[config.compression],
             enable_data_crcs=True,
         )
-        # a private list of mcap, without alternative; a test checks that it is used
-        vars(self._mcap)["_Writer__chunk_indices"] = ChunkIndices()
+        # private lists of mcap, without alternative; a test checks that they are used
+        self._indices = ChunkIndices(self.path.parent)
+        vars(self._mcap)["_Writer__chunk_indices"] = self._indices
+        vars(self._mcap)["_Writer__metadata_indexes"] = MetadataIndices()
         self._mcap.start(profile=Profile.ROS2, library=f"tendon-teleop {_version('tendon-teleop')}")
         started = datetime.fromtimestamp(started_ns * 1e-9, UTC).isoformat(timespec="milliseconds")
         self._mcap.add_metadata(
@@ -149,7 +154,7 @@ class RecordingWriter:
             self._span_ns = (self._span_ns[0] or item.received_ns, item.received_ns)
         if now_ns - self._committed_ns >= self._chunk_ns:
             self._committed_ns = now_ns
-            self._mcap.flush()
+            self._flush()
             if self.gaps.total != self._noted_loss or self.dropped != self._noted_drops:
                 self._note_gaps()
             self._commit()
@@ -159,11 +164,21 @@ class RecordingWriter:
         if self._file.closed:
             return
         try:
-            self._mcap.flush()
+            self._flush()
+            self.gaps.finish()
             self._note_gaps()
+            self._mcap.add_metadata(
+                END_METADATA,
+                {
+                    "missing": str(self.gaps.total),
+                    "lag_max_s": f"{self.lag_max_s:.3f}",
+                    "unfinished": " ".join(self.unfinished),
+                },
+            )
             self._mcap.finish()
             self._commit()
         finally:
+            self._indices.close()
             self._file.close()
 
     def __enter__(self) -> Self:
@@ -194,17 +209,27 @@ class RecordingWriter:
             self._mcap.add_metadata(DROPPED_METADATA, {t: str(n) for t, n in self.dropped.items()})
         self._noted_drops = self.dropped
 
+    def _flush(self) -> None:
+        try:
+            self._mcap.flush()
+        except OSError as error:  # of the file of indices
+            self._give_up(error)
+
     def _commit(self) -> None:
         try:
             self._file.commit()
         except OSError as error:
-            self._file.close()
-            raise TeleopError(
-                f"{self.path}: write failed: {error.strerror}; earlier data are kept; free some "
-                f"space or choose another {option()}"
-            ) from error
+            self._give_up(error)
         self.messages = dict(self._taken)
         self.first_ns, self.last_ns = self._span_ns
+
+    def _give_up(self, error: OSError) -> NoReturn:
+        self._indices.close()
+        self._file.close()
+        raise TeleopError(
+            f"{self.path}: write failed: {error.strerror}; earlier data are kept; free some "
+            f"space or choose another {option()}"
+        ) from error
 
 
 class _WholeWrites:

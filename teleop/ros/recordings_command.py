@@ -13,7 +13,7 @@ from pathlib import Path
 from teleop.errors import UsageError
 from teleop.output_file import NewFolder
 from teleop.recording.reader import open_recording
-from teleop.recording.replay import require_playable
+from teleop.recording.replay import print_doubts, require_playable
 from teleop.ros.bag_writer import BagWriter
 from teleop.ros.graph import is_name
 from teleop.ros.to_bag import convert
@@ -41,6 +41,7 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError(f"--prefix {args.prefix}: must be a name such as /lab")
     info = open_recording(args.file)
     require_playable(info)
+    print_doubts(info)
     with BagWriter(args.out) as bag:
         convert(info, bag, args.prefix, 0.0 if args.rate is None else 1.0 / args.rate)
     total = sum(bag.counts.values())

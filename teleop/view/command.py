@@ -35,7 +35,7 @@ from teleop.process import (
     write_summary,
 )
 from teleop.recording.reader import open_recording
-from teleop.recording.replay import require_playable
+from teleop.recording.replay import print_doubts, require_playable
 from teleop.run_config import RunConfig, load_section
 from teleop.topics import TOPICS, Role
 from teleop.view.config import LAYOUTS, ViewConfig
@@ -83,7 +83,9 @@ def main(args: argparse.Namespace) -> int:
     if saved:
         require_viewer(args.file, mode, out)
     elif args.file is not None:
-        require_playable(open_recording(args.file))
+        info = open_recording(args.file)
+        require_playable(info)
+        print_doubts(info)
     if not wait_in_standby():
         return 0
     stop = Stop(args.duration)

@@ -45,7 +45,9 @@ def loop(ticks=1000, latencies=0):
 
 
 def test_the_summary_of_a_session_in_words():
-    recorder = {"file": "a.mcap", "messages": {"state": 5, "hand": 6}, "gaps": {"state": 1}}
+    recorder = {
+        "file": "a.mcap", "messages": {"state": 5, "hand": 6}, "missing": 1, "lag_max_s": 0.4,
+    }  # fmt: skip
     ping = {"p50_ms": 0.1, "p99_ms": 0.2, "p99_9_ms": 0.3}
     slave = loop() | {"force_error": None}
     whole = {"slave": slave, "master": loop(latencies=9), "record": recorder, "ping_pong": ping}
@@ -57,7 +59,7 @@ def test_the_summary_of_a_session_in_words():
         "command to force p50 2.00 ms",
         "ping-pong, same sizes: p50 0.10 ms",
         "no distal tension measured",
-        "a.mcap: 11 messages, 1 gaps",
+        "a.mcap: 11 messages, 1 missing, at most 0.4 s behind",
     ):
         assert words in text
 

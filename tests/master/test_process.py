@@ -16,6 +16,7 @@ from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Latest, ReceivedMessage
 from teleop.loop_process import run
 from teleop.messages import (
+    NO_TOPICS,
     STAGE_NAMES,
     Command,
     EmergencyStop,
@@ -70,6 +71,9 @@ class DeviceConnection:
 
     def skip_unsubscribed(self, _topic):
         return False
+
+    def last_sequences(self):
+        return NO_TOPICS
 
     def publish_packet(self, topic, packet):
         stamp = now_ns()

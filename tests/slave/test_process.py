@@ -18,7 +18,15 @@ from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Latest, ReceivedMessage
 from teleop.loop_process import run
-from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
+from teleop.messages import (
+    MAX_JOINTS,
+    NO_TOPICS,
+    Command,
+    EmergencyStop,
+    padded,
+    text_bytes,
+    text_of,
+)
 from teleop.remote.requests import CALL, RESET, RequestListener
 from teleop.session import Reason, State, outline
 from teleop.topics import (
@@ -63,6 +71,9 @@ class FakeLink:
 
     def skip_unsubscribed(self, _topic):
         return False
+
+    def last_sequences(self):
+        return NO_TOPICS
 
     def publish_packet(self, topic, packet):
         stamp = now_ns()

@@ -204,6 +204,14 @@ def _rig_overrides(args: argparse.Namespace) -> list[str]:
     return out
 
 
+def _recorder_trouble(family: Supervisor) -> str:
+    """Return why the recording is not whole; empty if it is, or if there is none."""
+    child = family.children.get("record")
+    if child is None or child.exit_code in (0, *_NEVER_BEGAN):
+        return ""
+    return f"recorder: {child.complaint or f'ended {child.how()}; its last messages are missing'}"
+
+
 def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, Any]:
     """Combine the children's summaries and decide the exit code."""
     out: dict[str, Any] = {
@@ -218,7 +226,7 @@ def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, 
         if ended.exit_code == UsageError.exit_code:
             raise UsageError(out["reason"])
         out["exit_code"] = TeleopError.exit_code if ended.exit_code else 0
-    trouble = "" if out["exit_code"] else summaries.trouble(out)
+    trouble = "" if out["exit_code"] else summaries.trouble(out) or _recorder_trouble(family)
     if trouble:
         out |= {"reason": trouble, "exit_code": TeleopError.exit_code}
     return out

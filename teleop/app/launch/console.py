@@ -127,7 +127,10 @@ _ROWS: dict[str, Callable[[Mapping[str, Any]], str]] = {
 
 
 def status_text(
-    reports: Mapping[Role, LoopReport], state: SlaveState | None, latency: Latency | None = None
+    reports: Mapping[Role, LoopReport],
+    state: SlaveState | None,
+    latency: Latency | None = None,
+    recorder: str = "",
 ) -> Text:
     """Return the status of a session in one line: state, force, rates, latency, losses."""
     master, slave = reports.get(Role.MASTER), reports.get(Role.SLAVE)
@@ -150,4 +153,6 @@ def status_text(
     lost = sum(report.lost + report.rejected for report in (master, slave) if report)
     if rates:
         text.append(f" │ lost {lost}", "yellow" if lost else "")
+    if recorder:
+        text.append(f" │ {recorder}", "yellow" if "missing" in recorder else "")
     return text

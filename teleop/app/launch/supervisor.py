@@ -1,5 +1,6 @@
 """Start, supervise and stop child processes."""
 
+import math
 import os
 import shlex
 import signal
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from teleop.errors import UsageError
 from teleop.output_file import FORCE
-from teleop.process import HEARTBEAT, STANDBY, SUPERVISED
+from teleop.process import HEARTBEAT, STANDBY, STATUS, SUPERVISED
 from teleop.view.ports import WEB_VIEW
 
 VITAL = ("master", "slave", "impair")  # the session continues without the others
@@ -25,6 +26,8 @@ _SHORT_LIFE_S = 10.0  # a restarted child that fails sooner is started again lat
 _LONGEST_PAUSE_S = 30.0
 _PATIENCE_S = 5.0  # a child that has not ended by then, nor printed since, is killed
 _LONGEST_S = 90.0  # and so is one that keeps printing
+_DRAINING = ("record",)  # may take as long as it prints, and so long without:
+_DRAINING_PATIENCE_S = 60.0  # one write of a slow disk
 _POLL_S = 0.02
 _READ_S = 1.0  # time to read the remaining output of an ended child
 
@@ -37,6 +40,7 @@ class Child:
     process: subprocess.Popen[str]
     summary: Path
     arguments: tuple[str, ...] = ()
+    status: str = ""  # of its own, for the status line
     complaint: str = ""  # its error line, which the launcher repeats at the end
     threads: list[threading.Thread] = field(default_factory=list)
     heard_s: float = field(default_factory=time.monotonic)  # when it started or last printed
@@ -205,7 +209,7 @@ class Supervisor:
             if child.exit_code is None:
                 child.process.terminate()
             if not ends(child):
-                self._say(name, f"did not end within {_PATIENCE_S:g} s and was killed")
+                self._say(name, f"did not end within {_patience_s(child):g} s and was killed")
                 child.process.kill()
                 child.process.wait()
             child.hear_out()
@@ -219,7 +223,9 @@ class Supervisor:
                     child.beat_s, child.worked = now, True
                     continue
                 child.heard_s = now
-                if line.startswith(COMPLAINT):
+                if line.startswith(STATUS):
+                    child.status = line.removeprefix(STATUS)
+                elif line.startswith(COMPLAINT):
                     child.complaint = line.removeprefix(COMPLAINT)
                 elif child.again:
                     self._say(child.name, f"started again ({child.again}); {opening(line)}")
@@ -245,12 +251,20 @@ def opening(line: str) -> str:
     return f"an open page reconnects; to open one: xdg-open {address}"
 
 
+def _patience_s(child: Child) -> float:
+    return _DRAINING_PATIENCE_S if child.name in _DRAINING else _PATIENCE_S
+
+
 def ends(child: Child) -> bool:
-    """Return whether a child told to stop ends within its timeout."""
+    """Return whether a child told to stop ends within its timeout.
+
+    A recorder that tells of its progress is waited for without end.
+    """
     asked_s = time.monotonic()
+    longest_s = math.inf if child.name in _DRAINING else _LONGEST_S
     while child.exit_code is None:
-        patience_s = max(asked_s, child.heard_s) + _PATIENCE_S
-        if time.monotonic() > min(patience_s, asked_s + _LONGEST_S):
+        patience_s = max(asked_s, child.heard_s) + _patience_s(child)
+        if time.monotonic() > min(patience_s, asked_s + longest_s):
             return False
         time.sleep(_POLL_S)
     return True

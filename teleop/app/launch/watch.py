@@ -154,6 +154,8 @@ def watch(
             raise TeleopError(f"the loops did not start within {START_S:g} s")
         if console.status.live:
             state = link.latest(STATE).message
-            console.status.show(status_text(hearing.reports, state, hearing.latency))
+            record = family.children.get("record")
+            recorder = "" if record is None else record.status
+            console.status.show(status_text(hearing.reports, state, hearing.latency, recorder))
         keyboard.look(_LOOK_S)
     return None

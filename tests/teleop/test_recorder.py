@@ -1,0 +1,323 @@
+"""A recorder that is too slow, or told to end: nothing is missing that is not counted."""
+
+import signal
+import time
+from collections.abc import Callable
+from typing import Any, Self
+from unittest.mock import patch
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from teleop.app import cli
+from teleop.app.launch import command
+from teleop.app.launch.supervisor import Supervisor, ends
+from teleop.errors import TeleopError
+from teleop.link import Link, ReceivedMessage, message_queue
+from teleop.link.listener import Listener
+from teleop.link.message_queue import capacity_bytes
+from teleop.messages import LoopReport, TendonState
+from teleop.recording import recorder as recorders
+from teleop.recording.config import RecordConfig
+from teleop.recording.progress import status_text
+from teleop.recording.reader import open_recording, read_columns
+from teleop.recording.recorder import GRACE_NS, QUIET_NS, Recorder
+from teleop.recording.writer import RecordingWriter
+from teleop.topics import EVENT, REPORT, STATE, TENDONS, TOPICS, Role, Topic
+from tests.teleop.recorded import START_NS, free_link, start
+
+MS = 1_000_000
+SENDER = 7
+
+
+class Sample:
+    """What Zenoh hands over."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    @property
+    def payload(self) -> Self:
+        return self
+
+    def to_bytes(self) -> bytes:
+        return self._data
+
+
+class Bench:
+    """A side that publishes states, a recorder with a slow writer, and a clock that both use."""
+
+    def __init__(self, folder: Any, write_ns: int) -> None:
+        self.now_ns, self.sent, self.reports, self.present = START_NS, 0, 0, True
+        self.lag_ns = 0  # the longest
+        with patch("teleop.link.listener.now_ns", self.clock):
+            self.listener = Listener(lambda *_: 1)
+            self._stores = {topic: self.listener.store(topic) for topic in TOPICS}
+        config = RecordConfig(directory=str(folder), chunk_s=0.01, compression="none")
+        self.writer = RecordingWriter(config, "bench", START_NS)
+        write = self.writer.write
+
+        def slowly(messages: Any, now_ns: int) -> None:
+            write(messages, now_ns)
+            self.now_ns += write_ns * len(messages)
+
+        self.writer.write = slowly  # type: ignore[method-assign]
+        self.recorder = Recorder(self.listener, self.writer, lambda *_: self.present)
+
+    def clock(self) -> int:
+        return self.now_ns
+
+    def publish(self, arrives: bool) -> None:
+        """Send a state; it arrives or is lost on the way."""
+        self.sent += 1
+        if arrives:
+            self._store(STATE, STATE.message().pack(SENDER, self.sent, self.now_ns))
+
+    def report(self, ended: int) -> None:
+        """Say how much was sent."""
+        self.reports += 1
+        sent = [0] * 16
+        sent[TOPICS.index(STATE)] = self.sent
+        report = LoopReport(role=Role.SLAVE, ended=ended, sent=tuple(sent))
+        self._store(REPORT, report.pack(SENDER, self.reports, self.now_ns))
+
+    def step(self) -> None:
+        """Let the recorder take one batch."""
+        self.recorder.step(self.clock)
+        self.lag_ns = max(self.lag_ns, self.recorder.lag_ns)
+
+    def end(self) -> int:
+        """Tell the recorder to end; return how many messages it says are missing."""
+        stop_ns = self.now_ns
+        while not self.recorder.is_done(stop_ns, self.now_ns):
+            self.step()
+            self.now_ns += 20 * MS
+        missing = self.recorder.finish()
+        self.writer.close()
+        return missing
+
+    def _store(self, topic: Topic[Any], data: bytes) -> None:
+        with patch("teleop.link.listener.now_ns", self.clock):
+            self._stores[topic](Sample(data))  # type: ignore[arg-type]
+
+
+@patch.object(message_queue, "CAPACITY_MIN", 8)
+@patch.object(message_queue, "BACKLOG_S", 0.02)
+@patch.object(recorders, "BATCH", 5)
+@settings(max_examples=30)
+@given(
+    st.lists(st.booleans(), min_size=1, max_size=120), st.integers(0, 3 * MS), st.integers(1, 30)
+)
+def test_whatever_is_lost_or_too_slow_written_and_missing_are_all_that_was_sent(
+    tmp_path_factory: Any, arrivals: list[bool], write_ns: int, every: int
+) -> None:
+    """The first is not lost: with it the recording begins."""
+    bench = Bench(tmp_path_factory.mktemp("slow"), write_ns)
+    for k, arrives in enumerate([True, *arrivals]):
+        bench.publish(arrives)
+        if k % every == 0:
+            bench.step()
+        bench.now_ns += MS
+    bench.report(ended=1)
+    bench.present = False
+    missing = bench.end()
+    info = open_recording(bench.writer.path)
+    assert info.messages["state"] + info.lost["state"] == bench.sent
+    assert missing == info.lost["state"] == bench.writer.gaps.total
+    assert info.messages["state"] == len(read_columns(bench.writer.path, "state"))
+    assert bool(missing) == any("missing" in line for line in info.doubts)
+
+
+@patch.object(recorders, "BATCH", 5)
+def test_a_backlog_is_shown_and_written_to_its_end_however_long_that_takes(tmp_path: Any) -> None:
+    bench = Bench(tmp_path, write_ns=50 * MS)  # twenty messages a second
+    for _ in range(200):
+        bench.publish(arrives=True)
+        bench.now_ns += MS
+    bench.report(ended=1)
+    bench.present = False
+    assert bench.end() == 0
+    assert open_recording(bench.writer.path).messages["state"] == 200
+    assert bench.lag_ns > 9_000 * MS
+    assert bench.writer.lag_max_s > 9.0
+    assert status_text(10_780 * MS, 0) == "recorder 10.8 s behind"
+    assert "3 missing" in status_text(bench.lag_ns, 3)
+
+
+def test_a_side_that_leaves_without_a_word_is_waited_for_and_named(tmp_path: Any) -> None:
+    bench = Bench(tmp_path, 0)
+    bench.publish(arrives=True)
+    bench.report(ended=0)
+    bench.step()
+    bench.present = False
+    began_ns = bench.now_ns
+    assert bench.end() == 0
+    assert bench.now_ns - began_ns > QUIET_NS
+    info = open_recording(bench.writer.path)
+    assert info.unfinished == ("slave",)
+    assert "the end of the slave may be missing" in info.doubts[0]
+
+
+def test_a_session_that_goes_on_does_not_keep_the_recorder(tmp_path: Any) -> None:
+    bench = Bench(tmp_path, 0)
+    bench.publish(arrives=True)
+    bench.report(ended=0)
+    stop_ns = bench.now_ns
+    while not bench.recorder.is_done(stop_ns, bench.now_ns):
+        bench.step()
+        bench.now_ns += 20 * MS
+        bench.publish(arrives=True)
+    assert bench.now_ns - stop_ns < 2 * GRACE_NS
+    assert bench.recorder.finish() == 0
+    bench.writer.close()
+    assert open_recording(bench.writer.path).unfinished == ()
+
+
+def test_what_waits_is_bounded_in_bytes() -> None:
+    assert capacity_bytes(TOPICS) < 45e6
+
+
+def hear(listener: Listener, topic: Topic[Any]) -> Callable[[bytes], None]:
+    store: Any = listener.store(topic)
+    return lambda data: store(Sample(data))
+
+
+@given(st.lists(st.sampled_from([STATE, EVENT, TENDONS]), max_size=30), st.integers(1, 7))
+def test_batches_are_in_order_and_together_everything(topics: list[Any], limit: int) -> None:
+    listener = Listener(lambda *_: 1)
+    stores = {topic: hear(listener, topic) for topic in (STATE, EVENT, TENDONS)}
+    for k, topic in enumerate(topics, start=1):
+        stores[topic](topic.message().pack(SENDER, k, k))
+    taken: list[int] = []
+    while listener.has_arrivals:
+        batch = listener.drain(limit)
+        assert 1 <= len(batch) <= limit
+        taken += [item.sequence for item in batch]
+    assert taken == list(range(1, len(topics) + 1))
+    assert listener.oldest_ns() is None
+
+
+def test_missing_messages_are_told_and_end_the_command_with_exit_code_1(tmp_path: Any) -> None:
+    config = free_link()
+    process = start("teleop.recording.command", config, f"--out={tmp_path}", "--set=session=bench")
+    assert process.stdout.readline().startswith("recording session")
+    with Link(config, "bench", Role.SLAVE) as slave:
+        end = time.monotonic() + 10.0
+        while not slave.present(Role.RECORDER) and time.monotonic() < end:
+            time.sleep(0.01)
+        time.sleep(0.2)
+        for k in (1, 2, 5):
+            slave.publish_raw(STATE, STATE.message().pack(slave.nonce, k, k))
+        time.sleep(0.2)
+    process.send_signal(signal.SIGTERM)
+    said, complaint = process.communicate(timeout=20.0)
+    assert process.returncode == 1
+    assert "2 messages are missing (2 state)" in complaint
+    assert complaint.count("\n") == 1
+    assert "2 messages are missing (2 state)" in said
+
+
+TELL_AND_END = (
+    "import signal, sys, time\n"
+    "def end(*_):\n"
+    "    for k in range(4):\n"
+    "        time.sleep(0.2)\n"
+    "        print(chr(5) + f'recorder {k}.0 s behind', flush=True)\n"
+    "    print('teleop: 3 messages are missing', flush=True)\n"
+    "    sys.exit(1)\n"
+    "signal.signal(signal.SIGTERM, end)\n"
+    "print('here', flush=True)\n"
+    "while True: signal.pause()\n"
+)
+
+
+def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its_exit_code(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import subprocess
+    import sys
+
+    said: list[str] = []
+    family = Supervisor(tmp_path, lambda _name, line: said.append(line))
+    spawn = subprocess.Popen
+    monkeypatch.setattr("teleop.app.launch.supervisor._DRAINING_PATIENCE_S", 0.5)
+    monkeypatch.setattr("teleop.app.launch.supervisor._LONGEST_S", 0.1)
+    monkeypatch.setattr(
+        "teleop.app.launch.supervisor.subprocess.Popen",
+        lambda _words, **options: spawn([sys.executable, "-c", TELL_AND_END], **options),
+    )
+    child = family.start("record", [])
+    end = time.monotonic() + 20.0
+    while "here" not in said and time.monotonic() < end:
+        time.sleep(0.01)
+    child.process.terminate()
+    assert ends(child)
+    child.hear_out()
+    assert child.status == "recorder 3.0 s behind"
+    out = command._summary(family, None, "SIGINT")
+    assert (out["exit_code"], out["reason"]) == (1, "recorder: 3 messages are missing")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[int]]:
+    """A recording of three chunks, and its length after each of them."""
+    lengths = []
+    config = RecordConfig(
+        directory=str(tmp_path_factory.mktemp("whole")), chunk_s=0.01, compression="none"
+    )
+    with RecordingWriter(config, "demo", START_NS) as writer:
+        for k in range(3):
+            stamp_ns = START_NS + (k + 1) * 10 * MS
+            message = TendonState(
+                tendons=1, time_s=0.01 * k, proximal_tension=(1.0 + k, *[0.0] * 15)
+            )
+            data = message.pack(SENDER, k, stamp_ns)
+            writer.write([ReceivedMessage(TENDONS, data, stamp_ns, SENDER, k, stamp_ns)], stamp_ns)
+            lengths.append(writer.path.stat().st_size)
+    return writer.path.read_bytes(), lengths
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["recordings", "to-ros2", "{}", "--out", "{}.bag"],
+        ["replay", "{}", "--speed", "1000"],
+        ["view", "{}", "--view", "none"],
+        ["estimate", "{}", "--fit"],
+        ["diagnose", "{}", "--out", "{}.diagnosis"],
+    ],
+    ids=lambda words: words[0],
+)
+@pytest.mark.parametrize("how", ["truncated", "damaged"])
+def test_every_command_says_what_is_wrong_with_a_recording(
+    tmp_path: Any,
+    whole: tuple[bytes, list[int]],
+    words: list[str],
+    how: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Whatever they make of so few samples: in one line, what, and what could be read."""
+    path = tmp_path / "a.mcap"
+    content, lengths = bytearray(whole[0]), whole[1]
+    if how == "damaged":
+        content[lengths[2] - 600] ^= 1
+    path.write_bytes(content[: lengths[2] - (how == "truncated") * 600])
+    link = free_link()
+    ends_of = ["--set", f"link.master={link.master}", "--set", f"link.slave={link.slave}"]
+    further = ends_of if words[0] in ("replay", "view") else []
+    cli.main([word.format(path) for word in words] + further)
+    said = [line for line in capsys.readouterr().err.splitlines() if how in line]
+    assert len(said) == 1
+    assert said[0].startswith("WARNING: ")
+    assert "could be read" in said[0]
+
+
+def test_of_a_recording_without_one_whole_chunk_nothing_is_read(
+    tmp_path: Any, whole: tuple[bytes, list[int]]
+) -> None:
+    content = bytearray(whole[0])
+    content[whole[1][0] - 600] ^= 1
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(TeleopError, match=r"is damaged before byte .* nothing could be read"):
+        open_recording(tmp_path / "a.mcap")
