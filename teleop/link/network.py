@@ -13,6 +13,7 @@ RETRY_MS = 100  # between attempts to connect to a peer
 QUEUE = 16  # messages of one priority waiting to be sent to one peer
 BATCH_BYTES = 2048  # of one write; holds any message, each of which is sent alone
 OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
+CONNECTIONS = 10_000  # that a router takes; its processor is the limit before (docs/scale.md)
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 
 
@@ -91,6 +92,11 @@ def settings(
         "transport/link/tx/queue/size/interactive_high": QUEUE,
         "timestamping/enabled": False,  # by routers; a message has the stamp of its sender
     }
+    if mode == "router":
+        # Zenoh's 1000 connections would be 250 sessions of four processes; a hundred at a time that
+        # shake hands is too few when a router comes back to all of them
+        settings["transport/unicast/max_sessions"] = CONNECTIONS
+        settings["transport/unicast/accept_pending"] = CONNECTIONS
     if credentials is not None:
         settings["transport/link/tls"] = {
             "enable_mtls": True,
