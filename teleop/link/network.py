@@ -12,17 +12,22 @@ from teleop.keys import Credentials
 RETRY_MS = 100  # between attempts to connect to a peer
 QUEUE = 16  # messages of one priority waiting to be sent to one peer
 BATCH_BYTES = 2048  # of one write; holds any message, each of which is sent alone
+MESSAGE_BYTES = 65536  # that are received in fragments; a longer message is none of ours
 OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 
 
 def open_session(
-    credentials: Credentials | None, listen: list[str], connect: list[str]
+    credentials: Credentials | None,
+    listen: list[str],
+    connect: list[str],
+    access: dict[str, Any] | None = None,
 ) -> zenoh.Session:
     """Open a Zenoh session on `HOST:PORT`s; `UsageError` if one cannot be listened on.
 
     An unreachable target is not an error: it is retried every `RETRY_MS`. Without `credentials`
-    everything is plaintext.
+    everything is plaintext; with `access`, Zenoh's access control, it refuses what the certificate
+    at the other end must not send.
     """
     protocol = "tcp" if credentials is None else "tls"
     settings: dict[str, Any] = {
@@ -51,6 +56,7 @@ def open_session(
         # Each sample keeps the receive buffer that it lies in, which is as long as a batch may be,
         # and 256 samples wait before each callback when a process is held up. With Zenoh's 64 KB a
         # recorder that was stopped for one second grew by up to 50 MB.
+        "transport/link/rx/max_message_size": MESSAGE_BYTES,
         "transport/link/tx/batch_size": BATCH_BYTES,
         "transport/link/tx/queue/size/real_time": QUEUE,
         "transport/link/tx/queue/size/interactive_high": QUEUE,
@@ -62,6 +68,8 @@ def open_session(
             "verify_name_on_connect": False,
             **credentials.for_tls(),
         }
+        if access is not None:
+            settings["access_control"] = access
     zenoh_config = zenoh.Config()
     for key, value in settings.items():
         zenoh_config.insert_json5(key, json.dumps(value))
