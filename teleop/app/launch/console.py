@@ -131,10 +131,17 @@ def status_text(
     state: SlaveState | None,
     latency: Latency | None = None,
     recorder: str = "",
+    insecure: bool = False,
 ) -> Text:
-    """Return the status of a session in one line: state, force, rates, latency, losses."""
+    """Return the status of a session in one line: state, force, rates, latency, losses.
+
+    An `insecure` session says so first.
+    """
     master, slave = reports.get(Role.MASTER), reports.get(Role.SLAVE)
     text = Text()
+    if insecure:
+        text.append("INSECURE", "bold white on red")
+        text.append(" │ ")
     if master:
         now = State(master.state)
         text.append(now.name, _STYLES.get(now, "bold"))

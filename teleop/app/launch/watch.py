@@ -156,6 +156,7 @@ def watch(
             state = link.latest(STATE).message
             record = family.children.get("record")
             recorder = "" if record is None else record.status
-            console.status.show(status_text(hearing.reports, state, hearing.latency, recorder))
+            line = status_text(hearing.reports, state, hearing.latency, recorder, link.insecure)
+            console.status.show(line)
         keyboard.look(_LOOK_S)
     return None
