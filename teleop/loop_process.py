@@ -12,13 +12,14 @@ from estimator.records import Records
 from teleop.clock import Tick, TickStats, quiet_garbage
 from teleop.coupling import LedgerPublisher
 from teleop.errors import PeerError, TeleopError
+from teleop.events import publish_event
 from teleop.link import Counts, Link
 from teleop.meter import LoopMeter
 from teleop.process import Stop, supervised, write_summary
 from teleop.realtime import enter_loop, go_realtime
 from teleop.remote.requests import RequestListener
 from teleop.run_config import RunConfig
-from teleop.session import OutlineReader
+from teleop.session import OutlineReader, SessionOutline
 from teleop.summary import loop_lines, trouble
 from teleop.topics import LEDGER, REPORT, Role
 
@@ -66,6 +67,7 @@ class LoopProcess(ABC):
         self._requests = requests or RequestListener(link)
         self._meter = LoopMeter(self.role, stats)
         self._verdicts = Counter[int]()
+        self._refused: dict[str, int] = {}  # by topic
 
     @abstractmethod
     def tick(self, tick: Tick) -> None:
@@ -95,11 +97,23 @@ class LoopProcess(ABC):
         if report is None:
             return False
         self._link.publish(REPORT, report)
+        self._publish_refusals(counts)
         try:
             self._link.check_peers()
         except PeerError as error:
             self._end(error)
         return True
+
+    def _publish_refusals(self, counts: Counts) -> None:
+        """Publish what was refused since the last time."""
+        refused = self._requests.refused() | {"messages of the peer": counts.forged}
+        for name, count in refused.items():
+            new = count - self._refused.get(name, 0)
+            if new:
+                self._link.refusals.note(f"{name} without the right tag", new)
+        self._refused = refused
+        for line in self._link.refusals.take():
+            publish_event(self._link, self.role, self._outline(), line)
 
 
 Process = TypeVar("Process", bound=LoopProcess)
@@ -130,6 +144,8 @@ def run_session(
         # a process that is refused as the second of its role must not have touched the hardware
         link = stack.enter_context(Link(shared.link, shared.session, role))
         process, clock, stop = start(link, stack)
+        if link.warning:
+            publish_event(link, role, SessionOutline(), link.warning)
         enter_loop(granted, shared.realtime)
         run(process, clock, stop.request)
         summary = process.summary()

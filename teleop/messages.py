@@ -379,11 +379,12 @@ class LoopReport(Message):
     overruns: U64 = 0  # whole periods skipped
     received: U64 = 0  # of the peer's messages, since the loop began
     lost: U64 = 0  # gaps in the peer's sequence numbers, latest-value overwrites not counted
-    rejected: U64 = 0  # corrupted, layout, repeated, out of order, foreign
+    rejected: U64 = 0  # corrupted, layout, repeated, out of order, foreign, forged
     corrupted: U64 = 0  # of them: damaged on the way
     repeated: U64 = 0
     out_of_order: U64 = 0
     foreign: U64 = 0  # from another sender while the peer is alive
+    forged: U64 = 0  # without the sender's tag for us
     unknown: U64 = 0  # from a sender without a presence token
     delayed: U64 = 0  # too old on arrival
     clock_jumps: U64 = 0  # of the peer's clock

@@ -68,22 +68,47 @@ page its name, then one `type name` for each field, the head's included, each on
 Array types have their length: `float64[8] position`. In this version `{layout:08x}`; a message of
 another layout is dropped.
 
+## Tokens and tags
+
+**Presence.** Each process declares a liveliness token, which vanishes with it:
+
+    teleop/<session>/@/<role>/<layout>/<sender>/<stage>/<proof>
+
+`layout` and `sender` have 8 and 16 hexadecimal digits; `stage` is `claim` while it looks whether
+its role is taken, then `held`. The proof is, in base64url without padding: an X25519 public key
+drawn at the start (32 bytes), an Ed25519 signature (64 bytes), and the process's certificate
+(X.509, DER). The signature covers, joined by a zero byte, `teleop hello 1`, the token's key up to
+the stage, and the public key. A token without a valid proof of a certificate of its role and
+session is ignored.
+
+**Pair keys.** Sender and addressee derive the key of their direction from the shared secret of
+X25519 by HKDF-SHA256 without salt, 32 bytes, with the info `teleop message 1 <session> <sender>
+<addressee>` (nonces as above).
+
+**Tags.** A message that moves something carries, as the attachment of its Zenoh sample, for each
+addressee its nonce (u64, little-endian) and the tag: BLAKE2b of 16 bytes of the whole message, with
+the pair key as key and the topic's name as `person`. The addressee ignores a message without its
+tag; the bytes of the message, and so recordings, are the same with and without. Tagged are:
+
+| topic | for |
+|---|---|
+{tagged}
+
+An insecure session has neither proofs nor tags.
+
 ## A client of your own
 
 | to | a process must |
 |---|---|
-| connect | open a Zenoh session in peer mode without scouting, to both endpoints of `link` \
-([configuration](configuration.md#the-link)) |
+| connect | open a Zenoh session in peer mode without scouting, to both endpoints of `link`, with \
+mutual TLS and a certificate of `teleop keys issue` ([configuration](configuration.md#the-link)) |
 | listen | subscribe to the topic's key |
-| stop a session | publish `stop` with action 0; no announcement is needed |
-| reset a stop, or change a setting | be announced: declare the liveliness token \
-`teleop/<session>/@/remote/<layout>/<sender>/held`, with layout and sender in 8 and 16 hexadecimal\
- digits |
+| stop a session, reset a stop, change a setting | be announced by a token, as `remote`, have a \
+supervisor's certificate with the right, and tag its messages |
 | publish any topic | draw a new `sender` at each start, and count its messages from 1 |
 
 Topics from the master or the slave are accepted from the announced process of that role only. A
-session has one of each; a newcomer first announces itself with `claim` in place of `held`
-(`teleop/link/presence.py`).
+session has one of each (`teleop/link/presence.py`).
 """
 
 _HEAD_COMMENTS = {
@@ -118,7 +143,12 @@ def page() -> str:
     lines.append("|---|---|---|---|---|")
     lines += map(_topic_row, TOPICS)
     head = "\n".join(_field_rows(MESSAGES[0], _HEAD_COMMENTS, slice(_HEAD_FIELDS)))
-    lines += ["", _HEAD_TEXT.format(fields=head + "\n", layout=LAYOUT)]
+    tagged = "\n".join(
+        f"| `{topic.name}` | {', '.join(role.name.lower() for role in topic.addressees)} |"
+        for topic in TOPICS
+        if topic.addressees
+    )
+    lines += ["", _HEAD_TEXT.format(fields=head + "\n", layout=LAYOUT, tagged=tagged)]
     lines += map(_section, MESSAGES)
     lines.append(_numbers())
     return "\n".join(lines).rstrip() + "\n"
@@ -131,7 +161,7 @@ def field_comments(cls: type[Message]) -> dict[str, str]:
 
 
 def _topic_row(topic: Topic[Any]) -> str:
-    sender = "any" if topic.publisher is None else topic.publisher.name.lower()
+    sender = ", ".join(role.name.lower() for role in topic.publishers)
     rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "on events"
     kind = "live" if topic.live else "reliable"
     name = topic.message.__name__

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from teleop.clock import TickStats, now_ns
-from teleop.link import Counts
+from teleop.link import REJECTED, Counts
 from teleop.messages import LoopReport
 from teleop.session import Reason, SessionOutline, State
 from teleop.stages import StageMeter
@@ -78,6 +78,7 @@ class LoopMeter:
             repeated=counts.repeated,
             out_of_order=counts.out_of_order,
             foreign=counts.foreign,
+            forged=counts.forged,
             unknown=counts.unknown,
             delayed=counts.delayed,
             clock_jumps=counts.clock_jumps,
@@ -108,10 +109,7 @@ class LoopMeter:
             "received": counts.received,
             "lost": counts.lost,
             "overwritten": counts.overwritten,
-            "rejected": {
-                kind: getattr(counts, kind)
-                for kind in ("corrupted", "layout", "repeated", "out_of_order", "foreign")
-            },
+            "rejected": {kind: getattr(counts, kind) for kind in REJECTED},
             "unknown": counts.unknown,
             "delayed": counts.delayed,
             "clock_jumps": counts.clock_jumps,

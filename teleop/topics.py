@@ -58,21 +58,36 @@ class Topic(Generic[M]):
     publisher: Role | None  # None = any
     rate_hz: float  # expected in normal operation; 0 = on events
     live: bool  # latest value counts: best effort, real-time priority, dropped when congested
+    senders: tuple[Role, ...] = ()  # who may publish it, if there are several
+    addressees: tuple[Role, ...] = ()  # who acts on it, and on nothing without a tag
+
+    @property
+    def publishers(self) -> tuple[Role, ...]:
+        """The roles that may publish it."""
+        return self.senders if self.publisher is None else (self.publisher,)
 
 
-COMMAND = Topic("command", Command, Role.MASTER, 1000, live=True)
-STATE = Topic("state", SlaveState, Role.SLAVE, 1000, live=True)
+_SIDES = (Role.MASTER, Role.SLAVE)
+_SUPERVISORS = (Role.LAUNCHER, Role.REMOTE, Role.WATCH)
+
+COMMAND = Topic("command", Command, Role.MASTER, 1000, live=True, addressees=(Role.SLAVE,))
+STATE = Topic("state", SlaveState, Role.SLAVE, 1000, live=True, addressees=(Role.MASTER,))
 TENDONS = Topic("tendons", TendonState, Role.SLAVE, 1000, live=True)
 HAND = Topic("hand", Hand, Role.MASTER, 1000, live=True)
 PROFILE = Topic("profile", TensionProfile, Role.SLAVE, 50, live=True)
 SHEATH = Topic("sheath", Sheath, Role.SLAVE, 1, live=False)
-LEDGER = Topic("ledger", Ledger, None, 100, live=True)
-EVENT = Topic("event", Event, None, 0, live=False)
-REPORT = Topic("report", LoopReport, None, 2, live=False)
+LEDGER = Topic("ledger", Ledger, None, 100, live=True, senders=_SIDES)
+EVENT = Topic("event", Event, None, 0, live=False, senders=_SIDES)
+REPORT = Topic("report", LoopReport, None, 2, live=False, senders=_SIDES)
 LATENCY = Topic("latency", Latency, Role.MASTER, 2, live=False)
-STOP = Topic("stop", EmergencyStop, None, 0, live=False)
-SETTING = Topic("setting", Setting, None, 0, live=False)
-ANSWER = Topic("answer", Answer, Role.MASTER, 0, live=False)
+STOP = Topic(
+    "stop", EmergencyStop, None, 0, live=False,
+    senders=_SIDES + _SUPERVISORS, addressees=_SIDES,
+)  # fmt: skip
+SETTING = Topic(
+    "setting", Setting, None, 0, live=False, senders=_SUPERVISORS, addressees=(Role.MASTER,)
+)
+ANSWER = Topic("answer", Answer, Role.MASTER, 0, live=False, addressees=_SUPERVISORS)
 
 TOPICS: tuple[Topic[Any], ...] = (
     COMMAND, STATE, TENDONS, HAND, PROFILE, SHEATH, LEDGER, EVENT, REPORT, LATENCY,

@@ -6,10 +6,11 @@ Keys are `teleop/<session>/<topic>`; presence tokens are below `teleop/<session>
 from teleop.link.config import LinkConfig
 from teleop.link.link import Link
 from teleop.link.listener import Listener, ReceivedMessage
-from teleop.link.reception import NEVER_NS, Counts, Latest
+from teleop.link.reception import NEVER_NS, REJECTED, Counts, Latest
 
 __all__ = [
     "NEVER_NS",
+    "REJECTED",
     "Counts",
     "Latest",
     "Link",

@@ -2,7 +2,8 @@
 
 Each side connects to one bank of it, in place of its peer. Messages received by a bank go to the
 bridge's owner, who decides what is forwarded. Bytes are forwarded unchanged, with the original
-senders, sequence numbers and checksums.
+senders, sequence numbers, checksums and tags: the bridge has the certificate of a router, and makes
+no message of its own.
 """
 
 import json
@@ -14,6 +15,7 @@ import zenoh
 from teleop.clock import now_ns
 from teleop.errors import TeleopError
 from teleop.keys import Office
+from teleop.link.access import access_control
 from teleop.link.config import LinkConfig
 from teleop.link.network import declare_publisher, open_session
 from teleop.link.presence import root
@@ -50,8 +52,9 @@ class Bank:
         tokens_changed: Callable[[], None],
     ) -> None:
         self._session = session
+        access = None if config.insecure else access_control([session])
         self._zenoh: Any = open_session(
-            credentials_of(config, session, Office.ROUTER), listen, connect
+            credentials_of(config, session, Office.ROUTER), listen, connect, access
         )
         self._remote = zenoh.Locality.REMOTE  # not from or to ourselves, to avoid loops
         self._publishers: dict[str, Any] = {
@@ -75,9 +78,13 @@ class Bank:
         self._zenoh.close()
 
     def put(self, topic: Topic[Any]) -> Put:
-        """Return the function that publishes bytes of `topic` on this side."""
-        put: Put = self._publishers[topic.name].put
-        return put
+        """Return the function that publishes a message of `topic` on this side, with its tags."""
+        put, size = self._publishers[topic.name].put, topic.message.schema.size
+
+        def forward(data: bytes) -> None:
+            put(data[:size], attachment=data[size:] or None)
+
+        return forward
 
     def listens(self, topic: Topic[Any]) -> bool:
         """Return whether anyone on this side subscribes to `topic`."""
@@ -89,7 +96,7 @@ class Bank:
         if wanted and subscriber is None:
             self._subscribers[topic.name] = self._zenoh.declare_subscriber(
                 self._key(topic),
-                lambda sample: handler(topic, sample.payload.to_bytes()),
+                lambda sample: handler(topic, _with_tags(sample)),
                 allowed_origin=self._remote,
             )
         elif not wanted and subscriber is not None:
@@ -129,6 +136,13 @@ class Bank:
         came = sample.kind == zenoh.SampleKind.PUT
         self._tokens = self._tokens | {key} if came else self._tokens - {key}
         self._tokens_changed()
+
+
+def _with_tags(sample: Any) -> bytes:
+    """Return a message with the tags behind it."""
+    data: bytes = sample.payload.to_bytes()
+    tags = sample.attachment
+    return data if tags is None else data + tags.to_bytes()
 
 
 def send_request(config: LinkConfig, session: str, endpoint: str, request: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from teleop.clock import now_ns
 
 Arrived: TypeAlias = tuple[bytes, int]
-"""A received message, and when the loop first took it, on our clock [ns]."""
+"""A received message with its tags, and when the loop first took it, on our clock [ns]."""
 
 
 class Inbox:
@@ -29,10 +29,12 @@ class Inbox:
     ----------
     size : int
         Capacity; the oldest messages are dropped.
+    tagged : bool
+        Whether to give each message with its tags behind it.
     """
 
-    def __init__(self, size: int) -> None:
-        self._size = size
+    def __init__(self, size: int, tagged: bool = False) -> None:
+        self._size, self._tagged = size, tagged
         self._queue: SimpleQueue[Any] = SimpleQueue()
         self._taken: list[Arrived] = []  # by `wait`, not yet by `take`
         self.store: Callable[[Any], None] = self._queue.put
@@ -56,7 +58,10 @@ class Inbox:
             return False
         if sample is None:
             return False
-        self._taken.append((sample.payload.to_bytes(), now_ns()))
+        data = sample.payload.to_bytes()
+        if self._tagged and (tags := sample.attachment) is not None:
+            data += tags.to_bytes()
+        self._taken.append((data, now_ns()))
         return True
 
     def take(self) -> tuple[list[Arrived], bool]:
@@ -74,5 +79,8 @@ class Inbox:
         received_ns = now_ns()
         for _ in range(min(waiting, self._size)):
             if (sample := get()) is not None:
-                arrived.append((sample.payload.to_bytes(), received_ns))
+                data = sample.payload.to_bytes()
+                if self._tagged and (tags := sample.attachment) is not None:
+                    data += tags.to_bytes()
+                arrived.append((data, received_ns))
         return arrived, overflowed

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Any, Self, TypeVar
 
@@ -9,15 +10,19 @@ import zenoh
 
 from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
-from teleop.keys import OFFICE_OF
+from teleop.keys import OFFICE_OF, Identity
 from teleop.link import presence
+from teleop.link.access import access_control
 from teleop.link.config import LinkConfig
+from teleop.link.handshake import Handshake
 from teleop.link.inbox import Inbox
+from teleop.link.keyring import Keyring, Seals
 from teleop.link.listener import Listener
 from teleop.link.network import Mode, declare_publisher, open_session
 from teleop.link.presence import Stage, Token
 from teleop.link.protection import credentials_of
 from teleop.link.reception import NEVER_NS, Counts, Latest
+from teleop.link.refusals import Refusals
 from teleop.link.roster import Roster
 from teleop.messages import LAYOUT, Message
 from teleop.packet import Packet
@@ -25,6 +30,7 @@ from teleop.topics import Role, Topic
 
 M = TypeVar("M", bound=Message)
 
+INSECURE = "INSECURE: whoever reaches the endpoints may move the robot (link.insecure)"
 SETTLE_S = 0.3  # time for connecting, and again for detecting peers, before a start
 RING = 16  # messages kept between reads, so that a late read does not lose any
 
@@ -65,6 +71,12 @@ class Link:
         self.config, self.session, self.role = config, session, role
         self.credentials = credentials_of(config, session, OFFICE_OF[role])
         self.nonce = presence.new_nonce()
+        self.refusals = Refusals()
+        self._handshake: Handshake | None = None
+        self._keyring: Keyring | None = None
+        if self.credentials is not None:
+            self._handshake = Handshake(self.credentials, session, self.nonce)
+            self._keyring = Keyring(role, self.nonce)
         self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
         self._publishers: dict[str, _Publisher] = {}
         self._latest: dict[str, tuple[Latest[Any], Inbox]] = {}
@@ -74,13 +86,15 @@ class Link:
         self._zenoh: Any = self._open()
         try:
             relay = self.role == Role.SLAVE and not self.config.routers
-            self._roster = Roster(self._zenoh, self.session, self.nonce, relay)
-            liveliness = self._zenoh.liveliness()
-            claim = liveliness.declare_token(self._token.key(self.session))
+            self._roster = Roster(
+                self._zenoh, self.session, self.nonce, relay,
+                self._handshake, self._keyring, self.refusals,
+            )  # fmt: skip
+            claim = self._announce()
             if not self._at_once:
                 self._settle()
-            self._token = Token(self.role, LAYOUT, self.nonce, Stage.HELD)
-            self._held = liveliness.declare_token(self._token.key(self.session))
+            self._token = replace(self._token, stage=Stage.HELD)
+            self._held = self._announce()
             claim.undeclare()
         except BaseException:
             self._zenoh.close()
@@ -91,6 +105,16 @@ class Link:
         self._roster.close()
         self._zenoh.close()
 
+    @property
+    def insecure(self) -> bool:
+        """Whether nothing is authenticated nor encrypted."""
+        return self.credentials is None
+
+    @property
+    def warning(self) -> str:
+        """What is wrong with the protection of this link; empty if nothing."""
+        return INSECURE if self.credentials is None else self.credentials.warning
+
     def publish(self, topic: Topic[M], message: M) -> int:
         """Send `message` and return its stamp [ns]; takes microseconds."""
         publisher = self._publishers.get(topic.name)
@@ -98,7 +122,7 @@ class Link:
             publisher = self._publishers[topic.name] = self._declare(topic)
         stamp = now_ns()
         publisher.sequence += 1
-        publisher.put(topic.message.schema.pack(message, self.nonce, publisher.sequence, stamp))
+        publisher.send(topic.message.schema.pack(message, self.nonce, publisher.sequence, stamp))
         return stamp
 
     def publish_packet(self, topic: Topic[M], packet: Packet[M]) -> int:
@@ -108,7 +132,13 @@ class Link:
             publisher = self._publishers[topic.name] = self._declare(topic)
         stamp = now_ns()
         publisher.sequence += 1
-        publisher.put(packet.seal(self.nonce, publisher.sequence, stamp))
+        data = packet.seal(self.nonce, publisher.sequence, stamp)
+        tags = b""
+        for addressee, base in publisher.seals.entries:  # as `_Publisher.send`, without its call
+            mac = base.copy()
+            mac.update(data)
+            tags += addressee + mac.digest()
+        publisher.put(data, attachment=tags or None)
         return stamp
 
     def skip_unsubscribed(self, topic: Topic[Any]) -> bool:
@@ -128,7 +158,7 @@ class Link:
     def publish_raw(self, topic: Topic[Any], data: bytes) -> None:
         """Send a packed message; for a replay, which waits for space in the queue.
 
-        It is rejected unless its sender is our `nonce`.
+        It is rejected unless its sender is our `nonce`. It has no tags, so that nobody acts on it.
         """
         publisher = self._publishers.get(topic.name)
         if publisher is None:
@@ -146,8 +176,13 @@ class Link:
             return self._latest[topic.name][0]
         if topic.publisher is None:
             raise ValueError(f"{topic.name} has several publishers, so no one latest value")
-        latest = Latest(topic, partial(self._roster.visit, topic.publisher), limit_ns)
-        inbox = Inbox(RING)
+        keyring = self._keyring
+        senders = None if keyring is None else keyring.senders(topic)
+        addressee = b"" if keyring is None else keyring.addressee
+        latest = Latest(
+            topic, partial(self._roster.visit, topic.publisher), limit_ns, senders, addressee
+        )
+        inbox = Inbox(RING, tagged=senders is not None)
         direct = zenoh.handlers.Callback(inbox.store, indirect=False)  # no thread in between
         self._subscribers.append(self._zenoh.declare_subscriber(self._key(topic), direct))
         self._latest[topic.name] = latest, inbox
@@ -176,7 +211,7 @@ class Link:
 
     def listen(self, topics: Iterable[Topic[Any]]) -> Listener:
         """Return a queue of everything published on `topics` from now on."""
-        listener = Listener(self._visit)
+        listener = Listener(self._visit, self._keyring)
         for topic in topics:
             subscriber = self._zenoh.declare_subscriber(self._key(topic), listener.store(topic))
             self._subscribers.append(subscriber)
@@ -193,8 +228,13 @@ class Link:
         """Return whether the process of this nonce is in the session."""
         return self._roster.announced(nonce)
 
+    def may(self, nonce: int, right: str) -> bool:
+        """Return whether the process of this nonce is here and has a right (`teleop.keys`)."""
+        return self._roster.may(nonce, right)
+
     def check_peers(self) -> None:
         """Raise `PeerError` if this process must leave the session; costs microseconds."""
+        self._roster.refresh()
         why = presence.conflict(self._token, self._roster.others)
         if why is not None:
             raise PeerError(f"session {self.session!r} {why}")
@@ -215,7 +255,15 @@ class Link:
             raise ValueError(f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}")
         live = topic.live and not patient
         publisher = declare_publisher(self._zenoh, self._key(topic), live, patient)
-        return _Publisher(publisher)
+        return _Publisher(
+            publisher, Seals() if self._keyring is None else self._keyring.seals(topic)
+        )
+
+    def _announce(self) -> Any:
+        """Declare our token."""
+        if self._handshake is not None:
+            self._token = self._handshake.prove(self._token)
+        return self._zenoh.liveliness().declare_token(self._token.key(self.session))
 
     def _endpoints(self) -> tuple[list[str], list[str]]:
         """Return the endpoints to listen on and to connect to."""
@@ -230,16 +278,27 @@ class Link:
         listen, connect = self._endpoints()
         mode: Mode = "client" if self.config.routers else "peer"
         try:
-            return open_session(self.credentials, listen, connect, mode)
+            session = open_session(self.credentials, listen, connect, self._access(), mode)
         except UsageError:
             if listen:
                 self._blame_rival(listen)
             raise
+        if self.credentials is not None:
+            self._connections: Any = session.info.declare_link_events_listener(
+                self._on_connection, history=True
+            )
+        return session
+
+    def _access(self) -> dict[str, Any] | None:
+        return None if self.credentials is None else access_control([self.session])
 
     def _blame_rival(self, endpoints: list[str]) -> None:
         """Raise `PeerError` if it is our own session's peer that has the endpoint."""
         with open_session(self.credentials, [], endpoints) as session:
-            roster = Roster(session, self.session, self.nonce, relay=False)
+            roster = Roster(
+                session, self.session, self.nonce, False, self._handshake,
+                None if self._keyring is None else Keyring(self.role, self.nonce),
+            )  # fmt: skip
             time.sleep(SETTLE_S)
             roster.close()
         if any(t.role == self.role and not t.relayed for t in roster.others):
@@ -248,6 +307,16 @@ class Link:
                 f"session {self.session!r} has a {name} already, at {endpoints[0]}; stop that one "
                 "first, or choose another session name and other endpoints"
             )
+
+    def _on_connection(self, event: zenoh.LinkEvent) -> None:
+        """Note a connection of a certificate that has nothing to do here; it is not served."""
+        name = event.link.auth_identifier or ""
+        try:
+            ours = Identity.parse(name).may_join(self.session)
+        except ValueError:
+            ours = False
+        if event.kind == zenoh.SampleKind.PUT and not ours:
+            self.refusals.note(f"a connection with the certificate {name}")
 
     def _settle(self) -> None:
         """Detect peers before claiming a role: at most twice `SETTLE_S`, half of it to connect."""
@@ -265,19 +334,29 @@ class Link:
 
 
 class _Publisher:
-    """A publisher, its last sequence number, and whether it has subscribers.
+    """A publisher, its last sequence number, its tags, and whether it has subscribers.
 
-    Zenoh's thread updates `has_subscriber`.
+    Zenoh's thread updates `has_subscriber` and the addressees.
     """
 
-    __slots__ = ("_listener", "has_subscriber", "put", "sequence")
+    __slots__ = ("_listener", "has_subscriber", "put", "seals", "sequence")
 
-    def __init__(self, publisher: zenoh.Publisher) -> None:
-        self.put: Callable[[bytes], None] = publisher.put
+    def __init__(self, publisher: zenoh.Publisher, seals: Seals) -> None:
+        self.put: Callable[..., None] = publisher.put
+        self.seals = seals
         self.sequence = 0
         self.has_subscriber = False
         direct = zenoh.handlers.Callback(self._on_change, indirect=False)
         self._listener: Any = publisher.declare_matching_listener(direct)
+
+    def send(self, data: bytes) -> None:
+        """Send a message with its tags."""
+        tags = b""
+        for addressee, base in self.seals.entries:
+            mac = base.copy()
+            mac.update(data)
+            tags += addressee + mac.digest()
+        self.put(data, attachment=tags or None)
 
     def _on_change(self, status: zenoh.MatchingStatus) -> None:
         self.has_subscriber = status.matching

@@ -7,11 +7,15 @@ from typing import Any, NamedTuple
 import zenoh
 
 from teleop.clock import now_ns
+from teleop.link.keyring import Keyring
 from teleop.link.message_queue import MessageQueue
+from teleop.link.rate_limit import RateLimit
 from teleop.link.reception import Counts, Reception
 from teleop.messages import Head
 from teleop.topics import Topic
 
+LOOKS, LOOKS_HZ = 50, 500.0  # messages of a topic whose tags are checked: at once, per second
+LOOKS_RATIO = 4.0  # and at least so many times those that are expected
 SENDERS = 64  # senders tracked per topic; beyond that the least recent one is dropped
 
 
@@ -32,11 +36,25 @@ class Listener:
     Zenoh's thread stamps and queues; `drain` checks. A reader that falls behind by more than
     `message_queue.capacity_of` a topic loses its oldest messages. They are counted in `dropped`,
     and their gap in the sequence as `overwritten`, not `lost`.
+
+    Of topics that we act on (`Keyring.senders`), Zenoh's thread queues only messages with the tag
+    of their sender, and looks at `LOOKS_HZ` a second at most: others cost neither the loop's time
+    nor memory.
+
+    Parameters
+    ----------
+    visit : callable
+        As of `Reception`, with the topic.
+    keyring : Keyring, optional
+        Our keys; None in an insecure session.
     """
 
-    def __init__(self, visit: Callable[[Topic[Any], int], int]) -> None:
+    def __init__(
+        self, visit: Callable[[Topic[Any], int], int], keyring: Keyring | None = None
+    ) -> None:
         self._queue = MessageQueue()
-        self._visit = visit
+        self._visit, self._keyring = visit, keyring
+        self._refused: dict[str, int] = {}
         self._senders: dict[str, _Senders] = {}
 
     def store(self, topic: Topic[Any]) -> Callable[[zenoh.Sample], None]:
@@ -44,8 +62,33 @@ class Listener:
         self._queue.add(topic)
         self._senders[topic.name] = _Senders(topic, self._visit)
         put = self._queue.put
+        if self._keyring is not None and self._keyring.senders(topic) is not None:
+            return self._verifying(topic, self._keyring.verify)
         # copied at once: a payload keeps its whole receive buffer alive
         return lambda sample: put(topic, sample.payload.to_bytes(), now_ns())
+
+    def refused(self, topic: Topic[Any]) -> int:
+        """Return how many messages of `topic` had no right tag, or came too fast."""
+        return self._refused.get(topic.name, 0)
+
+    def _verifying(
+        self, topic: Topic[Any], verify: Callable[[Topic[Any], bytes, bytes], bool]
+    ) -> Callable[[zenoh.Sample], None]:
+        """Return the callback that queues messages of `topic` with the right tag only."""
+        allowed = RateLimit(LOOKS, max(LOOKS_HZ, LOOKS_RATIO * topic.rate_hz))
+        size, name = topic.message.schema.size, topic.name
+        put, refused = self._queue.put, self._refused
+
+        def store(sample: zenoh.Sample) -> None:
+            tags = sample.attachment
+            if tags is not None and len(sample.payload) == size and allowed():
+                data = sample.payload.to_bytes()
+                if verify(topic, data, tags.to_bytes()):
+                    put(topic, data, now_ns())
+                    return
+            refused[name] = refused.get(name, 0) + 1
+
+        return store
 
     def drain(self) -> list[ReceivedMessage]:
         """Return the messages since the last call, oldest first, checked as by `Latest`."""
@@ -77,8 +120,8 @@ class Listener:
 class _Senders:
     """The checks of a topic: one `Reception`, or one per sender if several publish it.
 
-    Sender numbers are not authenticated, so only senders with an accepted message are tracked, at
-    most `SENDERS`; counts of dropped ones are kept.
+    Only senders with an accepted message are tracked, at most `SENDERS`; counts of dropped ones
+    are kept.
     """
 
     def __init__(self, topic: Topic[Any], visit: Callable[[Topic[Any], int], int]) -> None:

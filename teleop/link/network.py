@@ -12,6 +12,7 @@ from teleop.keys import Credentials
 RETRY_MS = 100  # between attempts to connect to a peer
 QUEUE = 16  # messages of one priority waiting to be sent to one peer
 BATCH_BYTES = 2048  # of one write; holds any message, each of which is sent alone
+MESSAGE_BYTES = 65536  # that are received in fragments; a longer message is none of ours
 OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
 CONNECTIONS = 10_000  # that a router takes; its processor is the limit before (docs/scale.md)
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
@@ -21,11 +22,16 @@ Mode = Literal["peer", "client", "router"]
 
 
 def open_session(
-    credentials: Credentials | None, listen: list[str], connect: list[str], mode: Mode = "peer"
+    credentials: Credentials | None,
+    listen: list[str],
+    connect: list[str],
+    access: dict[str, Any] | None = None,
+    mode: Mode = "peer",
 ) -> zenoh.Session:
     """Open a Zenoh session on `HOST:PORT`s; `UsageError` if one cannot be listened on.
 
-    Without `credentials` everything is plaintext.
+    Without `credentials` everything is plaintext; with `access`, Zenoh's access control, it refuses
+    what the certificate at the other end must not send.
 
     An unreachable target is not an error: it is retried every `RETRY_MS`. A client needs one of its
     targets at the start; later it connects to the next one when it loses one.
@@ -36,7 +42,7 @@ def open_session(
         No target of a client answers.
     """
     try:
-        return zenoh.open(config_of(settings(credentials, listen, connect, mode)))
+        return zenoh.open(config_of(settings(credentials, listen, connect, access, mode)))
     except zenoh.ZError as error:
         if mode == "client":
             routers = ", ".join(connect)
@@ -56,7 +62,11 @@ def config_of(settings: dict[str, Any]) -> zenoh.Config:
 
 
 def settings(
-    credentials: Credentials | None, listen: list[str], connect: list[str], mode: Mode
+    credentials: Credentials | None,
+    listen: list[str],
+    connect: list[str],
+    access: dict[str, Any] | None,
+    mode: Mode,
 ) -> dict[str, Any]:
     """Return the settings of a Zenoh session by their path."""
     client = mode == "client"
@@ -87,6 +97,7 @@ def settings(
         # Each sample keeps the receive buffer that it lies in, which is as long as a batch may be,
         # and 256 samples wait before each callback when a process is held up. With Zenoh's 64 KB a
         # recorder that was stopped for one second grew by up to 50 MB.
+        "transport/link/rx/max_message_size": MESSAGE_BYTES,
         "transport/link/tx/batch_size": BATCH_BYTES,
         "transport/link/tx/queue/size/real_time": QUEUE,
         "transport/link/tx/queue/size/interactive_high": QUEUE,
@@ -104,6 +115,8 @@ def settings(
             "verify_name_on_connect": False,
             **credentials.for_tls(),
         }
+        if access is not None:
+            settings["access_control"] = access
     return settings
 
 

@@ -2,7 +2,9 @@
 
 Every process announces itself by a liveliness token, which vanishes with its process or connection:
 
-    teleop/<session>/@/<role>/<layout>/<nonce>/<stage>
+    teleop/<session>/@/<role>/<layout>/<nonce>/<stage>[/<proof>]
+
+The proof (`teleop.link.handshake`) shows who it is; only an insecure session has none.
 
 A session has one master and one slave. A new process first *claims* its role, waits for other
 tokens, and then *holds* it. A claim yields to a holder; of two equals the older nonce stays. A
@@ -46,12 +48,14 @@ class Token:
     nonce: int
     stage: Stage
     relayed: bool = False
+    proof: str = ""
 
     def key(self, session: str) -> str:
         """Return the key of this token."""
         relay = "relay/" if self.relayed else ""
         name, stage = self.role.name.lower(), self.stage.name.lower()
-        return f"{root(session)}/{relay}{name}/{self.layout:08x}/{self.nonce:016x}/{stage}"
+        proof = f"/{self.proof}" if self.proof else ""
+        return f"{root(session)}/{relay}{name}/{self.layout:08x}/{self.nonce:016x}/{stage}{proof}"
 
     @classmethod
     def from_key(cls, key: str) -> "Token | None":
@@ -59,9 +63,16 @@ class Token:
         chunks = key.split("/@/", 1)[-1].split("/")
         relayed = chunks[0] == "relay"
         try:
-            name, layout, nonce, stage = chunks[relayed:]
+            name, layout, nonce, stage, *proof = chunks[relayed:]
+            if len(proof) > 1 or not (len(layout) == 8 and len(nonce) == 16):
+                return None
             return cls(
-                Role[name.upper()], int(layout, 16), int(nonce, 16), Stage[stage.upper()], relayed
+                Role[name.upper()],
+                int(layout, 16),
+                int(nonce, 16),
+                Stage[stage.upper()],
+                relayed,
+                *proof,
             )
         except (ValueError, KeyError):
             return None

@@ -1,10 +1,12 @@
 """Reception of a topic: accepted messages, losses, age of the newest one."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Generic, TypeVar
+from hmac import compare_digest
+from typing import Any, Generic, TypeVar
 
 from teleop.link.inbox import Arrived
+from teleop.link.keyring import is_among
 from teleop.messages import Head, Message, MessageError
 from teleop.packet import Packet
 from teleop.topics import Topic
@@ -12,6 +14,8 @@ from teleop.topics import Topic
 M = TypeVar("M", bound=Message)
 
 CLOCK_JUMP_NS = 1_000_000_000  # a message that much faster than any before: the clock jumped
+REJECTED = ("corrupted", "layout", "repeated", "out_of_order", "foreign", "forged")
+ENDED = 256  # earlier senders whose last sequence number is kept
 NEVER_NS = 2**63 - 1  # age of a missing message: beyond every limit
 DRIFT = 1000  # inverse of the largest drift between two clocks; NTP slews by half of that
 
@@ -28,7 +32,8 @@ class Counts:
     repeated: int = 0
     out_of_order: int = 0
     foreign: int = 0  # from another sender while ours is alive
-    unknown: int = 0  # from a sender without a token, ignored
+    unknown: int = 0  # from a sender without a believed token, ignored
+    forged: int = 0  # without the tag of its sender for us
     delayed: int = 0  # accepted, but too old on arrival
     clock_jumps: int = 0  # the sender's clock was set, forward or back
     restarts: int = 0  # the sender's process was replaced
@@ -36,7 +41,7 @@ class Counts:
     @property
     def rejected(self) -> int:
         """Number of rejected messages."""
-        return self.corrupted + self.layout + self.repeated + self.out_of_order + self.foreign
+        return sum(getattr(self, kind) for kind in REJECTED)
 
     def __add__(self, other: "Counts") -> "Counts":
         return Counts(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
@@ -52,14 +57,27 @@ class Reception:
     visit : callable
         Returns the visit number of a nonce in the publishing role: 0 while it is not announced, 1
         at first, incremented each time it comes back.
+    senders : mapping, optional
+        Keyed hashes by sender (`Keyring.senders`): messages come with their tags behind them, and
+        nothing in one without the right tag is believed. None: messages have no tags.
+    addressee : bytes
+        Under which our tags are found.
     """
 
-    def __init__(self, topic: Topic[M], visit: Callable[[int], int]) -> None:
+    def __init__(
+        self,
+        topic: Topic[M],
+        visit: Callable[[int], int],
+        senders: Mapping[int, Any] | None = None,
+        addressee: bytes = b"",
+    ) -> None:
         self.counts = Counts()
         self.sender: int | None = None
         self.sequence = 0
         self._schema = topic.message.schema
         self._visit = visit
+        self._senders, self._addressee = senders, addressee
+        self._ended: dict[int, int] = {}  # last sequence numbers of earlier senders
 
     def admit(self, data: bytes, overflowed: bool = False) -> Head | None:
         """Return the head of `data` if it is accepted, else None.
@@ -69,6 +87,9 @@ class Reception:
         `unknown` is not counted as rejected.
         """
         counts = self.counts
+        tags = b""
+        if self._senders is not None:
+            data, tags = data[: self._schema.size], data[self._schema.size :]
         try:
             head = self._schema.check(data)
         except MessageError as error:
@@ -77,6 +98,18 @@ class Reception:
             else:
                 counts.corrupted += 1
             return None
+        if self._senders is not None:
+            base = self._senders.get(head.sender)
+            if base is None:
+                counts.unknown += 1
+                return None
+            mac = base.copy()
+            mac.update(data)
+            tag = self._addressee + mac.digest()
+            # usually there is one tag, which costs no call of Python
+            if not (compare_digest(tags, tag) or (len(tags) > len(tag) and is_among(tag, tags))):
+                counts.forged += 1
+                return None
         if head.sender == self.sender:
             gap = head.sequence - self.sequence
             if gap <= 0:
@@ -93,8 +126,15 @@ class Reception:
         elif not self._visit(head.sender):
             counts.unknown += 1
             return None
+        elif head.sequence <= self._ended.get(head.sender, -1):
+            counts.out_of_order += 1  # an earlier sender's message, played back
+            return None
         else:
-            counts.restarts += self.sender is not None
+            if self.sender is not None:
+                counts.restarts += 1
+                self._ended[self.sender] = self.sequence
+                if len(self._ended) > ENDED:
+                    del self._ended[next(iter(self._ended))]
             self.sender = head.sender
         self.sequence = head.sequence
         counts.received += 1
@@ -121,23 +161,28 @@ class Latest(Generic[M]):
 
     Parameters
     ----------
-    topic, visit
+    topic, visit, senders, addressee
         See `Reception`.
     limit_ns : int
         Age [ns] on arrival above which a message is counted as delayed.
     """
 
     def __init__(
-        self, topic: Topic[M], visit: Callable[[int], int], limit_ns: int = NEVER_NS
+        self,
+        topic: Topic[M],
+        visit: Callable[[int], int],
+        limit_ns: int = NEVER_NS,
+        senders: Mapping[int, Any] | None = None,
+        addressee: bytes = b"",
     ) -> None:
         self.packet = Packet(topic.message)  # the newest message, if any
         self.is_there = False  # whether there is
         self.new = False  # whether the last `take` had a new message
         self.received_ns = 0  # when the message was first read
-        self._reception = Reception(topic, visit)
+        self._reception = Reception(topic, visit, senders, addressee)
         self._visit = visit
         self._seen_visit = (0, 0)  # sender and visit of the clock comparison
-        self._message = topic.message
+        self._message, self._size = topic.message, topic.message.schema.size
         self._object: M | None = None  # of `message`, made on demand
         self._limit_ns = limit_ns
         self.stamp_ns = 0  # when it was sent, on its sender's clock
@@ -193,5 +238,5 @@ class Latest(Generic[M]):
         self._late_ns = delay - self._least_ns
         counts.delayed += self._late_ns > self._limit_ns
         self.received_ns = now_ns
-        self.packet.data[:] = newest
+        self.packet.data[:] = newest if len(newest) == self._size else newest[: self._size]
         self.is_there, self._object = True, None

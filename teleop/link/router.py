@@ -7,6 +7,7 @@ import zenoh
 
 from teleop.keys import Office
 from teleop.keys.identity import ALL_SESSIONS
+from teleop.link.access import access_control
 from teleop.link.config import LinkConfig
 from teleop.link.network import open_session
 from teleop.link.presence import Stage, Token, root
@@ -27,6 +28,9 @@ class Router:
     ----------
     config : LinkConfig
         Protection of the wire.
+    sessions : sequence of str
+        Names of the sessions that it serves, by the roles in their certificates; `ALL_SESSIONS` for
+        any, whatever their roles.
     listen, connect : tuple of str
         `HOST:PORT` of this router, and of others, which are tried until they answer.
     on_presence : callable
@@ -41,11 +45,12 @@ class Router:
     def __init__(
         self,
         config: LinkConfig,
+        sessions: Sequence[str],
         listen: Sequence[str],
         connect: Sequence[str],
         on_presence: Presence = lambda *_: None,
     ) -> None:
-        self._arguments = config, list(listen), list(connect)
+        self._arguments = config, sessions, list(listen), list(connect)
         self._on_presence = on_presence
 
     def __enter__(self) -> Self:
@@ -72,8 +77,13 @@ class Router:
             self._on_presence(key.split("/", 2)[1], token.role, came)
 
 
-def open_router(config: LinkConfig, listen: list[str], connect: list[str]) -> zenoh.Session:
+def open_router(
+    config: LinkConfig, sessions: Sequence[str], listen: list[str], connect: list[str]
+) -> zenoh.Session:
     """Open a router that listens on some endpoints and connects to other routers.
+
+    It forwards only what the certificate of its sender permits in these sessions; for
+    `ALL_SESSIONS`, whatever a certificate of the authority sends.
 
     Raises
     ------
@@ -81,4 +91,6 @@ def open_router(config: LinkConfig, listen: list[str], connect: list[str]) -> ze
         There are no valid keys of a router; an endpoint cannot be listened on.
     """
     credentials = credentials_of(config, ALL_SESSIONS, Office.ROUTER)
-    return open_session(credentials, listen, connect, "router")
+    open_to_all = credentials is None or ALL_SESSIONS in sessions
+    access = None if open_to_all else access_control(sessions)
+    return open_session(credentials, listen, connect, access, "router")

@@ -41,7 +41,11 @@ def main(args: argparse.Namespace) -> int:
     stop = Stop(args.duration)
     with Link(run.link, run.session, Role.RECORDER) as link:
         listener = link.listen(TOPICS)
-        writer = RecordingWriter(config, run.session, now_ns(), config_text, args.overrides)
+        writer = RecordingWriter(
+            config, run.session, now_ns(), config_text, args.overrides, link.insecure
+        )
+        if link.warning:
+            print(link.warning, flush=True)
         print(f"recording session {run.session!r} to {writer.path}", flush=True)
         try:
             with writer:

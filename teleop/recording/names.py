@@ -2,7 +2,7 @@
 
 from mcap.records import Channel
 
-SESSION_METADATA = "recording"  # session, start, message layout
+SESSION_METADATA = "recording"  # session, start, message layout, protection
 VERSIONS_METADATA = "versions"  # of the writing software
 GAPS_METADATA = "gaps"  # "<topic>/<sender>": lost messages; the last record of the name counts
 DROPPED_METADATA = "dropped"  # "<topic>": came, but the recorder was too slow; the last one counts

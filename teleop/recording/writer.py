@@ -61,6 +61,8 @@ class RecordingWriter:
         The session's config file, kept as an attachment.
     overrides : sequence of str
         Overrides of the command line, kept as metadata.
+    insecure : bool
+        Whether the session was not protected, kept as metadata.
 
     Raises
     ------
@@ -75,6 +77,7 @@ class RecordingWriter:
         started_ns: int,
         config_text: str = "",
         overrides: Sequence[str] = (),
+        insecure: bool = False,
     ) -> None:
         self.messages: dict[str, int] = {}  # topic -> messages in the file
         self.gaps = Gaps()
@@ -105,6 +108,7 @@ class RecordingWriter:
                 "started_ns": str(started_ns),
                 "layout": f"{LAYOUT:08x}",
                 "overrides": "\n".join(overrides),
+                "protection": "none" if insecure else "authenticated",
             },
         )
         self._mcap.add_metadata(

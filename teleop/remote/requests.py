@@ -1,5 +1,6 @@
 """Requests of other processes to a loop; costs microseconds while there are none."""
 
+from collections import deque
 from typing import NamedTuple
 
 from teleop.link import Link, ReceivedMessage
@@ -9,6 +10,7 @@ from teleop.remote.watches import ArmedWatch, Beat
 from teleop.session import Reason, SessionOutline, State
 from teleop.topics import SETTING, STOP, Role, role_name
 
+SETTINGS, SETTINGS_WAITING = 4, 32  # requests: in a tick, and waiting for one
 CALL, RESET, WATCH, LEAVE = range(len(STOP_ACTIONS))
 RELAYED = (Reason.EMERGENCY_STOP, Reason.STOP_CALLED, Reason.WATCH_LOST)
 
@@ -41,21 +43,26 @@ class RequestListener:
         self._link = link
         self._listener = link.listen((STOP, SETTING))
         self._armed: tuple[ArmedWatch, ...] = ()
+        self._settings: deque[SettingRequest] = deque()
         self._before = SessionOutline()
 
     def __call__(self, now_ns: int, stops: int = 0) -> Requests:
-        """Return the requests since the last call, at `now_ns` [ns].
+        """Return the requests since the last call, at `now_ns` [ns], that their senders may make.
 
         A reset is valid if it gives the newest of our `stops`, so that it cannot reset a later
-        stop.
+        stop. Of settings there are `SETTINGS` in a tick at most.
         """
         messages = self._listener.drain()
-        if not messages and not self._armed:
+        if not messages and not self._armed and not self._settings:
             return _NOTHING
         calls = [
             item for item in messages if item.topic is STOP and item.sender != self._link.nonce
         ]
-        calls_and_bodies = [(item, EmergencyStop.unpack(item.data)) for item in calls]
+        calls_and_bodies = [
+            (item, call)
+            for item, call in ((item, EmergencyStop.unpack(item.data)) for item in calls)
+            if self._may(item, call.role, "reset" if call.action == RESET else "stop")
+        ]
         beats = [
             Beat(item.sender, item.received_ns, call.action == LEAVE)
             for item, call in calls_and_bodies
@@ -65,22 +72,20 @@ class RequestListener:
         requests = Requests(
             stop=Reason.WATCH_LOST if lost else Reason.NONE,
             reset=any(
-                call.action == RESET
-                and (call.side, call.number) == (self._link.role, stops)
-                and self._link.announced(item.sender)
-                for item, call in calls_and_bodies
+                call.action == RESET and (call.side, call.number) == (self._link.role, stops)
+                for _, call in calls_and_bodies
             ),
-            settings=tuple(
-                _setting_request(item)
-                for item in messages
-                if item.topic is SETTING and self._link.announced(item.sender)
-            ),
+            settings=self._next_settings(messages),
         )
         for _, call in calls_and_bodies:
             if call.action not in (RESET, WATCH, LEAVE):
                 words = f"{role_name(call.role)}: {text_of(call.text)}"
                 return requests._replace(stop=Reason.STOP_CALLED, words=words)
         return requests
+
+    def refused(self) -> dict[str, int]:
+        """Return by topic how many messages had no right tag, or came too fast."""
+        return {topic.name: self._listener.refused(topic) for topic in (STOP, SETTING)}
 
     def relay(self, role: Role, side: SessionOutline, words: str) -> None:
         """Relay a stop that has just been executed to all processes.
@@ -91,6 +96,29 @@ class RequestListener:
         self._before = side
         if began and side.reason in RELAYED:
             call_stop(self._link, role, words or side.reason.text)
+
+    def _next_settings(self, messages: list[ReceivedMessage]) -> tuple[SettingRequest, ...]:
+        """Queue new requests for settings; return those of this tick."""
+        for item in messages:
+            if item.topic is SETTING:
+                request, role = _setting_request(item)
+                if not self._may(item, role, "set"):
+                    continue
+                if len(self._settings) < SETTINGS_WAITING:
+                    self._settings.append(request)
+                else:
+                    self._link.refusals.note("settings came too fast")
+        count = min(SETTINGS, len(self._settings))
+        return tuple(self._settings.popleft() for _ in range(count))
+
+    def _may(self, item: ReceivedMessage, role: int, right: str) -> bool:
+        """Return whether a request is to be executed; one that is not is noted."""
+        may = self._link.may(item.sender, right)
+        if not may:
+            self._link.refusals.note(
+                f"{item.topic.name} of a {role_name(role)} without the right to {right}"
+            )
+        return may
 
     def _is_watch(self, nonce: int) -> bool:
         return self._link.present(Role.WATCH, nonce)
@@ -109,6 +137,8 @@ def call_reset(link: Link, role: Role, words: str, side: Role, number: int) -> N
     )
 
 
-def _setting_request(item: ReceivedMessage) -> SettingRequest:
+def _setting_request(item: ReceivedMessage) -> tuple[SettingRequest, int]:
+    """Return a request for a setting, and the role of its sender."""
     setting = Setting.unpack(item.data)
-    return SettingRequest(item.sender, item.sequence, text_of(setting.key), text_of(setting.value))
+    key, value = text_of(setting.key), text_of(setting.value)
+    return SettingRequest(item.sender, item.sequence, key, value), setting.role

@@ -50,6 +50,8 @@ def main(args: argparse.Namespace) -> int:
     stop = Stop()
     # an emergency stop does not wait for the detection of peers
     with Link(config.link, config.session, role, at_once=not args.watch) as link:
+        if link.warning:
+            print(link.warning, flush=True)
         if args.watch:
             return watch(link, stop, args.why)
         action = RESET if args.reset else CALL

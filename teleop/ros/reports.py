@@ -12,7 +12,7 @@ SILENT_NS = 2_000_000_000  # [ns] without a report, which come twice a second
 _LEVELS = {State.FAULT: ERROR, State.STOPPED: ERROR, State.HOLDING: WARN, State.OFF: WARN}
 _COUNTS = (
     "ticks", "overruns", "received", "lost", "rejected", "corrupted", "repeated", "out_of_order",
-    "foreign", "unknown", "delayed", "clock_jumps", "restarts",
+    "foreign", "forged", "unknown", "delayed", "clock_jumps", "restarts",
 )  # fmt: skip
 SIDES = (Role.MASTER, Role.SLAVE)
 

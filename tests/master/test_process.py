@@ -14,6 +14,7 @@ from teleop.clock import Grid, now_ns
 from teleop.config import load
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Latest, ReceivedMessage
+from teleop.link.refusals import Refusals
 from teleop.loop_process import run
 from teleop.messages import (
     STAGE_NAMES,
@@ -54,7 +55,7 @@ class DeviceConnection:
     nonce, role = 5, Role.MASTER
 
     def __init__(self):
-        self.sent, self.heard = [], []
+        self.sent, self.heard, self.refusals = [], [], Refusals()
         self.latest_state = Latest(STATE, lambda _: True)
         self.sequence = 0
         self.conflict = None
@@ -131,6 +132,12 @@ class DeviceConnection:
 
     def announced(self, nonce):
         return nonce == 77
+
+    def may(self, nonce, right):
+        return right == "stop" or self.announced(nonce)
+
+    def refused(self, _topic):
+        return 0
 
     def counts(self):
         return self.latest_state.counts

@@ -17,6 +17,7 @@ from slave.rigs.simulated.simulated import SimulatedRigConfig
 from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Latest, ReceivedMessage
+from teleop.link.refusals import Refusals
 from teleop.loop_process import run
 from teleop.messages import MAX_JOINTS, Command, EmergencyStop, padded, text_bytes, text_of
 from teleop.remote.requests import CALL, RESET, RequestListener
@@ -48,7 +49,7 @@ class FakeLink:
     nonce, role = 5, Role.SLAVE
 
     def __init__(self, pressed_after=5, rate_hz=1000.0):
-        self.sent, self.heard = [], []
+        self.sent, self.heard, self.refusals = [], [], Refusals()
         self.latest_command = Latest(COMMAND, lambda _: True)
         self.pressed_after, self.sequence, self.conflict = pressed_after, 0, None
         self.master_state = None  # whatever is pressed
@@ -111,6 +112,12 @@ class FakeLink:
 
     def announced(self, nonce):
         return nonce == 77
+
+    def may(self, nonce, right):
+        return right == "stop" or self.announced(nonce)
+
+    def refused(self, _topic):
+        return 0
 
     def counts(self):
         return self.latest_command.counts

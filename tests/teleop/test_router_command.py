@@ -18,7 +18,7 @@ from teleop.app import cli
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.link import Link, LinkConfig
-from teleop.router.command import endpoints, protection
+from teleop.router.command import protection, router_config
 from teleop.router.config import DEFAULT, RouterConfig
 from teleop.run_config import RunConfig
 from teleop.topics import Role
@@ -30,39 +30,48 @@ TOPOLOGIES = sorted((ROOT / "configs" / "topologies").glob("*.yaml"))
 PAGE = (ROOT / "docs" / "topologies.md").read_text()
 
 
-def words(*overrides, listen=(), connect=(), config=None):
-    return argparse.Namespace(
-        config=config, overrides=list(overrides), listen=list(listen), connect=list(connect)
-    )
+def words(*overrides, **options):
+    lists = {name: options.get(name, []) for name in ("session", "listen", "connect")}
+    return argparse.Namespace(config=None, overrides=list(overrides), **lists)
 
 
-def test_it_listens_where_options_config_or_sessions_say():
-    link = LinkConfig(routers=("127.0.0.1:1",))
-    assert endpoints(words(), LinkConfig()).listen == (DEFAULT,)
-    assert endpoints(words(), link).listen == ("127.0.0.1:1",)
-    stated = words('router.listen=["127.0.0.1:2"]', 'router.connect=["127.0.0.1:3"]')
-    assert endpoints(stated, link) == RouterConfig(("127.0.0.1:2",), ("127.0.0.1:3",))
-    assert endpoints(words(listen=["127.0.0.1:4"]), link).listen == ("127.0.0.1:4",)
+def asked(*overrides, routers=(), **options):
+    """The router's config by overrides, the session's routers, and options."""
+    return router_config(words(*overrides, **options), RunConfig(link=LinkConfig(routers=routers)))
+
+
+def test_options_config_and_defaults_say_what_it_serves_and_where():
+    assert asked() == RouterConfig(("demo",), (DEFAULT,))
+    assert asked(routers=("127.0.0.1:1",)).listen == ("127.0.0.1:1",)
+    stated = ('router.listen=["127.0.0.1:2"]', 'router.connect=["127.0.0.1:3"]')
+    sessions = 'router.sessions=["a", "b"]'
+    config = asked(*stated, sessions, routers=("127.0.0.1:1",))
+    assert config == RouterConfig(("a", "b"), ("127.0.0.1:2",), ("127.0.0.1:3",))
+    options = asked(*stated, sessions, listen=["127.0.0.1:4"], session=["c"])
+    assert options == RouterConfig(("c",), ("127.0.0.1:4",), ("127.0.0.1:3",))
 
 
 def test_off_loopback_it_must_have_keys(tmp_path):
-    far = RouterConfig(("10.0.0.5:7450",))
+    far = RouterConfig(listen=("10.0.0.5:7450",))
     with pytest.raises(UsageError, match=r"router: off loopback, link\.keys"):
         protection(LinkConfig(), far, None)
     assert protection(LinkConfig(), far, tmp_path).keys == tmp_path
     assert protection(LinkConfig(insecure=True), far, None).insecure
-    assert protection(LinkConfig(), RouterConfig((DEFAULT,)), None).keys is None
+    assert protection(LinkConfig(), RouterConfig(listen=(DEFAULT,)), None).keys is None
 
 
 @pytest.mark.parametrize("bad", ["tcp/127.0.0.1:1", "127.0.0.1", "0.0.0.0:7450"])
 def test_a_wrong_endpoint_is_one_line(bad):
     with pytest.raises(UsageError, match=r"router\.listen\.0: "):
-        endpoints(words(f'router.listen=["{bad}"]'), LinkConfig())
+        asked(f'router.listen=["{bad}"]')
+    with pytest.raises(UsageError, match=r"--connect\[0\]: "):
+        asked(connect=[bad])
 
 
 def test_the_command_says_where_it_is_and_who_comes(tmp_path):
     (port,) = free_ports(1)
-    command = [sys.executable, "-m", "teleop", "router", "--listen", f"127.0.0.1:{port}"]
+    command = [sys.executable, "-m", "teleop", "router", "--session", "room-1"]
+    command += ["--listen", f"127.0.0.1:{port}"]
     with subprocess.Popen(
         [*command, "--json", str(tmp_path / "r.json")], stdout=subprocess.PIPE, text=True, env=OURS
     ) as process:

@@ -5,8 +5,6 @@ from collections.abc import Callable
 from types import SimpleNamespace
 
 from teleop.link import Link, LinkConfig
-from teleop.link.presence import Stage, Token
-from teleop.messages import LAYOUT
 from teleop.topics import Role
 from tests.tick.profile import Calls
 
@@ -14,10 +12,11 @@ from tests.tick.profile import Calls
 class Sample:
     """What Zenoh gives a subscriber; reading it is a call of C, as there."""
 
-    __slots__ = ("payload",)
+    __slots__ = ("attachment", "payload")
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, tags: bytes | None = None) -> None:
         self.payload = SimpleNamespace(to_bytes=data.__bytes__)
+        self.attachment = None if tags is None else SimpleNamespace(to_bytes=tags.__bytes__)
 
 
 class Session:
@@ -25,6 +24,8 @@ class Session:
 
     def __init__(self) -> None:
         self.sent: dict[str, list[bytes]] = defaultdict(list)
+        self.tags: dict[str, list[bytes | None]] = defaultdict(list)
+        self.puts: dict[str, Callable[..., None]] = {}
         self.stores: dict[str, Callable[[Sample], None]] = {}
 
     def liveliness(self):
@@ -40,7 +41,14 @@ class Session:
         def tell(handler):
             handler.callback(SimpleNamespace(matching=True))
 
-        return SimpleNamespace(put=self.sent[key].append, declare_matching_listener=tell)
+        sent, tags = self.sent[key], self.tags[key]
+
+        def put(data, attachment=None):
+            sent.append(data)
+            tags.append(attachment)
+
+        self.puts[key] = put
+        return SimpleNamespace(put=put, declare_matching_listener=tell)
 
     def close(self) -> None:
         """Nothing is open."""
@@ -80,16 +88,24 @@ class MemoryLink(Link):
         """What was published on `topic` and not carried over yet."""
         return self._zenoh.sent[self._key(topic)]
 
+    def putting(self, topic):
+        """The code of the function that sends messages of `topic`."""
+        if topic.name not in self._publishers:
+            self._publishers[topic.name] = self._declare(topic)
+        return self._zenoh.puts[self._key(topic)].__code__
+
     def meet(self, peers: "list[Link]") -> None:
         """Announce the others of the session to this side."""
-        self._roster.replace(
-            frozenset(Token(peer.role, LAYOUT, peer.nonce, Stage.HELD) for peer in peers)
-        )
+        for peer in peers:
+            assert self._roster._believes(peer._token)
+        self._roster.replace(frozenset(peer._token for peer in peers))
 
     def carry(self, peer: "MemoryLink") -> None:
         """Give `peer` what this side has published since the last time."""
         for key, messages in self._zenoh.sent.items():
             store = peer._zenoh.stores.get(key)
-            for data in messages if store else ():
-                store(Sample(data))
+            tags = self._zenoh.tags[key]
+            for data, tag in zip(messages, tags, strict=True) if store else ():
+                store(Sample(data, tag))
             messages.clear()
+            tags.clear()

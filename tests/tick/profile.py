@@ -17,14 +17,15 @@ class Calls:
     python, c : Counter
         Calls by the name of the function. `python` are the 'call' events of `sys.setprofile`,
         among them those that enter compiled code; `c` are its 'c_call' events.
-    spans : int
-        How many times `begin` was called.
+    spans, ended : int
+        How many times `begin` was called, and how often the code that it named.
     """
 
     def __init__(self) -> None:
         self.python: Counter[str] = Counter()
         self.c: Counter[str] = Counter()
         self.spans = 0
+        self.ended = 0
         self._ends_at: object = None
 
     def begin(self, ends_at: object) -> None:
@@ -54,6 +55,9 @@ class Calls:
         return "\n".join([f"{python:.2f} Python calls in a tick, {c:.2f} of C:", *lines])
 
     def _count(self, frame, event, arg) -> None:
+        if event == "call" and frame.f_code is self._ends_at:
+            self.ended += 1
+            sys.setprofile(None)
         if event not in ("call", "c_call") or frame.f_code.co_filename.startswith(HERE):
             return
         if event == "call":

@@ -16,7 +16,6 @@ from slave.process import SlaveProcess
 from slave.rigs import open_rig
 from teleop.clock import EventClock, Grid
 from teleop.config import load
-from teleop.link import Link, LinkConfig
 from teleop.run_config import RunConfig
 from teleop.topics import COMMAND, HAND, STATE, TENDONS, Role
 from tests.tick.clock import StandingClock
@@ -54,7 +53,7 @@ class Session:
         self._clock = clock = StandingClock(stack.enter_context(pytest.MonkeyPatch.context()))
         self._at_master = stack.enter_context(MemoryLink(Role.MASTER))
         self._at_slave = stack.enter_context(MemoryLink(Role.SLAVE))
-        launcher = Link(LinkConfig(), "tick", Role.LAUNCHER)
+        launcher = stack.enter_context(MemoryLink(Role.LAUNCHER))
         self._at_master.meet([self._at_slave, launcher])
         self._at_slave.meet([self._at_master, launcher])
         shared = load(ARM, RunConfig, None, ())
@@ -77,8 +76,7 @@ class Session:
 
         self._at_master.world, self._at_master.calls = self._slave_ticks, self.master_calls
         self._events, self._grid = iter(events), iter(grid)
-        # looked up while nothing is counted: a topic's list is made when it is first asked for
-        self._sent = self._at_slave.sent(STATE).append
+        self._sent = self._at_slave.putting(STATE)
 
     def tick(self) -> None:
         """Let the master have a tick, and the slave the one that answers it."""

@@ -127,11 +127,20 @@ _ROWS: dict[str, Callable[[Mapping[str, Any]], str]] = {
 
 
 def status_text(
-    reports: Mapping[Role, LoopReport], state: SlaveState | None, latency: Latency | None = None
+    reports: Mapping[Role, LoopReport],
+    state: SlaveState | None,
+    latency: Latency | None = None,
+    insecure: bool = False,
 ) -> Text:
-    """Return the status of a session in one line: state, force, rates, latency, losses."""
+    """Return the status of a session in one line: state, force, rates, latency, losses.
+
+    An `insecure` session says so first.
+    """
     master, slave = reports.get(Role.MASTER), reports.get(Role.SLAVE)
     text = Text()
+    if insecure:
+        text.append("INSECURE", "bold white on red")
+        text.append(" │ ")
     if master:
         now = State(master.state)
         text.append(now.name, _STYLES.get(now, "bold"))

@@ -154,6 +154,6 @@ def watch(
             raise TeleopError(f"the loops did not start within {START_S:g} s")
         if console.status.live:
             state = link.latest(STATE).message
-            console.status.show(status_text(hearing.reports, state, hearing.latency))
+            console.status.show(status_text(hearing.reports, state, hearing.latency, link.insecure))
         keyboard.look(_LOOK_S)
     return None

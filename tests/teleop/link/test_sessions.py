@@ -9,8 +9,12 @@ import pytest
 
 from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
+from teleop.keys import Office
+from teleop.keys.local import local_credentials
 from teleop.link import Counts, Link, LinkConfig
 from teleop.link.config import Address
+from teleop.link.handshake import Handshake
+from teleop.link.keyring import Keyring, nonce_bytes
 from teleop.link.network import BATCH_BYTES, open_session
 from teleop.link.ping_pong import ping_pong
 from teleop.link.presence import Stage, Token, new_nonce
@@ -138,17 +142,21 @@ def test_a_restarted_master_is_taken_up_again_and_counted(config: LinkConfig) ->
 def test_a_machine_that_slept_is_not_silent_after_it_has_come_back(config: LinkConfig) -> None:
     """The same process as far as anyone can tell, its clock ten seconds behind."""
     nonce, sequence = new_nonce(), itertools.count(1)
+    handshake = Handshake(local_credentials("test", Office.MASTER), "test", nonce)
+    keyring = Keyring(Role.MASTER, nonce)
     with Link(config, "test", Role.SLAVE) as slave:
         latest = slave.subscribe_latest(COMMAND)
         for behind_ns in (0, 10_000 * MS):
             master = Link(config, "test", Role.MASTER)
             master.nonce = nonce
             master._token = Token(Role.MASTER, LAYOUT, nonce, Stage.CLAIM)
+            master._handshake, master._keyring = handshake, keyring
             with master:
+                publisher = master._declare(COMMAND)
 
-                def fresh(master: Link = master, behind_ns: int = behind_ns) -> bool:
+                def fresh(publisher: Any = publisher, behind_ns: int = behind_ns) -> bool:
                     stamp = now_ns() - behind_ns
-                    master.publish_raw(COMMAND, Command().pack(nonce, next(sequence), stamp))
+                    publisher.send(Command().pack(nonce, next(sequence), stamp))
                     time.sleep(0.002)
                     slave.latest(COMMAND)
                     return latest.new and latest.is_fresh(now_ns(), 20 * MS)
@@ -159,30 +167,33 @@ def test_a_machine_that_slept_is_not_silent_after_it_has_come_back(config: LinkC
 
 
 def test_what_an_intruder_puts_on_the_key_is_counted_and_kept_out(config: LinkConfig) -> None:
+    router = local_credentials("test", Office.ROUTER)  # may pass on everything, and make nothing
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
         latest = pump(master, slave)
-        with open_session(config, [], [config.slave]) as intruder:
-            put = intruder.declare_publisher("teleop/test/command").put
+        with open_session(router, [], [config.slave]) as intruder:
+            publisher = intruder.declare_publisher("teleop/test/command")
+            wait_until(lambda: publisher.matching_status.matching)
             genuine = Command(state=2).pack(master.nonce, 10**6, now_ns())
+            tag = nonce_bytes(slave.nonce) + bytes(16)
 
             def counted() -> tuple[int, ...]:
                 counts = slave.latest(COMMAND).counts
-                return counts.layout, counts.corrupted, counts.foreign
+                return counts.layout, counts.corrupted, counts.forged, counts.unknown
 
-            for data, expected in (
-                (b"", (1, 0, 0)),
-                (b"\0" * 5000, (2, 0, 0)),
-                (genuine[:-1] + b"\x01", (2, 1, 0)),
-                (Command(state=2).pack(12345, 10**6, now_ns()), (2, 1, 1)),
+            before = counted()
+            for data, tags, place in (
+                (b"", None, 0),
+                (b"\0" * 2500, None, 1),
+                (genuine[:-1] + b"\x01", None, 1),
+                (genuine, None, 2),
+                (genuine, tag, 2),
+                (genuine, tag * 9, 2),
+                (Command(state=2).pack(12345, 10**6, now_ns()), tag, 3),
             ):
-
-                def inject(data: bytes = data, expected: tuple[int, ...] = expected) -> bool:
-                    if counted() != expected:
-                        put(data)
-                        time.sleep(0.02)
-                    return counted() == expected
-
-                wait_until(inject)
+                publisher.put(data, attachment=tags)
+                before = tuple(n + (k == place) for k, n in enumerate(before))
+                wait_until(lambda before=before: counted() == before)
+        pump(master, slave)  # the high sequence numbers have not deafened it
         assert latest.message is not None
         assert latest.message.sender == master.nonce
         assert latest.message.state == 1

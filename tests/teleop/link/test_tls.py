@@ -4,28 +4,12 @@ import time
 from pathlib import Path
 
 import pytest
-from cryptography.hazmat.primitives.serialization import Encoding
 
-from teleop.keys.authority import Authority, write, write_key
-from teleop.keys.credentials import stem
-from teleop.keys.identity import RIGHTS, Identity, Office
 from teleop.link import Counts, Link, LinkConfig
 from teleop.messages import Command
 from teleop.topics import COMMAND, Role
+from tests.teleop.keys.folder import make_keys
 from tests.teleop.link.bench import pump, session
-
-
-def make_keys(folder: Path, session_name: str = "test") -> Path:
-    """A folder of keys of all roles, of an authority of its own."""
-    authority = Authority.create("test authority", 2)
-    authority.publish(folder)
-    for office in Office:
-        rights = RIGHTS if office is Office.SUPERVISOR else ()
-        certificate, key = authority.issue(Identity(office, session_name, rights), 1)
-        path = folder / f"{stem(office, session_name)}.pem"
-        write(path, certificate.public_bytes(Encoding.PEM), 0o644)
-        write_key(path.with_suffix(".key"), key)
-    return folder
 
 
 @pytest.fixture(scope="module")

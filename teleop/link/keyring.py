@@ -1,0 +1,138 @@
+"""Tags of messages: who sent them to whom, beyond doubt.
+
+A message that moves something carries one tag for each process that acts on it
+(`Topic.addressees`), in the attachment of its Zenoh sample: the addressee's nonce and the keyed
+BLAKE2b (RFC 7693) of the whole message, under the key of this pair of processes and direction, and
+the name of the topic. The message itself is the same with and without tags.
+
+Zenoh's thread adds and removes peers; the loop seals and verifies.
+"""
+
+import struct
+from collections import OrderedDict
+from collections.abc import Mapping
+from hashlib import blake2b
+from hmac import compare_digest
+from typing import Any
+
+from teleop.link.handshake import PairKeys, Peer
+from teleop.topics import TOPICS, Role, Topic
+
+TAG_BYTES = 16
+ENTRY_BYTES = 8 + TAG_BYTES  # the addressee's nonce, and the tag for it
+ADDRESSEES = 8  # at most, of a message
+KEPT = 64  # peers whose messages are still believed after their token has vanished
+
+_NONCE = struct.Struct("<Q")
+
+
+class Seals:
+    """What a publisher tags its messages with.
+
+    Attributes
+    ----------
+    entries : tuple
+        For each addressee its nonce (8 bytes) and the keyed hash, before the message.
+    """
+
+    __slots__ = ("entries",)
+
+    def __init__(self) -> None:
+        self.entries: tuple[tuple[bytes, Any], ...] = ()
+
+
+class Keyring:
+    """The keys that one process shares with each of the others.
+
+    Parameters
+    ----------
+    role : Role
+        Role of this process.
+    nonce : int
+        Its nonce, under which it finds its tags.
+    """
+
+    def __init__(self, role: Role, nonce: int) -> None:
+        self.addressee = nonce_bytes(nonce)
+        self._role = role
+        self._seals = {topic.name: Seals() for topic in TOPICS}
+        # of each topic that we act on: keyed hashes by sender, absent ones too
+        self._senders: dict[str, OrderedDict[int, Any]] = {
+            topic.name: OrderedDict() for topic in TOPICS if role in topic.addressees
+        }
+        self._peers: OrderedDict[tuple[Role, int], Peer] = OrderedDict()
+
+    def shares_with(self, role: Role) -> bool:
+        """Return whether messages between us and `role` are tagged."""
+        return any(
+            (role in topic.addressees and self._role in topic.publishers)
+            or (self._role in topic.addressees and role in topic.publishers)
+            for topic in TOPICS
+        )
+
+    def known(self, role: Role, nonce: int) -> Peer | None:
+        """Return the peer of this role and nonce, if its keys are here."""
+        return self._peers.get((role, nonce))
+
+    def add(self, peer: Peer, keys: PairKeys) -> None:
+        """Believe and address `peer` from now on."""
+        self._peers[peer.role, peer.nonce] = peer
+        self._peers.move_to_end((peer.role, peer.nonce))
+        while len(self._peers) > KEPT:
+            self._peers.popitem(last=False)
+        addressee = nonce_bytes(peer.nonce)
+        for topic in TOPICS:
+            name = topic.name
+            if peer.role in topic.addressees and self._role in topic.publishers:
+                others = [e for e in self._seals[name].entries if e[0] != addressee]
+                entry = (addressee, keyed_hash(keys.sending, topic))
+                self._seals[name].entries = (*others[-(ADDRESSEES - 1) :], entry)
+            if name in self._senders and peer.role in topic.publishers:
+                senders = self._senders[name]
+                senders[peer.nonce] = keyed_hash(keys.receiving, topic)
+                senders.move_to_end(peer.nonce)
+                while len(senders) > KEPT:
+                    senders.popitem(last=False)
+
+    def remove(self, role: Role, nonce: int) -> None:
+        """Address a vanished peer no more; what is still on its way is believed."""
+        addressee = nonce_bytes(nonce)
+        for topic in TOPICS:
+            if role in topic.addressees:
+                seals = self._seals[topic.name]
+                seals.entries = tuple(e for e in seals.entries if e[0] != addressee)
+
+    def seals(self, topic: Topic[Any]) -> Seals:
+        """Return what messages of `topic` are tagged with; it follows the peers."""
+        return self._seals[topic.name]
+
+    def senders(self, topic: Topic[Any]) -> Mapping[int, Any] | None:
+        """Return the keyed hashes by sender of a topic; None if we do not act on it."""
+        return self._senders.get(topic.name)
+
+    def verify(self, topic: Topic[Any], data: bytes, tags: bytes) -> bool:
+        """Return whether `data` is of a known sender, to us, and unchanged."""
+        base = self._senders[topic.name].get(topic.message.schema.sender(data))
+        if base is None:
+            return False
+        mac = base.copy()
+        mac.update(data)
+        return is_among(self.addressee + mac.digest(), tags)
+
+
+def keyed_hash(key: bytes, topic: Topic[Any]) -> Any:
+    """Return the hash of a topic's messages, before any message."""
+    return blake2b(key=key, digest_size=TAG_BYTES, person=topic.name.encode())
+
+
+def is_among(tag: bytes, tags: bytes) -> bool:
+    """Return whether an entry (addressee and tag) is among those of a message."""
+    for begin in range(0, min(len(tags), ADDRESSEES * ENTRY_BYTES), ENTRY_BYTES):
+        if compare_digest(tags[begin : begin + ENTRY_BYTES], tag):
+            return True
+    return False
+
+
+def nonce_bytes(nonce: int) -> bytes:
+    """Return a nonce as it stands in front of a tag."""
+    return _NONCE.pack(nonce)

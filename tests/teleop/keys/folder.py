@@ -1,0 +1,36 @@
+"""Folders of keys for tests."""
+
+from datetime import datetime
+from pathlib import Path
+
+from cryptography.hazmat.primitives.serialization import Encoding
+
+from teleop.keys.authority import Authority, write, write_key
+from teleop.keys.credentials import stem
+from teleop.keys.identity import RIGHTS, Identity, Office
+
+
+def put(
+    authority: Authority,
+    folder: Path,
+    identity: Identity,
+    days: float = 1.0,
+    start: datetime | None = None,
+    name: str = "",
+) -> Path:
+    """Issue a certificate into a folder, under the name of its holder or of another."""
+    certificate, key = authority.issue(identity, days, start)
+    path = folder / f"{name or stem(identity.office, identity.session)}.pem"
+    write(path, certificate.public_bytes(Encoding.PEM), 0o644)
+    write_key(path.with_suffix(".key"), key)
+    return path
+
+
+def make_keys(folder: Path, session: str = "test", authority: Authority | None = None) -> Path:
+    """A folder of keys of all roles, of an authority of its own unless one is given."""
+    authority = authority or Authority.create("test authority", 2)
+    authority.publish(folder)
+    for office in Office:
+        rights = RIGHTS if office is Office.SUPERVISOR else ()
+        put(authority, folder, Identity(office, session, rights))
+    return folder

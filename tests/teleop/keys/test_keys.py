@@ -1,0 +1,162 @@
+"""Keys: what is issued is believed, and every flaw is named in one line."""
+
+import os
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from teleop.app import cli
+from teleop.errors import UsageError
+from teleop.keys import credentials
+from teleop.keys.authority import Authority, load_revoked
+from teleop.keys.identity import RIGHTS, Identity, Office, supervisors
+from teleop.keys.local import local_credentials, local_folder
+from tests.teleop.keys.folder import make_keys, put
+
+MASTER = Identity(Office.MASTER, "test")
+
+
+@pytest.fixture
+def authority() -> Authority:
+    return Authority.create("test authority", 2)
+
+
+def load(folder: Path, office: Office = Office.MASTER) -> credentials.Credentials:
+    return credentials.load(folder, "test", office)
+
+
+@pytest.mark.parametrize("office", list(Office))
+def test_a_name_says_role_session_and_rights(office: Office) -> None:
+    rights = RIGHTS if office is Office.SUPERVISOR else ()
+    assert Identity.parse(f"{office}.theatre-2") == (office, "theatre-2", rights)
+    assert len(Identity(office, "s" * 40, rights[:2]).common_name) <= 64
+    for bad in (f"{office}", f"{office}-fly.a", f"{office}.A", f"x{office}.a", f"{office}.a.b"):
+        with pytest.raises(ValueError, match=r"."):
+            Identity.parse(bad)
+
+
+def test_a_supervisor_has_the_rights_of_its_name() -> None:
+    assert Identity.parse("supervisor-stop.a").rights == ("stop",)
+    assert set(supervisors("a", "set")) == {
+        "supervisor.a", "supervisor-set.a", "supervisor-reset-set.a", "supervisor-set-stop.a",
+    }  # fmt: skip
+
+
+def test_only_a_router_is_for_all_sessions() -> None:
+    assert Identity.parse("router.*").may_join("anything")
+    with pytest.raises(ValueError, match="only a router"):
+        Identity.parse("master.*")
+
+
+def test_issued_keys_are_believed(tmp_path: Path) -> None:
+    folder = make_keys(tmp_path)
+    for office in Office:
+        assert load(folder, office).identity.office is office
+
+
+def test_every_flaw_is_named(tmp_path: Path, authority: Authority) -> None:
+    folder = make_keys(tmp_path / "keys", authority=authority)
+    now = datetime.now(UTC)
+    other = Authority.create("another", 2)
+    for issuer, identity, days, start, complaint in (
+        (authority, MASTER, -0.5, now - timedelta(days=1), r"expired on .* issue a new one"),
+        (authority, MASTER, 1.0, now + timedelta(hours=1), r"valid from .* check the clock"),
+        (authority, Identity(Office.MASTER, "other"), 1.0, None, r"session 'other', not 'test'"),
+        (authority, Identity(Office.VIEWER, "test"), 1.0, None, r"viewer, this process is a mas"),
+        (other, MASTER, 1.0, None, r"of another authority"),
+    ):
+        put(issuer, folder, identity, days, start, "test.master")
+        with pytest.raises(UsageError, match=complaint) as caught:
+            load(folder)
+        assert "\n" not in str(caught.value)
+    path = put(authority, folder, MASTER)
+    load(folder)
+    key = path.with_suffix(".key")
+    key.chmod(0o640)
+    with pytest.raises(UsageError, match=r"other users can read.*chmod 600"):
+        load(folder)
+    key.unlink()
+    with pytest.raises(UsageError, match=r"test\.master\.key: No such file"):
+        load(folder)
+    path.unlink()
+    with pytest.raises(UsageError, match=r"no certificate of a master.*test\.viewer"):
+        load(folder)
+    with pytest.raises(UsageError, match=r"link\.keys: .*no such folder"):
+        load(tmp_path / "nowhere")
+
+
+def test_a_revoked_certificate_is_refused_and_the_list_must_be_genuine(
+    tmp_path: Path, authority: Authority
+) -> None:
+    folder = make_keys(tmp_path, authority=authority)
+    serial = load(folder).certificate.serial_number
+    authority.revoke(serial).publish(folder)
+    with pytest.raises(UsageError, match="was revoked"):
+        load(folder)
+    load(folder, Office.SLAVE)
+    Authority.create("another", 2).publish(tmp_path / "other")
+    (folder / "revoked.pem").write_bytes((tmp_path / "other" / "revoked.pem").read_bytes())
+    with pytest.raises(UsageError, match="not signed by the authority"):
+        load(folder)
+    (folder / "revoked.pem").unlink()
+    with pytest.raises(UsageError, match=r"revoked\.pem: missing"):
+        load(folder)
+
+
+def test_local_keys_make_themselves_once_and_are_private(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    one = local_credentials("a", Office.MASTER)
+    two = local_credentials("a", Office.SLAVE)
+    assert two.identify(one.certificate) == Identity(Office.MASTER, "a")
+    assert local_folder().stat().st_mode & 0o077 == 0
+    life = one.certificate.not_valid_after_utc - datetime.now(UTC)
+    assert life <= timedelta(days=7)
+    local_folder().chmod(0o755)
+    with pytest.raises(UsageError, match="this user alone"):
+        local_credentials("a", Office.MASTER)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root can write everywhere")
+def test_no_place_for_local_keys_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tmp_path.chmod(0o500)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with pytest.raises(UsageError, match="set XDG_STATE_HOME"):
+        local_credentials("a", Office.MASTER)
+
+
+def test_the_command_makes_what_a_session_needs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home, out = str(tmp_path / "authority"), tmp_path / "out"
+    issue = ["keys", "issue", home, "--session", "test", "--out", str(out)]
+    assert cli.main(["keys", "init", home]) == 0
+    assert cli.main([*issue, "--role", "master", "--role", "supervisor", "--right", "stop"]) == 0
+    assert load(out).identity == MASTER
+    assert load(out, Office.SUPERVISOR).identity.rights == ("stop",)
+    assert not (out / "authority.key").exists()
+    assert cli.main(["keys", "show", str(out)]) == 0
+    assert "supervisor-stop.test, valid until" in capsys.readouterr().out
+    assert cli.main(["keys", "revoke", home, str(out / "test.master.pem")]) == 0
+    assert len(load_revoked(tmp_path / "authority", load(out).authority)) == 1
+    (out / "revoked.pem").write_bytes((tmp_path / "authority" / "revoked.pem").read_bytes())
+    with pytest.raises(UsageError, match="revoked"):
+        load(out)
+    for words, complaint in (
+        ([*issue, "--role", "master"], "exists; --force replaces it"),
+        ([*issue, "--role", "slave", "--right", "set"], "only for --role supervisor"),
+        (["keys", "issue", home, "--session", "all", "--role", "master", "--out", str(out)],
+         "only for --role router"),
+        (["keys", "issue", home, "--session", "A B", "--role", "master", "--out", str(out)],
+         "allowed are"),
+        (["keys", "init", home], "has an authority already"),
+        (["keys", "revoke", home, "xyz"], "neither a file nor a serial number"),
+        (["keys", "show", str(tmp_path)], "No such file"),
+    ):  # fmt: skip
+        capsys.readouterr()
+        assert cli.main(words) == 2
+        assert complaint in capsys.readouterr().err

@@ -1,0 +1,237 @@
+"""A rogue peer beside a running pair: nothing it does is believed, and the pair goes on.
+
+Its certificate is that of a router, which Zenoh's access control lets do everything: what refuses
+it here is the handshake and the tags. With a viewer's certificate nothing of it arrives at all.
+"""
+
+import struct
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from teleop.keys import Office
+from teleop.keys.local import local_credentials
+from teleop.link import Link, LinkConfig
+from teleop.link.roster import TOKENS
+from teleop.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
+from teleop.remote.requests import RESET, RequestListener
+from teleop.topics import COMMAND, SETTING, STATE, STOP, Role
+from tests.rogue import ENGAGED, POSITION_AT, STATE_AT, Rogue, forged, head
+from tests.teleop.link.bench import pump, session, wait_until
+
+FAR = struct.pack("<8d", *(0.014,) * 8)  # [m] a position to pull the tip to
+ENGAGE = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
+
+
+@pytest.fixture
+def pair(config: LinkConfig) -> Iterator[tuple[Link, Link]]:
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
+        master.subscribe_latest(STATE)
+        slave.subscribe_latest(COMMAND)
+        yield slave, master
+
+
+def rogue_of(config: LinkConfig, office: Office, count: int = 2) -> Rogue:
+    tls = local_credentials("test", office).for_tls()
+    rogue = Rogue([config.slave, config.master], "test", tls)
+    for topic in ("command", "state"):
+        rogue.listen(topic)
+    wait_until(lambda: rogue.connected(count))
+    time.sleep(0.2)
+    return rogue
+
+
+def capture(rogue: Rogue, master: Link, slave: Link) -> None:
+    """Let the rogue hear a command and a state."""
+
+    def heard() -> bool:
+        master.publish(COMMAND, Command(state=1))
+        slave.publish(STATE, SlaveState(state=1))
+        time.sleep(0.01)
+        return all(rogue.heard.values())
+
+    wait_until(heard)
+    pump(master, slave)
+
+
+def goes_on(slave: Link, master: Link) -> None:
+    for link in (slave, master):
+        link.check_peers()
+    pump(master, slave, 3)
+    assert slave.latest(COMMAND).message.sender == master.nonce
+    assert slave.latest(COMMAND).message.state == 1
+
+
+def test_forged_and_played_back_messages_move_nothing(
+    pair: tuple[Link, Link], config: LinkConfig
+) -> None:
+    slave, master = pair
+    with rogue_of(config, Office.ROUTER) as rogue:
+        capture(rogue, master, slave)
+        command, tags = rogue.heard["command"][-1]
+        state, _ = rogue.heard["state"][-1]
+        for n in range(5):
+            rogue.put("command", forged("Command", command, 10**9 + n, *ENGAGE))
+            rogue.put("command", forged("Command", command, 10**12 + n, *ENGAGE), tags)
+            rogue.put("command", command, tags)  # as it was heard
+            rogue.put("state", forged("SlaveState", state, 10**9 + n, ENGAGE[0]), tags)
+
+        def refused() -> bool:
+            at_slave, at_master = slave.latest(COMMAND).counts, master.latest(STATE).counts
+            old = at_slave.repeated + at_slave.out_of_order
+            return (at_slave.forged, old, at_master.forged) == (10, 5, 5)
+
+        wait_until(refused)
+        goes_on(slave, master)
+        with Link(config, "test", Role.VIEWER) as viewer:  # of an earlier run
+            old_nonce = viewer.nonce
+    assert old_nonce
+    assert slave.latest(COMMAND).counts.restarts == 0
+
+
+def test_commands_of_an_earlier_run_mean_nothing_to_a_new_slave(config: LinkConfig) -> None:
+    with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
+        slave.subscribe_latest(COMMAND)
+        with rogue_of(config, Office.ROUTER) as rogue:
+            capture(rogue, master, slave)
+            wait_until(lambda: any("/@/master/" in key for key in rogue.tokens))
+            old = rogue.heard["command"][-1], rogue.token_of("master")
+    (command, tags), token = old
+    with Link(config, "test", Role.SLAVE) as slave:
+        slave.subscribe_latest(COMMAND)
+        with rogue_of(config, Office.ROUTER, count=1) as rogue:
+            rogue.announce_key(token)  # genuine, but its process is gone
+            for _ in range(5):
+                rogue.put("command", command, tags)
+
+            def counted() -> bool:
+                counts = slave.latest(COMMAND).counts
+                return counts.forged + counts.unknown == 5
+
+            wait_until(counted)
+        with Link(config, "test", Role.MASTER) as master:
+            pump(master, slave, 3)
+
+
+def test_forged_tokens_are_refused_in_words_and_evict_nobody(
+    pair: tuple[Link, Link], config: LinkConfig
+) -> None:
+    slave, master = pair
+    with rogue_of(config, Office.ROUTER) as rogue:
+        wait_until(lambda: any("/@/master/" in key for key in rogue.tokens))
+        proof = rogue.token_of("master").rsplit("/", 1)[1]
+        for role in ("master", "slave", "remote"):
+            rogue.announce(role, LAYOUT, 1)  # the oldest number, without a proof
+            rogue.announce(role, LAYOUT, 2, proof="AAAA")
+            rogue.announce(role, LAYOUT, 3, proof=proof)  # another process's
+        rogue.announce("viewer", LAYOUT, master.nonce)
+        lines: dict[str, list[str]] = {"slave": [], "master": []}
+
+        def told() -> bool:
+            lines["slave"] += slave.refusals.take()
+            lines["master"] += master.refusals.take()
+            return all(
+                any(text in line for line in found)
+                for found in lines.values()
+                for text in ("a master without a certificate", "cannot be read", "does not hold")
+            )
+
+        wait_until(told)
+        assert not slave.present(Role.REMOTE)
+        goes_on(slave, master)
+
+
+def test_stops_resets_and_settings_need_a_supervisor(
+    pair: tuple[Link, Link], config: LinkConfig
+) -> None:
+    slave, master = pair
+    requests = {link: RequestListener(link) for link in pair}
+    time.sleep(0.2)
+    with rogue_of(config, Office.ROUTER) as rogue:
+        for sender in (master.nonce, slave.nonce, 12345):
+            for action in range(4):
+                rogue.stop(LAYOUT, sender, action, side=int(Role.SLAVE))
+            rogue.set(LAYOUT, sender, b"force.scale", b"9")
+
+        def refused() -> bool:
+            for listen in requests.values():
+                assert listen(0) == ((0, "", False, ()))
+            return all(listen.refused()["stop"] == 12 for listen in requests.values())
+
+        wait_until(refused)
+    with Link(config, "test", Role.REMOTE) as remote:
+        wait_until(lambda: master.present(Role.REMOTE) and slave.present(Role.REMOTE))
+        wait_until(lambda: remote.present(Role.MASTER) and remote.present(Role.SLAVE))
+        remote.publish(SETTING, Setting())
+        remote.publish(STOP, EmergencyStop(action=RESET, side=Role.SLAVE, number=0))
+        wait_until(lambda: len(requests[master](0).settings) == 1)
+        wait_until(lambda: requests[slave](0).reset)
+
+
+def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig) -> None:
+    slave, master = pair
+    requests = {link: RequestListener(link) for link in pair}
+    with rogue_of(config, Office.VIEWER) as rogue:
+        capture(rogue, master, slave)
+        before = slave.latest(COMMAND).counts.received
+        command, tags = rogue.heard["command"][-1]
+        for n in range(20):
+            rogue.put("command", forged("Command", command, 10**9 + n, *ENGAGE), tags)
+            rogue.stop(LAYOUT, master.nonce, 0)
+            rogue.announce("master", LAYOUT, n)
+        rogue.announce("viewer", LAYOUT, 1)
+        time.sleep(0.3)
+        counts = slave.latest(COMMAND).counts
+        assert (counts.received, counts.rejected, counts.unknown) == (before, 0, 0)
+        assert all(listen.refused()["stop"] == 0 for listen in requests.values())
+        assert {token.role for token in slave._roster.others} == {Role.MASTER}
+        goes_on(slave, master)
+
+
+def test_floods_of_tokens_are_bounded_and_a_genuine_one_gets_through(
+    pair: tuple[Link, Link], config: LinkConfig
+) -> None:
+    slave, master = pair
+    with rogue_of(config, Office.ROUTER) as rogue:
+        for n in range(500):
+            rogue.announce("remote", LAYOUT, n, proof="AAAA")
+            rogue.announce("master", LAYOUT, n)
+        wait_until(lambda: any("too fast" in line for line in slave.refusals.take()))
+        assert len(slave._roster.others) < TOKENS
+        goes_on(slave, master)
+    with Link(config, "test", Role.REMOTE):
+
+        def admitted() -> bool:
+            slave.check_peers()  # twice a second in a loop
+            time.sleep(0.1)
+            return slave.present(Role.REMOTE)
+
+        wait_until(admitted)
+
+
+def test_a_lost_number_is_not_taken_by_somebody_else(
+    pair: tuple[Link, Link], config: LinkConfig
+) -> None:
+    """A second process with the number of the master, and a certificate of a master."""
+    slave, master = pair
+    twin = Link(config, "test", Role.MASTER)
+    twin._token = twin._handshake.prove(
+        master._token.__class__(Role.MASTER, LAYOUT, master.nonce, master._token.stage)
+    )
+    with rogue_of(config, Office.ROUTER) as rogue:
+        rogue.announce_key(twin._token.key("test"))
+        lines: list[str] = []
+
+        def told() -> bool:
+            lines.extend(slave.refusals.take())
+            return any("takes the number" in line for line in lines)
+
+        wait_until(told)
+        goes_on(slave, master)
+
+
+def test_what_it_heard_says_who_sent_it() -> None:
+    data = Command(state=1).pack(7, 8, 9)
+    assert head(data)[1:] == (LAYOUT, 7, 8, 9)
+    assert Command.unpack(forged("Command", data, 5, *ENGAGE)).state == ENGAGED
