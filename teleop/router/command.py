@@ -37,7 +37,7 @@ from teleop.config import load
 from teleop.errors import UsageError
 from teleop.keys.identity import ALL_SESSIONS
 from teleop.link import LinkConfig
-from teleop.link.router import Router
+from teleop.link.router import Router, zenohd_config
 from teleop.options import add_option, add_options
 from teleop.process import Stop, write_summary
 from teleop.realtime import go_realtime
@@ -63,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         parser.add_argument(name, action="append", default=[], metavar="HOST:PORT", help=text)
     parser.add_argument("--keys", type=Path, metavar="DIR", help="folder of its keys (link.keys)")
+    parser.add_argument(
+        "--zenohd", action="store_true", help="print these settings as a config of zenohd, and end"
+    )
     add_options(parser, "--config", "--set", "--insecure", "--duration", "--json")
 
 
@@ -71,11 +74,14 @@ def main(args: argparse.Namespace) -> int:
     shared = load(args.config, RunConfig, None, args.overrides)
     config = router_config(args, shared)
     link = protection(shared.link, config, args.keys)
+    sessions = [ALL_SESSIONS if name == ALL else name for name in config.sessions]
+    if args.zenohd:
+        print(zenohd_config(link, sessions, list(config.listen), list(config.connect)))
+        return 0
     stop = Stop(args.duration)
     granted = go_realtime(shared.realtime)  # before the router: its threads inherit the priority
     changes: queue.SimpleQueue[tuple[str, Role, bool]] = queue.SimpleQueue()
     seen: set[str] = set()
-    sessions = [ALL_SESSIONS if name == ALL else name for name in config.sessions]
     with Router(link, sessions, config.listen, config.connect, lambda *change: changes.put(change)):
         print(_beginning(config, link), flush=True)
         while not stop():

@@ -6,7 +6,7 @@ import re
 import signal
 import subprocess
 import sys
-from pathlib import Path
+import time
 
 import pytest
 import zenoh
@@ -21,7 +21,7 @@ from teleop.link import Link, LinkConfig
 from teleop.router.command import protection, router_config
 from teleop.router.config import DEFAULT, RouterConfig
 from teleop.run_config import RunConfig
-from teleop.topics import Role
+from teleop.topics import COMMAND, Role
 from tests.conftest import ROOT
 from tests.system.processes import OURS, free_ports
 from tests.teleop.link.bench import wait_until
@@ -112,29 +112,36 @@ def test_drawings_are_those_of_the_script():
 
 def test_commands_of_the_page_are_understood():
     """Each is parsed with its options, and not run."""
-    found = re.findall(r"^ *(?:[\w-]+)?\$ +(teleop .*)$", PAGE, re.MULTILINE)
+    found = re.findall(r"^ *(?:[\w-]+)?\$ +(teleop [^>\n]*)", PAGE, re.MULTILINE)
     assert len(found) > 20
     for line in found:
         command = line.split()[1:]
         cli.build_parser(command[0]).parse_args(command)
 
 
-def test_any_zenoh_router_takes_the_settings_of_the_page(tmp_path):
+def test_zenohd_takes_the_same_settings_as_a_file(tmp_path, capsys):
     authority, keys = str(tmp_path / "authority"), tmp_path / "keys"
     assert cli.main(["keys", "init", authority]) == 0
     for role, session in (("slave", "a"), ("viewer", "a"), ("router", "all")):
         issue = ["keys", "issue", authority, "--role", role, "--session", session]
         assert cli.main([*issue, "--out", str(keys)]) == 0
     (port,) = free_ports(1)
-    text = re.search(r"```json5\n(.*?)```", PAGE, re.DOTALL)[1]
-    text = text.replace("10.0.0.5:7450", f"127.0.0.1:{port}").replace("keys/", f"{keys}/")
-    path = Path(tmp_path / "router.json5")
-    path.write_text(text)
+    capsys.readouterr()
+    command = ["router", "--zenohd", "--session", "a", "--listen", f"127.0.0.1:{port}"]
+    assert cli.main([*command, "--keys", str(keys)]) == 0
+    text = capsys.readouterr().out
+    assert "PRIVATE KEY" not in text
     config = LinkConfig(routers=(f"127.0.0.1:{port}",), keys=keys)
     with (
-        zenoh.open(zenoh.Config.from_file(str(path))),
+        zenoh.open(zenoh.Config.from_json5(text)),
         Link(config, "a", Role.SLAVE) as slave,
         Link(config, "a", Role.VIEWER) as viewer,
     ):
+        slave.subscribe_latest(COMMAND)
         wait_until(lambda: viewer.present(Role.SLAVE))
-        assert slave.credentials is not None
+        time.sleep(0.3)
+        viewer._zenoh.put("teleop/a/command", b"x")
+        time.sleep(0.3)
+        counts = slave.latest(COMMAND).counts
+        assert counts.rejected + counts.unknown == 0  # it ended at the router
+    assert cli.main(command) == 2
