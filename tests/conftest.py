@@ -43,6 +43,7 @@ REAL_TIME = (  # loops, sockets, clocks
     "app/test_launch.py",
     "teleop/link/test_frozen_and_killed.py",
     "teleop/link/test_rivals.py",
+    "teleop/link/test_rogue.py",
     "teleop/link/test_sessions.py",
     "teleop/link/test_tls.py",
     "teleop/test_meter.py",
