@@ -17,14 +17,16 @@ config's). Their names keep them apart: every key begins with the name, and a ro
 message only to who subscribes to its key, and only if the certificate of its sender may send it: a
 viewer's sends no commands, and what is of no session named is refused. `--session all` serves any
 session, and leaves the roles to the processes themselves. A second master or slave of a session is
-refused as without a router. Routers connect to each other with `--connect`: one on each
-side of a wide-area network, so that each site goes on talking within itself when the line is cut.
+refused as without a router.
+
+Routers connect to each other with `--connect`: one on each side of a wide-area network, so that
+each site goes on talking within itself when the line is cut.
 
 Off loopback a router needs keys of its own, which prove to every process that it is yours:
 
   teleop keys issue authority --session all --role router --out router-keys
 
-It says which processes come and go. It may start before or after them, and be started again: they
+It says which processes come and go. It must be there when they start; when it is started again they
 come back by themselves, into holding, never into motion. See docs/topologies.md.
 """
 
