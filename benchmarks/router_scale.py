@@ -3,9 +3,10 @@
   python benchmarks/router_scale.py [--sessions 1 2 4 8 16] [--seconds 3] [--out FILE] [--insecure]
 
 Each session is a command and an answer a millisecond, of the sizes of Command and SlaveState, with
-the publishers, queues, priorities and keys of a link, but no loops: one process holds the masters
-of all sessions, one the slaves, which answer at once, one a listener of each, and one is
-`teleop router`. Sessions are spread over the millisecond. Reported for each number of sessions:
+the publishers, queues, priorities, TLS and access control of a link, but no tags and no loops. One
+process holds the masters of all sessions, one the slaves, which answer at once, one the listeners,
+and one is a router as `teleop router`. Sessions are spread over the millisecond. Reported for each
+number of sessions:
 
   delivered   answers a second of a session, the least of all sessions
   p50, p99    round trip master - slave - master [ms]: four hops through the router, two directly
@@ -30,7 +31,9 @@ import numpy as np
 import zenoh
 
 from teleop.keys import Office
+from teleop.keys.identity import ALL_SESSIONS
 from teleop.keys.local import local_credentials
+from teleop.link.access import access_control
 from teleop.link.network import declare_publisher, open_session
 from teleop.messages import Command, SlaveState
 from teleop.own_endpoints import free_ports
@@ -46,8 +49,17 @@ _STAMP = 8  # bytes, of the clock at the master
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
-def credentials(office: Office, insecure: bool) -> Any:
-    return None if insecure else local_credentials("scale", office)
+def name_of(number: int) -> str:
+    """Return the name of a session."""
+    return f"scale-{number}"
+
+
+def protection(office: Office, insecure: bool, sessions: list[str]) -> tuple[Any, Any]:
+    """Return the credentials and the access control of a process."""
+    if insecure:
+        return None, None
+    of = ALL_SESSIONS if office is Office.ROUTER else sessions[0]
+    return local_credentials(of, office), access_control(sessions)
 
 
 class Side:
@@ -55,7 +67,6 @@ class Side:
 
     def __init__(self, plan: dict[str, Any], office: Office, listens: bool) -> None:
         self.plan = plan
-        keys = credentials(office, plan["insecure"])
         mode: Any = "client" if plan["router"] else "peer"
         self.sessions = []
         for number in range(plan["sessions"]):
@@ -64,16 +75,17 @@ class Side:
             else:
                 slave = plan["slaves"][number]
                 ends = ([slave], []) if listens else ([], [slave])
-            self.sessions.append(open_session(keys, *ends, mode))
+            keys, access = protection(office, plan["insecure"], [name_of(number)])
+            self.sessions.append(open_session(keys, *ends, access, mode))
 
     def subscribe(self, topic: str, number: int, store: Callable[[Any], None]) -> None:
         """Receive a topic of one session."""
         direct = zenoh.handlers.Callback(store, indirect=False)
-        self.sessions[number].declare_subscriber(f"scale/{number}/{topic}", direct)
+        self.sessions[number].declare_subscriber(f"teleop/{name_of(number)}/{topic}", direct)
 
     def publisher(self, topic: str, number: int) -> Any:
         """Return the publisher of a topic of one session."""
-        key = f"scale/{number}/{topic}"
+        key = f"teleop/{name_of(number)}/{topic}"
         return declare_publisher(self.sessions[number], key, live=True, patient=False)
 
 
@@ -93,14 +105,13 @@ def run_slaves(plan: dict[str, Any]) -> None:
 
 def run_listeners(plan: dict[str, Any]) -> None:
     """Receive commands and states of session 0, several times."""
-    keys = credentials(Office.VIEWER, plan["insecure"])
-    sessions = [
-        open_session(keys, [], [plan["router"]], "client") for _ in range(plan["listeners"])
-    ]
+    keys, access = protection(Office.VIEWER, plan["insecure"], [name_of(0)])
+    router = [plan["router"]]
+    sessions = [open_session(keys, [], router, access, "client") for _ in range(plan["listeners"])]
     for session in sessions:
         for topic in SIZES:
             direct = zenoh.handlers.Callback(lambda _: None, indirect=False)
-            session.declare_subscriber(f"scale/0/{topic}", direct)
+            session.declare_subscriber(f"teleop/{name_of(0)}/{topic}", direct)
     print("ready", flush=True)
     sys.stdin.read()
 
@@ -158,7 +169,9 @@ def _command() -> bytes:
 
 def run_router(plan: dict[str, Any]) -> None:
     """Run a router as `teleop router` does."""
-    with open_session(credentials(Office.ROUTER, plan["insecure"]), [plan["router"]], [], "router"):
+    names = [name_of(number) for number in range(plan["most"])]
+    keys, access = protection(Office.ROUTER, plan["insecure"], names)
+    with open_session(keys, [plan["router"]], [], access, "router"):
         print("ready", flush=True)
         sys.stdin.read()
 
@@ -249,7 +262,12 @@ def show(row: dict[str, Any]) -> None:
 def campaign(sessions: list[int], seconds: float, insecure: bool) -> list[dict[str, Any]]:
     """Measure all numbers of sessions both ways, then the fan-out of one session."""
     (port,) = free_ports(1)
-    routed = {"router": f"127.0.0.1:{port}", "insecure": insecure, "seconds": seconds}
+    routed = {
+        "router": f"127.0.0.1:{port}",
+        "most": max(sessions),
+        "insecure": insecure,
+        "seconds": seconds,
+    }
     rows = []
     print("sessions listeners way     delivered     p50     p99   load router  us/msg")
     with Part("router", routed) as router:

@@ -40,6 +40,7 @@ class Credentials:
     key: Ed25519PrivateKey
     authority: x509.Certificate
     revoked: frozenset[int] = frozenset()
+    lasting: bool = True  # issued by a person, who must issue the next one
 
     def identify(self, certificate: x509.Certificate) -> Identity:
         """Return whom a certificate stands for; `CertificateError` if it is not to be believed."""
@@ -49,8 +50,7 @@ class Credentials:
     def warning(self) -> str:
         """Empty, or that the certificate expires soon."""
         left = self.certificate.not_valid_after_utc - datetime.now(UTC)
-        total = self.certificate.not_valid_after_utc - self.certificate.not_valid_before_utc
-        if left > min(WARN, total / 4):
+        if not self.lasting or left > WARN:
             return ""
         return f"the certificate {self.identity.common_name} expires in {left.days} days"
 

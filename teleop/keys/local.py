@@ -31,7 +31,9 @@ def local_credentials(session: str, office: Office) -> Credentials:
     authority = _authority()
     identity = Identity(office, session, RIGHTS if office is Office.SUPERVISOR else ())
     certificate, key = authority.issue(identity, LOCAL_DAYS, _EPOCH)
-    return Credentials(identity, certificate, key, authority.certificate, authority.revoked)
+    return Credentials(
+        identity, certificate, key, authority.certificate, authority.revoked, lasting=False
+    )
 
 
 def _authority() -> Authority:

@@ -288,7 +288,7 @@ class Link:
         listen, connect = self._endpoints()
         mode: Mode = "client" if self.config.routers else "peer"
         try:
-            session = open_session(self.credentials, listen, connect, mode, self._access())
+            session = open_session(self.credentials, listen, connect, self._access(), mode)
         except UsageError:
             if listen:
                 self._blame_rival(listen)

@@ -25,8 +25,8 @@ def open_session(
     credentials: Credentials | None,
     listen: list[str],
     connect: list[str],
-    mode: Mode = "peer",
     access: dict[str, Any] | None = None,
+    mode: Mode = "peer",
 ) -> zenoh.Session:
     """Open a Zenoh session on `HOST:PORT`s; `UsageError` if one cannot be listened on.
 
@@ -42,7 +42,7 @@ def open_session(
         No target of a client answers.
     """
     try:
-        return zenoh.open(config_of(settings(credentials, listen, connect, mode, access)))
+        return zenoh.open(config_of(settings(credentials, listen, connect, access, mode)))
     except zenoh.ZError as error:
         if mode == "client":
             routers = ", ".join(connect)
@@ -65,8 +65,8 @@ def settings(
     credentials: Credentials | None,
     listen: list[str],
     connect: list[str],
+    access: dict[str, Any] | None,
     mode: Mode,
-    access: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the settings of a Zenoh session by their path."""
     client = mode == "client"

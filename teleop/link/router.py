@@ -1,14 +1,19 @@
 """A Zenoh router with our settings, and who comes and goes through it."""
 
+import json
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 import zenoh
 
-from teleop.keys import Office
+from teleop.errors import UsageError
+from teleop.keys import Credentials, Office
+from teleop.keys.authority import AUTHORITY
+from teleop.keys.credentials import stem
 from teleop.keys.identity import ALL_SESSIONS
+from teleop.link.access import access_control
 from teleop.link.config import LinkConfig
-from teleop.link.network import open_session
+from teleop.link.network import open_session, settings
 from teleop.link.presence import Stage, Token, root
 from teleop.link.protection import credentials_of
 from teleop.topics import Role
@@ -27,6 +32,9 @@ class Router:
     ----------
     config : LinkConfig
         Protection of the wire.
+    sessions : sequence of str
+        Names of the sessions that it serves, by the roles in their certificates; `ALL_SESSIONS` for
+        any, whatever their roles.
     listen, connect : tuple of str
         `HOST:PORT` of this router, and of others, which are tried until they answer.
     on_presence : callable
@@ -41,11 +49,12 @@ class Router:
     def __init__(
         self,
         config: LinkConfig,
+        sessions: Sequence[str],
         listen: Sequence[str],
         connect: Sequence[str],
         on_presence: Presence = lambda *_: None,
     ) -> None:
-        self._arguments = config, list(listen), list(connect)
+        self._arguments = config, sessions, list(listen), list(connect)
         self._on_presence = on_presence
 
     def __enter__(self) -> Self:
@@ -72,8 +81,13 @@ class Router:
             self._on_presence(key.split("/", 2)[1], token.role, came)
 
 
-def open_router(config: LinkConfig, listen: list[str], connect: list[str]) -> zenoh.Session:
+def open_router(
+    config: LinkConfig, sessions: Sequence[str], listen: list[str], connect: list[str]
+) -> zenoh.Session:
     """Open a router that listens on some endpoints and connects to other routers.
+
+    It forwards only what the certificate of its sender permits in these sessions; for
+    `ALL_SESSIONS`, whatever a certificate of the authority sends.
 
     Raises
     ------
@@ -81,4 +95,51 @@ def open_router(config: LinkConfig, listen: list[str], connect: list[str]) -> ze
         There are no valid keys of a router; an endpoint cannot be listened on.
     """
     credentials = credentials_of(config, ALL_SESSIONS, Office.ROUTER)
-    return open_session(credentials, listen, connect, "router")
+    access = _access(credentials, sessions)
+    return open_session(credentials, listen, connect, access, "router")
+
+
+def zenohd_config(
+    config: LinkConfig, sessions: Sequence[str], listen: list[str], connect: list[str]
+) -> str:
+    """Return the settings of `open_router` as a config file of `zenohd`, Zenoh's own router.
+
+    Raises
+    ------
+    UsageError
+        There is no folder of valid keys, which such a file must name.
+    """
+    if config.keys is None and not config.insecure:
+        raise UsageError("link.keys: zenohd needs a folder of keys; see `teleop keys --help`")
+    credentials = credentials_of(config, ALL_SESSIONS, Office.ROUTER)
+    flat = settings(credentials, listen, connect, _access(credentials, sessions), "router")
+    if credentials is not None and config.keys is not None:
+        name = stem(Office.ROUTER, credentials.identity.session)
+        own, key = (str(config.keys / f"{name}.{end}") for end in ("pem", "key"))
+        flat["transport/link/tls"] = {
+            "enable_mtls": True,
+            "verify_name_on_connect": False,
+            "root_ca_certificate": str(config.keys / AUTHORITY),
+            "listen_certificate": own,
+            "listen_private_key": key,
+            "connect_certificate": own,
+            "connect_private_key": key,
+        }
+    return json.dumps(_nested(flat), indent=2)
+
+
+def _access(credentials: Credentials | None, sessions: Sequence[str]) -> dict[str, Any] | None:
+    open_to_all = credentials is None or ALL_SESSIONS in sessions
+    return None if open_to_all else access_control(sessions)
+
+
+def _nested(flat: dict[str, Any]) -> dict[str, Any]:
+    """Return settings by their path, such as `connect/endpoints`, as a tree."""
+    tree: dict[str, Any] = {}
+    for path, value in flat.items():
+        *folders, name = path.split("/")
+        node = tree
+        for folder in folders:
+            node = node.setdefault(folder, {})
+        node[name] = value
+    return tree

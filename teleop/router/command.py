@@ -1,7 +1,7 @@
 """Run a router: one place where the processes of many sessions meet.
 
   teleop router                                       on this machine, at 127.0.0.1:7450
-  teleop router --listen 10.0.0.5:7450 --keys router-keys
+  teleop router --session room-1 --session room-2 --listen 10.0.0.5:7450 --keys router-keys
   teleop router --config ward.yaml                    at `link.routers` of the sessions' config
   teleop router --listen 192.0.2.1:7450 --connect 198.51.100.1:7450 --keys router-keys
 
@@ -12,16 +12,21 @@ the router's port must be open, and a machine behind a firewall or NAT needs no 
     routers: ["10.0.0.5:7450"]     # several: the first that answers, and the next when it is lost
     keys: console-keys
 
-Any number of sessions share a router. Their names keep them apart: every key begins with the name,
-a router forwards a message only to who subscribes to its key, and a second master or slave of a
-session is refused as without a router. Routers connect to each other with `--connect`: one on each
-side of a wide-area network, so that each site goes on talking within itself when the line is cut.
+Any number of sessions share a router (`router.sessions`, or `--session` for each; by default the
+config's). Their names keep them apart: every key begins with the name, and a router forwards a
+message only to who subscribes to its key, and only if the certificate of its sender may send it: a
+viewer's sends no commands, and what is of no session named is refused. `--session all` serves any
+session, and leaves the roles to the processes themselves. A second master or slave of a session is
+refused as without a router.
+
+Routers connect to each other with `--connect`: one on each side of a wide-area network, so that
+each site goes on talking within itself when the line is cut.
 
 Off loopback a router needs keys of its own, which prove to every process that it is yours:
 
   teleop keys issue authority --session all --role router --out router-keys
 
-It says which processes come and go. It may start before or after them, and be started again: they
+It says which processes come and go. It must be there when they start; when it is started again they
 come back by themselves, into holding, never into motion. See docs/topologies.md.
 """
 
@@ -32,12 +37,13 @@ from pathlib import Path
 
 from teleop.config import load
 from teleop.errors import UsageError
+from teleop.keys.identity import ALL_SESSIONS
 from teleop.link import LinkConfig
-from teleop.link.router import Router
-from teleop.options import add_options
+from teleop.link.router import Router, zenohd_config
+from teleop.options import add_option, add_options
 from teleop.process import Stop, write_summary
 from teleop.realtime import go_realtime
-from teleop.router.config import DEFAULT, RouterConfig
+from teleop.router.config import ALL, DEFAULT, RouterConfig
 from teleop.run_config import RunConfig
 from teleop.topics import Role, role_name
 
@@ -46,25 +52,39 @@ _LOOK_S = 0.1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop router`."""
+    add_option(
+        parser,
+        "--session",
+        action="append",
+        default=[],
+        help="served, may be repeated (default router.sessions or the config's); all = any",
+    )
     for name, text in (
         ("--listen", f"of this machine, may be repeated (default link.routers, or {DEFAULT})"),
         ("--connect", "of another router, may be repeated"),
     ):
         parser.add_argument(name, action="append", default=[], metavar="HOST:PORT", help=text)
     parser.add_argument("--keys", type=Path, metavar="DIR", help="folder of its keys (link.keys)")
+    parser.add_argument(
+        "--zenohd", action="store_true", help="print these settings as a config of zenohd, and end"
+    )
     add_options(parser, "--config", "--set", "--insecure", "--duration", "--json")
 
 
 def main(args: argparse.Namespace) -> int:
     """Run the router until told to stop; returns the exit code."""
     shared = load(args.config, RunConfig, None, args.overrides)
-    config = endpoints(args, shared.link)
+    config = router_config(args, shared)
     link = protection(shared.link, config, args.keys)
+    sessions = [ALL_SESSIONS if name == ALL else name for name in config.sessions]
+    if args.zenohd:
+        print(zenohd_config(link, sessions, list(config.listen), list(config.connect)))
+        return 0
     stop = Stop(args.duration)
     granted = go_realtime(shared.realtime)  # before the router: its threads inherit the priority
     changes: queue.SimpleQueue[tuple[str, Role, bool]] = queue.SimpleQueue()
     seen: set[str] = set()
-    with Router(link, config.listen, config.connect, lambda *change: changes.put(change)):
+    with Router(link, sessions, config.listen, config.connect, lambda *change: changes.put(change)):
         print(_beginning(config, link), flush=True)
         while not stop():
             try:
@@ -81,13 +101,20 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def endpoints(args: argparse.Namespace, link: LinkConfig) -> RouterConfig:
-    """Return where the router listens and connects, by options, config or defaults."""
+def router_config(args: argparse.Namespace, shared: RunConfig) -> RouterConfig:
+    """Return what the router serves and where, by options, config or defaults.
+
+    `UsageError` if an option is wrong.
+    """
     config = load(args.config, RouterConfig, "router", args.overrides)
-    return RouterConfig(
-        listen=tuple(args.listen) or config.listen or link.routers or (DEFAULT,),
-        connect=tuple(args.connect) or config.connect,
-    )
+    try:
+        return RouterConfig(
+            sessions=tuple(args.session) or config.sessions or (shared.session,),
+            listen=tuple(args.listen) or config.listen or shared.link.routers or (DEFAULT,),
+            connect=tuple(args.connect) or config.connect,
+        )
+    except ValueError as error:
+        raise UsageError(f"--{error}") from error
 
 
 def protection(link: LinkConfig, config: RouterConfig, keys: Path | None) -> LinkConfig:
@@ -102,6 +129,7 @@ def protection(link: LinkConfig, config: RouterConfig, keys: Path | None) -> Lin
 def _beginning(config: RouterConfig, link: LinkConfig) -> str:
     ends = ", ".join(config.listen)
     text = f'router at {ends}; sessions find it by link.routers: ["{config.listen[0]}"]'
+    text += f"; serves {', '.join(config.sessions)}"
     if config.connect:
         text += f"; connects to {', '.join(config.connect)}"
     return text + ("; INSECURE: plaintext, no keys" if link.insecure else "")

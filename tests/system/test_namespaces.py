@@ -49,7 +49,13 @@ class Theatre:
 
     def start_all(self) -> None:
         listen = [f"--listen={end}" for end in self.routers.values()]
-        self._start("router", "router", *listen, f"--keys={self.folder / 'router-keys'}")
+        self._start(
+            "router",
+            "router",
+            *listen,
+            f"--session={SESSION}",
+            f"--keys={self.folder / 'router-keys'}",
+        )
         self.wait_for_text("router", "router at")
         watch = [sys.executable, "-m", "tests.system.watch_states", self.routers["slave"]]
         watch += [str(self.folder / "watch-keys"), SESSION]

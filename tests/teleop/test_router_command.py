@@ -6,7 +6,7 @@ import re
 import signal
 import subprocess
 import sys
-from pathlib import Path
+import time
 
 import pytest
 import zenoh
@@ -18,10 +18,10 @@ from teleop.app import cli
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.link import Link, LinkConfig
-from teleop.router.command import endpoints, protection
+from teleop.router.command import protection, router_config
 from teleop.router.config import DEFAULT, RouterConfig
 from teleop.run_config import RunConfig
-from teleop.topics import Role
+from teleop.topics import COMMAND, Role
 from tests.conftest import ROOT
 from tests.system.processes import OURS, free_ports
 from tests.teleop.link.bench import wait_until
@@ -30,39 +30,48 @@ TOPOLOGIES = sorted((ROOT / "configs" / "topologies").glob("*.yaml"))
 PAGE = (ROOT / "docs" / "topologies.md").read_text()
 
 
-def words(*overrides, listen=(), connect=(), config=None):
-    return argparse.Namespace(
-        config=config, overrides=list(overrides), listen=list(listen), connect=list(connect)
-    )
+def words(*overrides, **options):
+    lists = {name: options.get(name, []) for name in ("session", "listen", "connect")}
+    return argparse.Namespace(config=None, overrides=list(overrides), **lists)
 
 
-def test_it_listens_where_options_config_or_sessions_say():
-    link = LinkConfig(routers=("127.0.0.1:1",))
-    assert endpoints(words(), LinkConfig()).listen == (DEFAULT,)
-    assert endpoints(words(), link).listen == ("127.0.0.1:1",)
-    stated = words('router.listen=["127.0.0.1:2"]', 'router.connect=["127.0.0.1:3"]')
-    assert endpoints(stated, link) == RouterConfig(("127.0.0.1:2",), ("127.0.0.1:3",))
-    assert endpoints(words(listen=["127.0.0.1:4"]), link).listen == ("127.0.0.1:4",)
+def asked(*overrides, routers=(), **options):
+    """The router's config by overrides, the session's routers, and options."""
+    return router_config(words(*overrides, **options), RunConfig(link=LinkConfig(routers=routers)))
+
+
+def test_options_config_and_defaults_say_what_it_serves_and_where():
+    assert asked() == RouterConfig(("demo",), (DEFAULT,))
+    assert asked(routers=("127.0.0.1:1",)).listen == ("127.0.0.1:1",)
+    stated = ('router.listen=["127.0.0.1:2"]', 'router.connect=["127.0.0.1:3"]')
+    sessions = 'router.sessions=["a", "b"]'
+    config = asked(*stated, sessions, routers=("127.0.0.1:1",))
+    assert config == RouterConfig(("a", "b"), ("127.0.0.1:2",), ("127.0.0.1:3",))
+    options = asked(*stated, sessions, listen=["127.0.0.1:4"], session=["c"])
+    assert options == RouterConfig(("c",), ("127.0.0.1:4",), ("127.0.0.1:3",))
 
 
 def test_off_loopback_it_must_have_keys(tmp_path):
-    far = RouterConfig(("10.0.0.5:7450",))
+    far = RouterConfig(listen=("10.0.0.5:7450",))
     with pytest.raises(UsageError, match=r"router: off loopback, link\.keys"):
         protection(LinkConfig(), far, None)
     assert protection(LinkConfig(), far, tmp_path).keys == tmp_path
     assert protection(LinkConfig(insecure=True), far, None).insecure
-    assert protection(LinkConfig(), RouterConfig((DEFAULT,)), None).keys is None
+    assert protection(LinkConfig(), RouterConfig(listen=(DEFAULT,)), None).keys is None
 
 
 @pytest.mark.parametrize("bad", ["tcp/127.0.0.1:1", "127.0.0.1", "0.0.0.0:7450"])
 def test_a_wrong_endpoint_is_one_line(bad):
     with pytest.raises(UsageError, match=r"router\.listen\.0: "):
-        endpoints(words(f'router.listen=["{bad}"]'), LinkConfig())
+        asked(f'router.listen=["{bad}"]')
+    with pytest.raises(UsageError, match=r"--connect\[0\]: "):
+        asked(connect=[bad])
 
 
 def test_the_command_says_where_it_is_and_who_comes(tmp_path):
     (port,) = free_ports(1)
-    command = [sys.executable, "-m", "teleop", "router", "--listen", f"127.0.0.1:{port}"]
+    command = [sys.executable, "-m", "teleop", "router", "--session", "room-1"]
+    command += ["--listen", f"127.0.0.1:{port}"]
     with subprocess.Popen(
         [*command, "--json", str(tmp_path / "r.json")], stdout=subprocess.PIPE, text=True, env=OURS
     ) as process:
@@ -103,29 +112,36 @@ def test_drawings_are_those_of_the_script():
 
 def test_commands_of_the_page_are_understood():
     """Each is parsed with its options, and not run."""
-    found = re.findall(r"^ *(?:[\w-]+)?\$ +(teleop .*)$", PAGE, re.MULTILINE)
+    found = re.findall(r"^ *(?:[\w-]+)?\$ +(teleop [^>\n]*)", PAGE, re.MULTILINE)
     assert len(found) > 20
     for line in found:
         command = line.split()[1:]
         cli.build_parser(command[0]).parse_args(command)
 
 
-def test_any_zenoh_router_takes_the_settings_of_the_page(tmp_path):
+def test_zenohd_takes_the_same_settings_as_a_file(tmp_path, capsys):
     authority, keys = str(tmp_path / "authority"), tmp_path / "keys"
     assert cli.main(["keys", "init", authority]) == 0
     for role, session in (("slave", "a"), ("viewer", "a"), ("router", "all")):
         issue = ["keys", "issue", authority, "--role", role, "--session", session]
         assert cli.main([*issue, "--out", str(keys)]) == 0
     (port,) = free_ports(1)
-    text = re.search(r"```json5\n(.*?)```", PAGE, re.DOTALL)[1]
-    text = text.replace("10.0.0.5:7450", f"127.0.0.1:{port}").replace("keys/", f"{keys}/")
-    path = Path(tmp_path / "router.json5")
-    path.write_text(text)
+    capsys.readouterr()
+    command = ["router", "--zenohd", "--session", "a", "--listen", f"127.0.0.1:{port}"]
+    assert cli.main([*command, "--keys", str(keys)]) == 0
+    text = capsys.readouterr().out
+    assert "PRIVATE KEY" not in text
     config = LinkConfig(routers=(f"127.0.0.1:{port}",), keys=keys)
     with (
-        zenoh.open(zenoh.Config.from_file(str(path))),
+        zenoh.open(zenoh.Config.from_json5(text)),
         Link(config, "a", Role.SLAVE) as slave,
         Link(config, "a", Role.VIEWER) as viewer,
     ):
+        slave.subscribe_latest(COMMAND)
         wait_until(lambda: viewer.present(Role.SLAVE))
-        assert slave.credentials is not None
+        time.sleep(0.3)
+        viewer._zenoh.put("teleop/a/command", b"x")
+        time.sleep(0.3)
+        counts = slave.latest(COMMAND).counts
+        assert counts.rejected + counts.unknown == 0  # it ended at the router
+    assert cli.main(command) == 2

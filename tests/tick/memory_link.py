@@ -9,14 +9,20 @@ from teleop.topics import Role
 from tests.tick.profile import Calls
 
 
+class Payload(bytes):
+    """A payload of Zenoh."""
+
+    to_bytes = bytes.__bytes__
+
+
 class Sample:
     """What Zenoh gives a subscriber; reading it is a call of C, as there."""
 
     __slots__ = ("attachment", "payload")
 
     def __init__(self, data: bytes, tags: bytes | None = None) -> None:
-        self.payload = SimpleNamespace(to_bytes=data.__bytes__)
-        self.attachment = None if tags is None else SimpleNamespace(to_bytes=tags.__bytes__)
+        self.payload = Payload(data)
+        self.attachment = None if tags is None else Payload(tags)
 
 
 class Session:

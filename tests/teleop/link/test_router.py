@@ -8,13 +8,20 @@ from contextlib import ExitStack, contextmanager
 import pytest
 
 from teleop.errors import PeerError, TeleopError
+from teleop.keys import Office
+from teleop.keys.identity import ALL_SESSIONS
+from teleop.keys.local import local_credentials
 from teleop.link import Link, LinkConfig, Listener
+from teleop.link.access import access_control
+from teleop.link.network import open_session
 from teleop.link.presence import Stage, Token
 from teleop.link.router import Router
-from teleop.messages import LAYOUT, LoopReport, SlaveState
+from teleop.messages import LAYOUT, Command, LoopReport, SlaveState
 from teleop.topics import COMMAND, REPORT, STATE, TOPICS, Role
 from tests.system.processes import free_ports
 from tests.teleop.link.bench import pump, wait_until
+
+SERVED = ("a", "b", "room-1", "room-1-left", "room-2")  # one is the beginning of another
 
 
 def endpoints(count: int) -> list[str]:
@@ -26,7 +33,7 @@ def routed() -> Iterator[LinkConfig]:
     """A router, and the config of a link to it."""
     (end,) = endpoints(1)
     config = LinkConfig(routers=(end,))
-    with Router(config, [end], []):
+    with Router(config, SERVED, [end], []):
         yield config
 
 
@@ -58,7 +65,7 @@ def test_two_sides_and_a_listener_meet_at_a_router() -> None:
 
 def test_nothing_crosses_from_one_session_to_another() -> None:
     with routed() as config, ExitStack() as stack:
-        names = ("room-1", "room-1-left", "room-2")  # one is the beginning of another
+        names = SERVED[2:]
         pairs = {name: stack.enter_context(pair(config, name)) for name in names}
         ears: dict[str, Listener] = {}
         for name in names:
@@ -106,7 +113,7 @@ def test_a_second_one_at_the_router_is_refused_and_the_first_stays(role: Role) -
 def test_of_two_masters_started_at_once_at_two_routers_one_runs() -> None:
     ends = endpoints(2)
     configs = [LinkConfig(routers=(end,)) for end in ends]
-    with Router(configs[0], ends[:1], []), Router(configs[1], ends[1:], ends[:1]):
+    with Router(configs[0], SERVED, ends[:1], []), Router(configs[1], SERVED, ends[1:], ends[:1]):
         opened: list[Link] = []
         refused: list[PeerError] = []
 
@@ -131,8 +138,8 @@ def test_two_sites_with_a_router_each_are_one_session() -> None:
     ends = endpoints(2)
     near, far = (LinkConfig(routers=(end,)) for end in ends)
     with (
-        Router(near, ends[:1], ends[1:]),  # its neighbour is not there yet
-        Router(far, ends[1:], []),
+        Router(near, SERVED, ends[:1], ends[1:]),  # its neighbour is not there yet
+        Router(far, SERVED, ends[1:], []),
         pair(far, "a", near) as (slave, master),
     ):
         pump(master, slave, 3)
@@ -142,12 +149,12 @@ def test_a_router_that_is_started_again_brings_all_back() -> None:
     (end,) = endpoints(1)
     config = LinkConfig(routers=(end,))
     with ExitStack() as stack:
-        first = Router(config, [end], []).__enter__()
+        first = Router(config, SERVED, [end], []).__enter__()
         slave, master = stack.enter_context(pair(config, "a"))
         pump(master, slave)
         first.__exit__()
         wait_until(lambda: not slave.present(Role.MASTER) and not master.present(Role.SLAVE))
-        stack.enter_context(Router(config, [end], []))
+        stack.enter_context(Router(config, SERVED, [end], []))
         wait_until(lambda: slave.present(Role.MASTER) and master.present(Role.SLAVE))
         pump(master, slave)
         assert slave.latest(COMMAND).counts.restarts == 0
@@ -156,8 +163,8 @@ def test_a_router_that_is_started_again_brings_all_back() -> None:
 def test_a_second_router_takes_over() -> None:
     ends = endpoints(2)
     config = LinkConfig(routers=tuple(ends))
-    with Router(config, ends[1:], []), ExitStack() as stack:
-        first = Router(config, ends[:1], ends[1:]).__enter__()
+    with Router(config, SERVED, ends[1:], []), ExitStack() as stack:
+        first = Router(config, SERVED, ends[:1], ends[1:]).__enter__()
         slave, master = stack.enter_context(pair(config, "a"))
         pump(master, slave)
         first.__exit__()
@@ -177,8 +184,54 @@ def test_who_comes_and_goes_is_told() -> None:
     (end,) = endpoints(1)
     config = LinkConfig(routers=(end,))
     told: list[tuple[str, Role, bool]] = []
-    with Router(config, [end], [], lambda *change: told.append(change)):
+    with Router(config, SERVED, [end], [], lambda *change: told.append(change)):
         with Link(config, "a", Role.SLAVE):
             wait_until(lambda: ("a", Role.SLAVE, True) in told)
         wait_until(lambda: ("a", Role.SLAVE, False) in told)
     assert len(told) == 2
+
+
+def test_a_session_that_the_router_does_not_serve_stays_alone() -> None:
+    (end,) = endpoints(1)
+    config = LinkConfig(routers=(end,))
+    with (
+        Router(config, ("other",), [end], []),
+        Link(config, "a", Role.SLAVE) as slave,
+        Link(config, "a", Role.MASTER) as master,
+    ):
+        time.sleep(0.5)
+        assert not slave.present(Role.MASTER)
+        assert not master.present(Role.SLAVE)
+
+
+def test_a_router_of_all_sessions_serves_any() -> None:
+    (end,) = endpoints(1)
+    config = LinkConfig(routers=(end,))
+    with Router(config, (ALL_SESSIONS,), [end], []), pair(config, "any") as (slave, master):
+        pump(master, slave)
+
+
+@pytest.mark.parametrize("served", [("a",), (ALL_SESSIONS,)])
+def test_what_a_role_must_not_send_ends_at_the_router(served: tuple[str, ...]) -> None:
+    """Of a router of all sessions it gets through, and the slave does not believe it."""
+    (end,) = endpoints(1)
+    config = LinkConfig(routers=(end,))
+    with (
+        Router(config, served, [end], []),
+        pair(config, "a") as (slave, master),
+        open_session(
+            local_credentials("a", Office.VIEWER), [], [end], access_control(["a"]), "client"
+        ) as viewer,
+    ):
+        pump(master, slave)
+        before = slave.latest(COMMAND).counts
+        received = before.received
+        rejected = before.rejected + before.unknown
+        for number in range(100):
+            forged = Command(state=2).pack(master.nonce, 10_000 + number, 1)
+            viewer.put("teleop/a/command", forged)
+        time.sleep(0.3)
+        after = slave.latest(COMMAND).counts
+        assert after.received == received
+        assert (after.rejected + after.unknown > rejected) == (served == (ALL_SESSIONS,))
+        pump(master, slave, 3)

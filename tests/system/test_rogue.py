@@ -1,0 +1,119 @@
+"""A rogue peer beside a real session: nothing moves, and the session recovers."""
+
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from teleop.app.launch.supervisor import wait_for
+from teleop.keys import Office
+from teleop.keys.local import local_credentials
+from teleop.link import Link
+from teleop.messages import LAYOUT, Event, SlaveState, text_of
+from teleop.session import State
+from teleop.topics import EVENT, HAND, STATE, Role
+from tests.rogue import ENGAGED, POSITION_AT, RESET, STATE_AT, Rogue, forged, head
+from tests.system.processes import OURS, START_S, Processes
+
+STILL = 1e-4  # [m] a tip at rest stays within
+FAR = struct.pack("<8d", *(0.014,) * 8)  # [m]
+TAKE_OVER = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
+
+
+def state_of(link: Link) -> SlaveState:
+    message = link.latest(STATE).message
+    assert message is not None
+    return message
+
+
+def rogue_of(session: Processes, office: Office | None) -> Rogue:
+    ends = [session.link_config.slave, session.link_config.master]
+    tls = None if office is None else local_credentials(session.session, office).for_tls()
+    rogue = Rogue(ends, session.session, tls)
+    for topic in ("command", "state"):
+        rogue.listen(topic)
+    return rogue
+
+
+def attack(rogue: Rogue, sides: tuple[int, int], seconds: float) -> None:
+    """Everything at once: forged and played-back messages, tokens, resets, settings."""
+    command, tags = next(item for item in reversed(rogue.heard["command"]))
+    state, _ = rogue.heard["state"][-1]
+    master, slave = sides
+    for role in ("master", "slave", "remote"):
+        rogue.announce(role, LAYOUT, 1)
+    end, n = time.monotonic() + seconds, 0
+    while time.monotonic() < end:
+        n += 1
+        rogue.put("command", forged("Command", command, 10**9 + n, *TAKE_OVER), tags)
+        rogue.put("command", command, tags)
+        rogue.put("state", forged("SlaveState", state, 10**9 + n, TAKE_OVER[0]), tags)
+        for sender in (master, slave, n):
+            rogue.stop(LAYOUT, sender, 0)
+            rogue.stop(LAYOUT, sender, RESET, side=2, number=n % 4)
+            rogue.set(LAYOUT, sender, b"force.scale", b"1")
+        time.sleep(0.002)
+
+
+def teleop(session: Processes, *words: str) -> int:
+    command = [sys.executable, "-m", "teleop", *words, *session.shared]
+    return subprocess.run(command, env=OURS, timeout=60, check=False).returncode
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("office", [Office.ROUTER, Office.VIEWER])
+def test_a_rogue_beside_a_session_moves_nothing(
+    demo_config: Path, tmp_path: Path, office: Office
+) -> None:
+    late = "master.device.engage=[[25, 55]]", "master.device.engage_period=60"
+    with Processes(tmp_path, demo_config, *late) as session:
+        session.start("slave")
+        session.start("master")
+        with session.look() as link, rogue_of(session, office) as rogue:
+            link.subscribe_latest(STATE)
+            listener = link.listen((EVENT,))
+            assert wait_for(lambda: link.latest(HAND).message is not None, START_S)
+            assert wait_for(lambda: all(rogue.heard.values()), 10.0), "the rogue hears nothing"
+            sides = tuple(head(rogue.heard[topic][-1][0])[2] for topic in ("command", "state"))
+            before = state_of(link)
+            attack(rogue, sides, 3.0)
+            after = state_of(link)
+            assert after.state == State.READY, session.outputs()
+            assert abs(after.position[0] - before.position[0]) < STILL
+            # a stop is reset by nobody else
+            assert teleop(session, "stop") == 0
+            attack(rogue, sides, 1.0)
+            assert state_of(link).state == State.STOPPED
+            assert teleop(session, "stop", "--reset") == 0
+            # it engages as if nothing had been, and stays so under attack
+            assert wait_for(lambda: session.engaged(link), 90.0), session.outputs()
+            attack(rogue, sides, 2.0)
+            assert state_of(link).state == State.ENGAGED, session.outputs()
+            assert session.engaged(link), session.outputs()
+            lines = {
+                (event.role, text_of(event.text).split(" (")[0])
+                for event in (Event.unpack(item.data) for item in listener.drain())
+            }
+        if office is Office.ROUTER:  # a viewer's messages are dropped before they are read
+            for side in (Role.MASTER, Role.SLAVE):
+                for what in ("stop", "messages of the peer"):
+                    assert (side, f"refused: {what} without the right tag") in lines
+
+
+@pytest.mark.slow
+def test_strangers_on_the_machine_do_not_get_in(
+    demo_config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Processes(tmp_path, demo_config, "master.device.engage=[]") as session:
+        session.start("slave")
+        with session.look() as link:
+            assert wait_for(lambda: link.latest(STATE).message is not None, START_S)
+            monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "another user"))
+            for office in (None, Office.MASTER):
+                with rogue_of(session, office) as rogue:
+                    time.sleep(2.0)
+                    assert not rogue.connected()
+                    assert not any(rogue.heard.values())
