@@ -22,7 +22,7 @@ from tests.fuzz.cases import Case, Fuzz
 CASES = int(os.environ.get("FUZZ_CASES", "300"))
 SEED = int(os.environ.get("FUZZ_SEED", "1"))
 CHUNK = 50
-HANG_S = 60  # on a busy machine; a case takes 50 ms
+HANG_CPU_S, HANG_S = 20.0, 300  # of processor time, and in all; a case takes 20 ms
 
 
 def hang(*_):
@@ -64,6 +64,7 @@ def test_anything_given_is_answered_in_a_line_and_nothing_is_harmed(
     chunk, tmp_path, capfd, monkeypatch
 ):
     signal.signal(signal.SIGALRM, hang)
+    signal.signal(signal.SIGPROF, hang)
     wrong = []
     for number in range(chunk * CHUNK, min((chunk + 1) * CHUNK, CASES)):
         folder = tmp_path / str(number)
@@ -72,6 +73,7 @@ def test_anything_given_is_answered_in_a_line_and_nothing_is_harmed(
         case = Fuzz(SEED * 1_000_000 + number, folder).draw()
         before = contents(folder)
         signal.alarm(HANG_S)
+        signal.setitimer(signal.ITIMER_PROF, HANG_CPU_S)
         try:
             code, said = run(case, capfd)
             check(case, code, said, before, contents(folder))
@@ -80,6 +82,7 @@ def test_anything_given_is_answered_in_a_line_and_nothing_is_harmed(
             wrong.append(f"{number}: {case.words}: {error!r} at {place.filename}:{place.lineno}")
         finally:
             signal.alarm(0)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
     assert not wrong, "\n".join(wrong)
 
 
