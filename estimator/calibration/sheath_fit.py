@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -17,9 +18,13 @@ from estimator.calibration.identification import (
     fit_bench,
     fit_blocked_tip,
 )
+from estimator.diagnosis.spikes import without_spikes
 from estimator.law.sheath import Sheath
-from estimator.measured_data import MeasuredData
+from estimator.measured_data import MeasuredData, Samples
+from estimator.online.estimator import Estimator
+from estimator.online.score import Score
 from estimator.online.tendon_model import TendonModel
+from estimator.plausibility import contradiction, doubts, implausible, unit_slip
 
 AXIAL_STIFFNESS = 9000.0  # [N] where the data do not tell EA: the tendon of Phee et al. 2009
 COVER = 1.96  # standard uncertainties on each side of 95 %
@@ -27,6 +32,7 @@ LEAST_ROWS = 20
 LONGEST = 100.0  # [m]
 SMOOTHED = 9  # samples, where the loop's turns are looked for
 GIVES_WAY = 0.02  # of the motor's travel: a tip that moves by more is not blocked
+MOST = 200_000  # samples that are fitted; of a longer record every so many
 TURN = 0.05  # of the peak: a tension that comes back by so much has turned
 
 
@@ -100,10 +106,63 @@ def fit_sheath(data: MeasuredData, length: float = 1.0, *, blocked_tip: bool = F
         raise FitError(f"length {length:g}: must be above 0 and at most {LONGEST:g} m")
     if len(data.time) < LEAST_ROWS:
         raise FitError(f"{len(data.time)} samples, a fit needs {LEAST_ROWS}")
+    clean = without_spikes(data)
+    whole = _without_missing(clean)
+    if len(whole.time) < LEAST_ROWS:
+        raise FitError(f"{len(whole.time)} samples without spikes, a fit needs {LEAST_ROWS}")
+    if wrong := doubts(whole):
+        raise FitError("; ".join(wrong))
+    every = -(-len(whole.time) // MOST)
+    fewer = Samples(*(None if c is None else c[::every] for c in whole[:5]))  # type: ignore[arg-type]
     try:
-        return _from_loop(data, length) if blocked_tip else _from_bench(data, length)
+        fit = _from_loop(fewer, length) if blocked_tip else _from_bench(fewer, length)
     except (IdentificationError, CalibrationError) as error:
-        raise FitError(str(error)) from error
+        slip = "" if blocked_tip or whole.distal_tension is None else _slip(fewer)
+        raise FitError(slip or str(error)) from error
+    if every > 1:
+        fit = dataclasses.replace(fit, method=f"{fit.method}, from one sample in {every}")
+    reason = _objection(fit, fewer, clean)
+    return dataclasses.replace(fit, accept=False, reason=reason) if reason else fit
+
+
+def _objection(fit: SheathFit, fitted: Samples, data: Samples) -> str:
+    """Return why a fit must not be accepted though the law may describe the data; "" if it may.
+
+    `fitted` are the samples it was fitted to, `data` all, without spikes.
+    """
+    EA = None if fit.EA is None else fit.EA.value
+    wrong = implausible(fit.K.value, EA, float(fitted.proximal_tension.max()))
+    if data.distal_tension is None:
+        return wrong
+    if not fit.accept or implausible(fit.K.value, None, 0.0):
+        return _slip(fitted, may_be_right=not wrong) or wrong
+    if wrong:
+        return wrong
+    error = _error(fit.model, data)
+    if error is None:
+        return ""
+    said = contradiction(error["rmse_percent"] / 100.0, error["inside_interval"], fitted=True)
+    return f"{said}, of the estimate in the data it was fitted to" if said else ""
+
+
+def _slip(data: Samples, may_be_right: bool = True) -> str:
+    tensions = data.proximal_tension, cast(Array, data.distal_tension)
+    return unit_slip(*tensions, may_be_right=may_be_right)
+
+
+def _error(model: TendonModel, data: Samples) -> dict[str, Any] | None:
+    """Return the error of the estimate against the measured tension at the tip."""
+    estimates, score = Estimator(model).run(data), Score([model])
+    columns = (estimates.distal_tension, estimates.low, estimates.high)
+    score.add_columns(*columns, cast(Array, data.distal_tension))
+    return score.summary()
+
+
+def _without_missing(data: Samples) -> Samples:
+    """Return the samples of which no channel is missing."""
+    channels = [channel for channel in data[:5] if channel is not None]
+    known = np.logical_and.reduce([np.isfinite(channel) for channel in channels])
+    return Samples(*(None if c is None else c[known] for c in data[:5]))  # type: ignore[arg-type]
 
 
 def _from_loop(data: MeasuredData, length: float) -> SheathFit:

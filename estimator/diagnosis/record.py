@@ -33,6 +33,8 @@ from estimator.effects.effect import (
     PROXIMAL_TENSION,
     Signals,
 )
+from estimator.measured_data import Samples
+from estimator.plausibility import doubts
 from estimator.signals import noise_sigma
 from estimator.units import LINEAR, Units
 
@@ -166,7 +168,7 @@ def prepare(
     RecordError
         If nothing can be found out from the data.
     """
-    _check(time, signals)
+    _check(time, signals, units)
     loop = is_loop(units, [signals]) if loop is None else loop
     if loop and PROXIMAL_DISPLACEMENT not in signals:
         raise RecordError(
@@ -244,7 +246,7 @@ def _noise_of(driver: str, signals: Signals, good: dict[str, Mask]) -> dict[str,
     return sigma
 
 
-def _check(time: Array, signals: Signals) -> None:
+def _check(time: Array, signals: Signals, units: Units) -> None:
     if PROXIMAL_TENSION not in signals:
         raise RecordError("proximal_tension is missing: nothing is known without it")
     if len(signals) < 2:
@@ -262,6 +264,9 @@ def _check(time: Array, signals: Signals) -> None:
             raise RecordError(f"{name}: {time.shape} finite values are needed")
     if not np.ptp(signals[PROXIMAL_TENSION]) > 0.0:
         raise RecordError("proximal_tension never changes: pull and release while you record")
+    q_p, T_out, q_d = (signals.get(name) for name in CHANNELS[1:])
+    if wrong := doubts(Samples(time, signals[PROXIMAL_TENSION], q_p, T_out, q_d), units):
+        raise RecordError("; ".join(wrong))
 
 
 def in_full(record: Record) -> Record:

@@ -13,6 +13,7 @@ from estimator import signals
 from estimator.calibration import calibration as blocked_tip
 from estimator.calibration.calibration import CalibrationError, Measured
 from estimator.law.sheath import Sheath
+from estimator.plausibility import implausible
 from slave.calibration import refusals
 from slave.calibration.config import KnownSheathConfig
 from slave.calibration.file import Direction, Value
@@ -53,6 +54,9 @@ def calibrate_tendon(
         )
     _require_straight(pulled, known)
     found = _fitted(pulled, known, low)
+    EA = found.stiffness_per_length.value * known.length
+    if wrong := implausible(found.K.value, EA, found.T_peak.value):
+        raise CalibrationRefused(f"{pulled.name}: {wrong}")
     if known.axial_stiffness is not None:
         _require_stiff(pulled, found, known.length / known.axial_stiffness, known.stiffness_error)
     return found

@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
         begin()
         return int(args.main(args))
     except TeleopError as error:
-        print(f"teleop: {error}", file=sys.stderr)
+        print(f"teleop: {_quoted(str(error), words)}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:  # before there was a loop to stop
         return interrupted()
@@ -134,6 +134,14 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
         if not interruption.came:
             raise
         return interrupted()  # a compiler makes an error of its own of what a signal raised
+
+
+def _quoted(text: str, words: Sequence[str]) -> str:
+    """Return a message with the words in it quoted that would break its line."""
+    for word in words:
+        if not word.isprintable() and word.strip():
+            text = text.replace(word, repr(word))
+    return text
 
 
 def interrupted() -> int:

@@ -33,7 +33,7 @@ __all__ = [
 TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
 TRAVEL_SPAN = 2.0  # [m] above this the unit is wrong: millimetres
 TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
-ANGLE_SPAN = 100.0  # [rad] above this the unit is wrong: degrees
+ANGLE_SPAN = 30.0  # [rad] above this, five turns, the unit is wrong: degrees
 NAMES_SHOWN = 12  # of a file's columns in an error message
 PERIOD = 1.5  # [s] above this the unit is wrong: milliseconds
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
@@ -314,7 +314,7 @@ def _check(
         if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
             what = "torque in newton metres; check the unit (N mm?)"
             if not units.rotary:
-                what = "tendon tension in newtons; check the unit (mN or g?)"
+                what = "tendon tension in newtons; check the unit (mN or g?), or remove the spike"
             raise wrong(item, row, f"{peak:.6g} is too large for a {what}")
         if units.signed:
             continue
@@ -332,9 +332,9 @@ def _check(
     for item in ("proximal_displacement", "distal_displacement"):
         if item in names and (span := float(np.ptp(numbers[names[item]]))) > most:
             row = int(np.abs(numbers[names[item]]).argmax())
-            what = f"travel spans {span:.6g} m; check that it is in metres"
+            what = f"travel spans {span:.6g} m; check that it is in metres, not mm"
             if units.rotary:
-                what = f"angle spans {span:.6g} rad; check that it is in radians"
+                what = f"angle spans {span:.6g} rad; check that it is in radians, not degrees"
             raise wrong(item, row, what)
     if periods.size and (median := float(np.median(periods))) > PERIOD:
         raise wrong("time", 1, f"samples are {median:.6g} s apart; check that it is in seconds")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from teleop.data import large_csv
 from teleop.errors import UsageError
+from teleop.messages import MAX_TENDONS
 from teleop.output_file import replacing
 from teleop.process import print_warning
 from teleop.topics import TENDONS
@@ -188,6 +189,8 @@ def _read_parquet(path: Path) -> RawTable:
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
         raise UsageError(f"{path}: not a valid Parquet file") from error
     columns: dict[str, Column] = {}
+    if odd := [name for name in table.column_names if not name.isprintable()]:
+        raise UsageError(f"{path}: the column name {odd[0]!r} is not text on one line")
     for name, column in zip(table.column_names, table.columns, strict=True):
         kind = column.type
         if name in columns:
@@ -215,7 +218,14 @@ def _read_recording(path: Path) -> RawTable:
     }
     rows = reader.read_columns(path, TENDONS.name, ("tendons", "time_s", *fields), print_warning)
     columns: dict[str, Column] = {"time_s": np.array(rows["time_s"])}
-    for tendon in range(int(rows["tendons"].max())):
+    tendons = int(rows["tendons"].max())
+    if tendons > MAX_TENDONS:
+        row = int(rows["tendons"].argmax())
+        raise UsageError(
+            f"{path}: message {row + 1} has {tendons} tendons, at most {MAX_TENDONS} are possible: "
+            "it is no recording of a session"
+        )
+    for tendon in range(tendons):
         number = "" if tendon == 0 else f"_{tendon + 1}"
         for field, name in fields.items():
             column = np.array(rows[field][:, tendon])

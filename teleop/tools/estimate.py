@@ -25,7 +25,9 @@ from estimator.diagnosis.spikes import without_spikes
 from estimator.measured_data import Samples
 from estimator.online import online
 from estimator.online.estimator import Estimator
-from estimator.online.score import Score
+from estimator.online.score import PULLED, Score
+from estimator.plausibility import contradiction, doubts, stretch_slip, unit_slip
+from estimator.units import LINEAR
 from slave import model_files
 from slave.calibration import file
 from slave.calibration.file import Calibration, JointTendons
@@ -132,11 +134,10 @@ def main(args: argparse.Namespace) -> int:
     summary["model"] = as_tree(tendon)
     if tendon.model_file is not None:
         summary["effects"] = model_files.describe(tendon)
-    summary["spikes"] = {
-        name: int(np.isnan(signal).sum()) for name, signal in signals_of(clean).items()
-    }
+    summary["spikes"] = list_spikes(clean, table)
     summary["force_error"] = compare_with_bench(estimates, clean, tendon)
     summary["travel_contradicts"] = travel_contradicts(tendon, clean, summary["force_error"])
+    summary["doubts"] = list_doubts(table, clean, tendon, summary)
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
         for flag in online.Status
@@ -216,6 +217,53 @@ def travel_contradicts(tendon: TendonConfig, table: Samples, error: dict[str, An
         without is not None
         and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
     )
+
+
+def list_doubts(
+    table: MeasuredTable, clean: Samples, tendon: TendonConfig, summary: dict[str, Any]
+) -> list[str]:
+    """Return what is wrong with the data, or contradicts the model; one line each."""
+    out = list(doubts(table))
+    error = summary["force_error"]
+    pulled = float(np.nanmax(clean.proximal_tension)) >= PULLED * tendon.tension_noise
+    if error is not None and pulled and "fit" not in summary:
+        said = contradiction(error["rmse_percent"] / 100.0, error["inside_interval"])
+        slip = unit_slip_of(clean) if said else ""
+        remedy = slip or (
+            "check that the model is of this tendon and that it is calibrated anew since it was "
+            "moved, or see what `teleop diagnose` finds"
+        )
+        out += [f"data and model contradict: {said}; {remedy}"] if said else []
+    if clean.proximal_displacement is not None and clean.distal_displacement is not None:
+        stretch = clean.proximal_displacement - clean.distal_displacement
+        alone = Estimator(tendon.model()).run(clean._replace(proximal_displacement=None))
+        out += [said] if (said := stretch_slip(stretch, alone.elongation)) else []
+    return out
+
+
+def unit_slip_of(clean: Samples) -> str:
+    """Return which tension of a record is in another unit, as `plausibility.unit_slip` says."""
+    tensions = clean.proximal_tension, clean.distal_tension
+    if tensions[1] is None:
+        return ""
+    known = np.isfinite(tensions[0]) & np.isfinite(tensions[1])
+    return unit_slip(tensions[0][known], tensions[1][known])
+
+
+def list_spikes(clean: Samples, table: MeasuredTable) -> dict[str, dict[str, float]]:
+    """Return the number of spikes of each channel, and the largest."""
+    out: dict[str, dict[str, float]] = {}
+    for name, signal in signals_of(clean).items():
+        spikes = np.flatnonzero(np.isnan(signal))
+        measured = getattr(table, name)[spikes]
+        out[name] = {"count": len(spikes)}
+        if len(spikes):
+            largest = int(np.abs(measured).argmax())
+            out[name] |= {
+                "largest": float(measured[largest]),
+                "time_s": float(table.time[spikes[largest]]),
+            }
+    return out
 
 
 def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
@@ -336,11 +384,15 @@ def format_report(summary: dict[str, Any]) -> list[str]:
         )
     lines += [f"model     {sentence}" for sentence in summary.get("effects", ())]
     lines.append(f"force     {force_line(summary['force_error'])}")
-    lines += [
-        f"          {count} single-sample spikes of {name.replace('_', ' ')} left out"
-        for name, count in summary["spikes"].items()
-        if count
-    ]
+    for name, spikes in summary["spikes"].items():
+        if spikes["count"]:
+            unit = LINEAR.of(name)
+            lines.append(
+                f"          {spikes['count']:g} single-sample spikes of {name.replace('_', ' ')} "
+                f"left out, the largest {spikes['largest']:.6g} {unit} at "
+                f"{spikes['time_s']:.6g} s: check the sensor's cable"
+            )
+    lines += [f"WARNING   {said}" for said in summary["doubts"]]
     if summary["travel_contradicts"]:
         lines.append(
             "WARNING   the displacement contradicts the tension: without it the estimate is far "

@@ -1,0 +1,226 @@
+"""Whether data and fitted numbers can be those of a tendon in a sheath, and which slip makes them.
+
+The ranges are wide: they hold any tendon that pulls a joint through a sheath, from a nylon line to
+the cable of a brake. What is outside has a wrong unit, a dead sensor or another cause.
+Sources and reasons: docs/data-format.md, Plausible values.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.law.sheath import Sheath
+from estimator.law.transmission import batch, slack_profile, tables
+from estimator.measured_data import MeasuredData
+from estimator.units import LINEAR, Units
+
+K_RANGE = (0.005, 3.0)
+"""Friction coordinate: a coefficient of 0.05 to 0.25 times bends of 0.1 to 12 rad (two turns)."""
+
+STIFFNESS_RANGE = (100.0, 1e6)
+"""EA [N]: nylon of 0.3 mm has 200 N, steel of 0.2 mm 6 kN, a steel cable of 2 mm 300 kN."""
+
+STRAIN_MAX = 0.05
+"""At the peak: steel yields at 1 %, fibres of polyethylene break at 4 %."""
+
+RMSE_MAX = 0.10
+"""Share of full scale that the RMSE of an estimate may be before data and model contradict."""
+
+COVERAGE_MIN = 0.5
+"""Share of samples that must be inside the certified interval, likewise."""
+
+FIT_COVERAGE_MIN = 0.8
+"""The same for the data that a model was fitted to."""
+
+STRETCH_RATIO = 3.0
+"""By which the stretch measured and that of the model may differ."""
+
+SWING = 0.2
+"""Share of its peak by which a tension swings that must move the other channels."""
+
+_GRID = 16  # values of K in each of two searches
+_TRIED = 4000  # samples of a record that tell a unit
+_NEAR = 0.25  # relative distance of a factor to that of a unit
+_BETTER = 0.5  # of the residual, by which another unit must be better
+_FITS = 0.05  # of the peak: residual of a law that describes a record
+
+
+class Slip(NamedTuple):
+    """A unit given in place of the right one: `factor` times the value is in the right one."""
+
+    name: str
+    factor: float
+
+
+FORCES = (Slip("kgf", 9.80665), Slip("lbf", 4.44822), Slip("gram-force", 9.80665e-3))
+LENGTHS = (Slip("mm", 1e-3), Slip("cm", 1e-2), Slip("inches", 0.0254))
+
+
+def doubts(data: MeasuredData, units: Units = LINEAR) -> tuple[str, ...]:
+    """Return what is wrong with the channels of a record, one line each with its remedy.
+
+    A sensor that never changes while the tension does is stuck; only a tip that is blocked stays.
+    The data are in `units`.
+    """
+    T_in, T_out = data.proximal_tension, data.distal_tension
+    q_p, q_d = data.proximal_displacement, data.distal_displacement
+    swing, peak = _span(T_in), float(np.nanmax(np.abs(T_in), initial=0.0))
+    out = []
+    if swing == 0.0:
+        out.append(
+            f"proximal_tension never changes ({T_in[0]:.4g} {units.effort}): the load cell is "
+            "stuck or not connected, or nothing was pulled; check it, and pull and release while "
+            "you record"
+        )
+    moves = swing > SWING * peak and swing > 0.0
+    if moves and q_p is not None and _span(q_p) == 0.0 and not _tip_drives(T_in, q_d):
+        out.append(
+            f"proximal_displacement never changes ({q_p[0]:.4g} {units.travel}) while the tension "
+            f"swings by {swing:.3g} {units.effort}: the encoder is stuck or not connected; check "
+            "it, or remove the column"
+        )
+    if moves and T_out is not None and _span(T_out) == 0.0:
+        out.append(
+            f"distal_tension never changes ({T_out[0]:.4g} {units.effort}) while the tension at "
+            f"the housing swings by {swing:.3g} {units.effort}: the load cell is stuck or not "
+            "connected; check it, or remove the column"
+        )
+    return tuple(out)
+
+
+def implausible(K: float, EA: float | None, peak: float) -> str:
+    """Return why a friction, a stiffness [N] and a peak tension [N] are no tendon's; "" if fine."""
+    if not K_RANGE[0] <= K <= K_RANGE[1]:
+        return (
+            f"K = {K:.3g} is outside {K_RANGE[0]:g} to {K_RANGE[1]:g}, the friction of sheaths: "
+            "check the units and the zeros of both tensions"
+        )
+    if EA is None:
+        return ""
+    strain = peak / EA
+    if STIFFNESS_RANGE[0] <= EA and strain <= STRAIN_MAX:
+        if STIFFNESS_RANGE[1] >= EA:
+            return ""
+        return (
+            f"EA = {EA:.3g} N is stiffer than any tendon ({STIFFNESS_RANGE[1]:g} N): the "
+            "travel is too small; check that it is in metres, and the length"
+        )
+    meant = [slip.name for slip in LENGTHS if _would_do(EA / slip.factor, peak)]
+    meant += [slip.name for slip in FORCES[:1] if not meant and _would_do(EA * slip.factor, peak)]
+    hint = f" (in {' or '.join(meant)}?)" if meant else ""
+    return (
+        f"EA = {EA:.3g} N stretches by {strain:.1%} at {peak:.3g} N, which no tendon does (at most "
+        f"{STRAIN_MAX:.0%}): check that the travel is in metres and the tension in newtons{hint}, "
+        "and that the tip does not give way"
+    )
+
+
+def unit_slip(proximal_tension: Array, distal_tension: Array, *, may_be_right: bool = True) -> str:
+    """Return which tension is in another unit than newtons; "" if none explains the record.
+
+    Hysteresis tells: e^2K is between the branches, whatever the unit, and with the right factor the
+    law describes both. Only the ratio of both tensions is tested, not their size. Without
+    `may_be_right` the units are known to be wrong.
+    """
+    step = max(len(proximal_tension) // _TRIED, 1)
+    T_in, T_out = proximal_tension[::step], distal_tension[::step]
+    if not (T_in.max() > 0.0 and T_out.max() > 0.0):
+        return ""
+    plain = _residual(T_in, T_out) if may_be_right else math.inf
+    tried = [("distal", slip, T_in, slip.factor * T_out) for slip in FORCES]
+    tried += [("proximal", slip, slip.factor * T_in, T_out) for slip in FORCES]
+    found = [(_residual(one, other), end, slip) for end, slip, one, other in tried]
+    best = min(residual for residual, _, _ in found)
+    if not (best < _FITS and best < _BETTER * plain):
+        return ""
+    meant = [f"{e}_tension in {s.name}" for residual, e, s in found if residual < 1.5 * best]
+    return (
+        f"not in newtons, as it seems: {' or '.join(meant)}, with which the law describes the data "
+        f"within {best:.1%} of the peak; convert it"
+    )
+
+
+def contradiction(rmse_share: float, inside: float, *, fitted: bool = False) -> str:
+    """Return why an estimate and a measured tension contradict each other; "" if they do not.
+
+    Parameters
+    ----------
+    rmse_share, inside : float
+        RMSE over full scale, and the share of samples inside the certified interval.
+    fitted : bool
+        Whether the model was fitted to these data.
+    """
+    least = FIT_COVERAGE_MIN if fitted else COVERAGE_MIN
+    off, out = rmse_share > RMSE_MAX, inside < least
+    if not (off or out):
+        return ""
+    told = [f"the RMSE is {rmse_share:.0%} of full scale"] * off
+    told += [f"{inside:.0%} of the samples are inside the interval"] * out
+    return " and ".join(told)
+
+
+def stretch_slip(measured: Array, modelled: Array) -> str:
+    """Return why the stretch measured [m] is not that of the model; "" if it may be.
+
+    Parameters
+    ----------
+    measured, modelled : array, shape (n,)
+        q_p - q_d, and the elongation by the model; NaN where unknown.
+    """
+    known = np.isfinite(measured) & np.isfinite(modelled)
+    if known.sum() < 2 or not (_span(modelled[known]) > 0.0):
+        return ""
+    x, y = modelled[known] - modelled[known].mean(), measured[known] - measured[known].mean()
+    ratio = float(x @ y) / float(x @ x)
+    if 1.0 / STRETCH_RATIO <= ratio <= STRETCH_RATIO:
+        return ""
+    size = abs(ratio)
+    meant = [f"the travel in {s.name}" for s in LENGTHS if _near(size, 1.0 / s.factor)]
+    meant += [f"the tension in {s.name}" for s in FORCES if _near(size, s.factor)]
+    meant += ["the sign of a travel"] if ratio < 0.0 and not meant and size > 0.3 else []
+    hint = f"; perhaps {' or '.join(meant)}" if meant else ""
+    return (
+        f"the tendon stretches {ratio:.3g} times as much as the model says: check the units of "
+        f"travel and tension, and the model's stiffness and length{hint}"
+    )
+
+
+def _tip_drives(tension: Array, q_d: Array | None) -> bool:
+    """Return whether the tip stretches a tendon that the motor holds: it gives way as it pulls."""
+    if q_d is None or _span(q_d) == 0.0:
+        return False
+    known = np.isfinite(tension) & np.isfinite(q_d)
+    x, y = tension[known] - tension[known].mean(), q_d[known] - q_d[known].mean()
+    return float(x @ y) < 0.0
+
+
+def _near(value: float, factor: float) -> bool:
+    return abs(math.log(value / factor)) < _NEAR if value > 0.0 else False
+
+
+def _would_do(EA: float, peak: float) -> bool:
+    return STIFFNESS_RANGE[0] <= EA <= STIFFNESS_RANGE[1] and peak / EA <= STRAIN_MAX
+
+
+def _span(signal: Array) -> float:
+    """Return the range of a signal, without what is missing (NaN)."""
+    known = signal[np.isfinite(signal)]
+    return float(np.ptp(known)) if known.size else 0.0
+
+
+def _residual(T_in: Array, T_out: Array) -> float:
+    """Return the RMSE of the law at its best, over the peak; infinite if it is out of order."""
+    if T_out.mean() > T_in.mean():
+        return math.inf
+
+    def cost(K: float) -> float:
+        table = tables(Sheath.uniform(K, 1.0, 1.0))
+        return float(np.mean((T_out - batch(table, slack_profile(table), T_in)[0]) ** 2))
+
+    tried = np.geomspace(*K_RANGE, _GRID)
+    costs = [cost(K) for K in tried]
+    k = int(np.argmin(costs))
+    near = np.linspace(tried[max(k - 1, 0)], tried[min(k + 1, _GRID - 1)], _GRID)
+    return math.sqrt(min(*costs, *map(cost, near))) / float(T_out.max())
