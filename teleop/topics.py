@@ -16,6 +16,7 @@ from teleop.messages import (
     Hand,
     Latency,
     Ledger,
+    LinkReport,
     LoopReport,
     Message,
     Setting,
@@ -73,8 +74,9 @@ LATENCY = Topic("latency", Latency, Role.MASTER, 2, live=False)
 STOP = Topic("stop", EmergencyStop, None, 0, live=False)
 SETTING = Topic("setting", Setting, None, 0, live=False)
 ANSWER = Topic("answer", Answer, Role.MASTER, 0, live=False)
+LINK = Topic("link", LinkReport, None, 2, live=False)
 
 TOPICS: tuple[Topic[Any], ...] = (
     COMMAND, STATE, TENDONS, HAND, PROFILE, SHEATH, LEDGER, EVENT, REPORT, LATENCY,
-    STOP, SETTING, ANSWER,
+    STOP, SETTING, ANSWER, LINK,
 )  # fmt: skip

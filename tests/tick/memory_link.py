@@ -55,12 +55,15 @@ class MemoryLink(Link):
         What happens while this side waits.
     calls : Calls or None
         What is counted of this side, but not the wait.
+    way : callable or None
+        What becomes of a message on the way to the peer: other bytes, or None if it is lost.
     """
 
     def __init__(self, role: Role) -> None:
         super().__init__(LinkConfig(), "tick", role)
         self.world: Callable[[], None] = lambda: None
         self.calls: Calls | None = None
+        self.way: Callable[[bytes], bytes | None] | None = None
 
     def _open(self):
         return Session()
@@ -87,9 +90,11 @@ class MemoryLink(Link):
         )
 
     def carry(self, peer: "MemoryLink") -> None:
-        """Give `peer` what this side has published since the last time."""
+        """Give `peer` what this side has published since the last time; see `way`."""
         for key, messages in self._zenoh.sent.items():
             store = peer._zenoh.stores.get(key)
             for data in messages if store else ():
-                store(Sample(data))
+                carried = data if self.way is None else self.way(data)
+                if carried is not None:
+                    store(Sample(carried))
             messages.clear()

@@ -37,7 +37,7 @@ from teleop.realtime import RealtimeConfig
 from teleop.ros.config import RosConfig, check_ports
 from teleop.run_config import RateChecked, RunConfig
 from teleop.status_line import StatusLine
-from teleop.topics import EVENT, LATENCY, REPORT, Role
+from teleop.topics import EVENT, LATENCY, LINK, REPORT, Role
 from teleop.view.config import ViewConfig
 from teleop.view.ports import free_port
 
@@ -98,7 +98,7 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
         watch.require_free(link)  # before anything is started
-        listener, hearing = link.listen((EVENT, REPORT, LATENCY)), watch.Hearing()
+        listener, hearing = link.listen((EVENT, REPORT, LATENCY, LINK)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
         if impair is not None:
