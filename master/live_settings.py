@@ -120,6 +120,14 @@ def press(live: Live, hand: HandState | None) -> tuple[Live, str]:
     return live, ", ".join(told)
 
 
+def scaled(config: MasterConfig, scale: float) -> MasterConfig:
+    """Return `config` with the force scale and the position scale times `scale`."""
+    force = replace(config.force, scale=config.force.scale * scale)
+    position_scale = config.operator.position_scale * scale
+    operator = replace(config.operator, position_scale=position_scale)
+    return replace(config, force=force, operator=operator)
+
+
 def _scale(live: Live, key: str) -> float:
     return live.force_scale if key == "force.scale" else live.config.operator.position_scale
 

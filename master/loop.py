@@ -65,6 +65,8 @@ class TickInput(Record):
     fault: I64 = Reason.NONE  # fault on this side detected by the caller
     stop: I64 = Reason.NONE  # reason of an emergency stop by another process
     reset: Flag = False  # whether the stop is reset
+    link: I64 = Reason.NONE  # bound that the link exceeds
+    link_holds: Flag = False  # whether the session must hold because of it
 
 
 class PhaseInput(NamedTuple):
@@ -77,6 +79,8 @@ class PhaseInput(NamedTuple):
     fault: int = int(Reason.NONE)
     stop: int = int(Reason.NONE)
     reset: bool = False
+    link: int = int(Reason.NONE)
+    link_holds: bool = False
 
 
 @compiled
@@ -113,6 +117,7 @@ def _take(tick: TickInput, phase_input: PhaseInput) -> None:
     tick.has_state, tick.state_age_ns = phase_input.has_state, phase_input.state_age_ns
     tick.now_ns, tick.dt = phase_input.now_ns, phase_input.dt
     tick.fault, tick.stop, tick.reset = phase_input.fault, phase_input.stop, phase_input.reset
+    tick.link, tick.link_holds = phase_input.link, phase_input.link_holds
 
 
 @compiled
@@ -165,6 +170,7 @@ def command(
     inputs.clutch = hand.clutch
     inputs.reset = tick.reset
     inputs.stop = tick.stop
+    inputs.link, inputs.link_holds = tick.link, tick.link_holds
     if tick.stop == Reason.NONE and hand.stop:
         inputs.stop = Reason.EMERGENCY_STOP
     inputs.follow_s = session.FOLLOW_LIMIT_S + settings.delay_max
@@ -233,6 +239,7 @@ def force(
     fresh = is_fresh(settings, tick, state)
     if new_state:
         _hear(settings, memory, tick, state, wanted)
+        memory.inputs.link, memory.inputs.link_holds = tick.link, tick.link_holds
     if new_state or fresh != memory.inputs.peer_fresh:
         memory.inputs.reset = False  # already processed
         _step_session(settings, memory, tick, state, finite, 0.0)
@@ -364,6 +371,7 @@ def _describe(
 def _note_answer(memory: MasterState, tick: TickInput, state: SlaveState) -> None:
     """Record the command that is answered for the first time."""
     memory.answer_ns = 0
+    memory.answered_ns = min(memory.answered_ns, tick.now_ns)  # our clock may have been set back
     if tick.has_state and memory.answered_ns < state.echo_stamp_ns <= tick.now_ns:
         memory.answer_ns = state.echo_stamp_ns
         memory.answered_ns = state.echo_stamp_ns

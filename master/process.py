@@ -30,6 +30,7 @@ from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.link import NEVER_NS, Link
+from teleop.link_health import DEFAULT_BOUNDS, HealthConfig, compile_observer
 from teleop.loop_process import LoopProcess, conclude, run_session
 from teleop.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
 from teleop.meter import format_reason
@@ -45,6 +46,7 @@ DIRECT = Bilateral()
 COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else
 WAIT = 0.6  # of a period, from the reading of the device: longer is not waited for an answer
 LATE_ANSWERS = 20  # in a row, and the link is taken for one on which it is no use to wait
+_CLOCK_SET, _ENGAGED = int(Reason.CLOCK_SET), int(State.ENGAGED)
 TRY_EVERY = 100  # ticks, whether it still is one
 
 
@@ -67,12 +69,13 @@ class Master(LoopProcess):
         grid: Grid,
         bilateral: Bilateral = DIRECT,
         commands_every: int = 1,
+        health: HealthConfig = DEFAULT_BOUNDS,
     ) -> None:
         self._memory = loop.start(device.axes, now_ns())
         self.memory: loop.MasterState = one(self._memory)
         self._now = as_bytes(self._memory)
         self._before, self._commanded = self._now.copy(), self._now.copy()
-        super().__init__(link, grid.stats, self._memory, device.axes)
+        super().__init__(link, grid.stats, self._memory, device.axes, health=health)
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
         self._write_hand = partial(hand_input.fill, self._ticks["hand"])
@@ -89,6 +92,9 @@ class Master(LoopProcess):
         self._states = link.subscribe_latest(STATE, round(config.state_timeout * 1e9))
         self._echo_ns = self._states.packet.records["echo_stamp_ns"]
         self._answered_in_ns = self._states.packet.records["answer_ns"]
+        self._peer_state = self._states.packet.records["state"]
+        self._peer_reason = self._states.packet.records["reason"]
+        self._scaled_from, self._scaled_config = (config, 1.0), config
 
     def tick(self, tick: Tick) -> None:
         """Read, command, wait for the answer, render; then do what nobody waits for."""
@@ -96,7 +102,10 @@ class Master(LoopProcess):
         self._link.latest(STATE)
         requests = self._listen(tick.stamp_ns)
         self._live, changed = live_settings.follow(self._live, hand, tick.dt)
-        settings = self._settings.update(self._live.config)
+        config = self._live.config
+        settings = self._settings.update(
+            config if self._link_scale == 1.0 else self._scaled(config)
+        )
         self._write_hand(hand)
         self._find_command(settings, tick.dt, fault, requests)
         known_ns = self._states.stamp_ns
@@ -140,7 +149,19 @@ class Master(LoopProcess):
         states, now = self._states, now_ns()
         age_ns = states.age_ns(now)
         stop, reset = int(requests.stop), requests.reset
-        return loop.PhaseInput(states.is_there, age_ns, now, dt, int(fault), stop, reset)
+        link = _CLOCK_SET if states.settles else self._link_reason
+        holds = states.settles or self._link_holds
+        return loop.PhaseInput(
+            states.is_there, age_ns, now, dt, int(fault), stop, reset, link, holds
+        )
+
+    def _scaled(self, config: MasterConfig) -> MasterConfig:
+        """Return the config with force and motion scaled as the link allows."""
+        wanted, scale = self._scaled_from
+        if config is not wanted or self._link_scale != scale:
+            self._scaled_from = config, self._link_scale
+            self._scaled_config = live_settings.scaled(config, self._link_scale)
+        return self._scaled_config
 
     def _find_command(
         self, settings: Records, dt: float, fault: Reason, requests: Requests
@@ -273,7 +294,14 @@ class Master(LoopProcess):
         self._publish_ledger(tick.stamp_ns)
         if side != self._published:
             self._publish_session(side)
-        if self._report(tick.stamp_ns, self._states.counts):
+        self._watch_link(
+            tick.stamp_ns,
+            self._states,
+            int(self._echo_ns[0]),
+            int(self._answered_in_ns[0]),
+            int(self._peer_reason[0]) if self._peer_state[0] == _ENGAGED else 0,
+        )
+        if self._report(tick.stamp_ns, self._states):
             self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
 
     def _device_failed(self, error: DeviceFault) -> Reason:
@@ -344,7 +372,7 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(device.close)
         commands_every = config.commands_every(shared.rate_hz)
         grid = Grid(shared.rate_hz * commands_every, stop)
-        master = Master(config, link, device, grid, shared.bilateral, commands_every)
+        master = Master(config, link, device, grid, shared.bilateral, commands_every, shared.health)
         return master, grid, stop
 
     return conclude(args, *run_session(Role.MASTER, shared, start))
@@ -361,3 +389,4 @@ def warm_up() -> None:
     loop.run_force(settings, memory, ticks, state.records, told, False, np.zeros(MAX_JOINTS))
     loop.fill_hand_message(memory, ticks, -1, 0, hand.records)
     command.seal(0, 0, 0)
+    compile_observer()

@@ -124,6 +124,8 @@ class TickInput(NamedTuple):
     fault: int = int(Reason.NONE)  # Reason: fault on this side detected by the caller
     stop: int = int(Reason.NONE)  # Reason of an emergency stop by another process
     reset: bool = False  # whether a stop is reset
+    link: int = int(Reason.NONE)  # Reason: bound that the link exceeds
+    link_holds: bool = False  # whether the session must hold because of it
 
 
 class RigModel(NamedTuple):
@@ -557,6 +559,7 @@ def _advance_session(
     inputs.clutch = master == State.CLUTCHED
     inputs.stop = tick_input.stop
     inputs.reset = tick_input.reset
+    inputs.link, inputs.link_holds = tick_input.link, tick_input.link_holds
     inputs.not_ready_reason = Reason.COUPLING_DIFFERS if differs else Reason.NONE
     inputs.peer = 0
     if tick_input.has_command:

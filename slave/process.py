@@ -46,6 +46,7 @@ from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.link import Link
+from teleop.link_health import DEFAULT_BOUNDS, HealthConfig, compile_observer
 from teleop.loop_process import LoopProcess, conclude, run_session
 from teleop.messages import (
     MAX_JOINTS,
@@ -68,6 +69,7 @@ from teleop.topics import COMMAND, STATE, TENDONS, Role
 DYNAMICS_COMPILE_S = 14.0  # [s] more
 ROWS = 32  # samples that a tick takes at first; more are made room for
 
+_CLOCK_SET = int(Reason.CLOCK_SET)
 COMPILE_S = 24.0  # [s] of a processor for the tick, without a cache
 
 
@@ -93,13 +95,15 @@ class SlaveProcess(LoopProcess):
         past: Past | None = None,
         bilateral: Bilateral = loop.DIRECT,
         requests: RequestListener | None = None,
+        health: HealthConfig = DEFAULT_BOUNDS,
     ) -> None:
         self._rig, self._model = rig, model
         self._emergency_stop = getattr(rig, "emergency_stop", None)  # of a `StoppableRig`
         past = past or Past(now_ns(), ())
         self._slave = loop.start(model, config, bilateral, rig.starts_at_zero, past.samples)
         self.memory: SlaveMemory = one(self._slave.memory)
-        super().__init__(link, clock.stats, self._slave.memory, len(model.joints), requests)
+        joints = len(model.joints)
+        super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
         self._motor = self._slave.memory["motor"][0]  # [m] that the gate let through
         self._has_motor = self._slave.memory["has_motor"]
         self._estimated, self._ticked = self._slave.estimated, self._slave.ticked
@@ -110,6 +114,7 @@ class SlaveProcess(LoopProcess):
         self._ahead: RigSample | None = None  # that the memory is estimated from already
         self._is_estimated = False  # whether the rows of this tick are
         self._commands = link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
+        self._echo_ns = self._commands.packet.records["echo_stamp_ns"]
         self._state, self._tendon_state = Packet(SlaveState), Packet(TendonState)
         self._answer_ns = self._state.records["answer_ns"]
         self._telemetry = Telemetry(link, model, self._slave)
@@ -194,6 +199,8 @@ class SlaveProcess(LoopProcess):
             int(fault),
             int(requests.stop),
             requests.reset,
+            _CLOCK_SET if commands.settles else self._link_reason,
+            commands.settles or self._link_holds,
         )
         slave, rows, samples = self._slave, self._rows, self._samples
         if not self._is_estimated:
@@ -252,7 +259,8 @@ class SlaveProcess(LoopProcess):
         self._requests.relay(Role.SLAVE, side, requests.words)
         self._publish_ledger(tick.stamp_ns)
         self._telemetry(time_s)
-        self._report(tick.stamp_ns, self._commands.counts)
+        self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
+        self._report(tick.stamp_ns, self._commands)
         if ahead is not None:
             self._estimate_ahead(ahead)
         return rig_ns
@@ -299,7 +307,9 @@ def main(args: argparse.Namespace) -> int:
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
-        slave = SlaveProcess(config, link, rig, model, clock, past, shared.bilateral, requests)
+        slave = SlaveProcess(
+            config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
+        )
         return slave, clock, stop
 
     slave, summary = run_session(Role.SLAVE, shared, start)
@@ -433,6 +443,7 @@ def _compile_follow_up() -> None:
     loop.monitor_calibration(slave.settings, slave.layout, slave.watched, slave.memory, rows, 1)
     fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
     Score().add_rows(slave.layout, rows, 1)
+    compile_observer()
     points, profile = np.zeros(PROFILE_POINTS), Packet(TensionProfile)
     fill_tension_profile(slave.prepared, slave.estimators, slave.memory, 0, points, profile.records)
     state.seal(0, 0, 0)

@@ -36,7 +36,7 @@ from teleop.extensions import Extension, ExtensionError, names_of, resolve_class
 from teleop.suggestions import did_you_mean
 
 # of teleop.run_config.RunConfig
-SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "realtime")
+SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime")
 SECTIONS = ("record", "view", "master", "slave", "impair", "ros", "router")
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 

@@ -14,15 +14,16 @@ from teleop.clock import Tick, TickStats, now_ns, quiet_garbage
 from teleop.coupling import LedgerPublisher
 from teleop.errors import PeerError, TeleopError
 from teleop.events import publish_event
-from teleop.link import Counts, Link
+from teleop.link import Counts, Latest, Link
+from teleop.link_health import DEFAULT_BOUNDS, HealthConfig, LinkHealth, observe
 from teleop.meter import LoopMeter
 from teleop.process import Stop, supervised, write_summary
 from teleop.realtime import enter_loop, go_realtime
 from teleop.remote.requests import RequestListener
 from teleop.run_config import RunConfig
-from teleop.session import OutlineReader, SessionOutline
+from teleop.session import OutlineReader, Reason, SessionOutline, reason_of
 from teleop.summary import loop_lines, trouble
-from teleop.topics import LEDGER, REPORT, Role
+from teleop.topics import LEDGER, LINK, REPORT, Role
 
 
 class LoopProcess(ABC):
@@ -40,6 +41,8 @@ class LoopProcess(ABC):
         Ports of the ledger in use.
     requests : RequestListener, optional
         A listener that is there already.
+    health : HealthConfig
+        Bounds of the link.
 
     Attributes
     ----------
@@ -59,6 +62,7 @@ class LoopProcess(ABC):
         memory: Records,
         joints: int,
         requests: RequestListener | None = None,
+        health: HealthConfig = DEFAULT_BOUNDS,
     ) -> None:
         self.error: TeleopError | None = None
         self.ended = ""
@@ -69,6 +73,10 @@ class LoopProcess(ABC):
         self._meter = LoopMeter(self.role, stats)
         self._verdicts = Counter[int]()
         self._refused: dict[str, int] = {}  # by topic
+        self._health = LinkHealth(health)
+        self._link_reason, self._link_holds = int(Reason.NONE), False  # for the session
+        self._link_scale = 1.0  # of force and motion
+        self._observed_ns = 0  # stamp of the newest message observed
 
     @abstractmethod
     def tick(self, tick: Tick) -> None:
@@ -81,7 +89,9 @@ class LoopProcess(ABC):
     def summary(self) -> dict[str, Any]:
         """Return the run in numbers."""
         verdicts = {str(self.verdict(bits).name): n for bits, n in self._verdicts.items()}
-        return self._meter.summary(self._outline(), self._link.counts(), verdicts)
+        counts = self._link.counts()
+        summary = self._meter.summary(self._outline(), counts, verdicts)
+        return summary | {"link": self._health.summary(counts)}
 
     def publish_end(self) -> None:
         """Publish the last report, from which a recorder sees whether it has everything."""
@@ -97,11 +107,32 @@ class LoopProcess(ABC):
         if self._ledger.is_due(stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
             self._link.publish_packet(LEDGER, self._ledger.filled())
 
-    def _report(self, stamp_ns: int, counts: Counts) -> bool:
-        """Publish the report if it is due, and check that no peer is there twice."""
+    def _watch_link(
+        self, stamp_ns: int, latest: Latest[Any], echo_ns: int, hold_ns: int, peer: int = 0
+    ) -> None:
+        """Take the peer's newest message; now and then decide what the link allows.
+
+        See `link_health.observe`. `peer` is the `Reason` of an engaged peer.
+        """
+        if latest.stamp_ns != self._observed_ns:
+            self._observed_ns = latest.stamp_ns
+            observe(self._health.windows, latest.stamp_ns, latest.received_ns, echo_ns, hold_ns)
+        if self._health.is_due(stamp_ns):
+            if self._health.update(stamp_ns, latest.counts, reason_of(peer)):
+                decision = self._health.decision
+                self._link_reason, self._link_holds = int(decision.reason), decision.holds
+                self._link_scale = decision.scale
+            if self._health.figures.clock_set:
+                latest.clock_was_set()
+
+    def _report(self, stamp_ns: int, latest: Latest[Any]) -> bool:
+        """Publish the reports if they are due, and check that no peer is there twice."""
+        counts = latest.counts
         report = self._meter.report(stamp_ns, self._outline(), counts)
         if report is None:
             return False
+        health = self._health.message(self.role, counts, latest.age_ns(stamp_ns))
+        self._link.publish(LINK, health)
         self._link.publish(REPORT, replace(report, sent=self._link.last_sequences()))
         self._publish_refusals(counts)
         try:

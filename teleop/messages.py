@@ -418,6 +418,32 @@ class Latency(Message):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LinkReport(Message):
+    """Master and slave to all, twice a second: health of the link from the peer (docs/health.md).
+
+    Of the last tenth of a second; -1 = not measured. What is below a bound of the config does
+    nothing, beyond it `scale` falls, then `holds`.
+    """
+
+    role: U32 = 0  # teleop.topics.Role of the sender
+    reason: U32 = 0  # teleop.session.Reason: the bound that is exceeded, 0 = none
+    holds: U32 = 0  # 1 = the session is held because of it
+    scale: F64 = 1.0  # of force and motion; the master takes the smaller of both sides'
+    offset_ns: I64 = 0  # the peer's clock less the sender's; see `uncertainty_ns`
+    uncertainty_ns: I64 = -1  # certified, of the offset
+    round_trip_ns: I64 = -1  # mean
+    round_trip_max_ns: I64 = -1
+    jitter_ns: I64 = -1  # mean difference of the delays of two messages in a row (RFC 3550)
+    delay_in_ns: I64 = -1  # from the peer, by the offset
+    delay_out_ns: I64 = -1  # to the peer: the rest of the round trip
+    age_ns: I64 = -1  # of the peer's newest message
+    loss: F64 = -1.0  # share of the peer's messages in the last second
+    repeated: U64 = 0  # of the peer's messages, since the loop began
+    out_of_order: U64 = 0
+    clock_jumps: U64 = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EmergencyStop(Message):
     """Any process to both sides, reliable: emergency stop, or its reset."""
 
@@ -450,7 +476,7 @@ class Answer(Message):
 
 MESSAGES: tuple[type[Message], ...] = (
     Command, SlaveState, TendonState, Hand, TensionProfile, Sheath, Ledger, Event, LoopReport,
-    Latency, EmergencyStop, Setting, Answer,
+    Latency, EmergencyStop, Setting, Answer, LinkReport,
 )  # fmt: skip
 
 for _cls in MESSAGES:

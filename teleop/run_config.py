@@ -15,6 +15,7 @@ from teleop.coupling.passivity import PassivityConfig
 from teleop.errors import UsageError
 from teleop.force_attenuation import ConfidenceConfig
 from teleop.link.config import LinkConfig
+from teleop.link_health import HealthConfig
 from teleop.realtime import RealtimeConfig
 
 T = TypeVar("T")
@@ -36,6 +37,7 @@ class RunConfig:
     link: LinkConfig = field(default_factory=LinkConfig)
     confidence: ConfidenceConfig = field(default_factory=ConfidenceConfig)  # in the force felt
     coupling: CouplingConfig = field(default_factory=PassivityConfig)  # of hand and tip
+    health: HealthConfig = field(default_factory=HealthConfig)  # bounds of the link
     realtime: RealtimeConfig = field(default_factory=RealtimeConfig)  # of both loops
 
     @property

@@ -24,9 +24,9 @@ conditions hold, others are a fault:
 state    what is done                                                   how it ends
 ======== ============================================================== =========================
 CLUTCHED motors hold, no force; the hand moves freely                   the clutch is let go of
-HOLDING  the peer fell silent: motors hold within their tension limit,  heard again and switch
-         the force fades to zero                                        open; after HOLD_LIMIT_S
-                                                                        of silence a FAULT
+HOLDING  the peer fell silent, or the link is too bad: motors hold      heard again and switch
+         within their tension limit, the force fades to zero            open; after HOLD_LIMIT_S
+                                                                        of it a FAULT
 FAULT    motors hold, no force                                          fault gone, switch open
 STOPPED  motors hold, no force; latched: letting go does not end it     an explicit reset
 ======== ============================================================== =========================
@@ -105,6 +105,10 @@ class Reason(IntEnum):
     PEER_STOPPED = 24, "peer in emergency stop"
     PEER_HOLDS = 25, "peer is holding: it receives no messages"
     PEER_RESTARTED = 26, "peer was restarted"
+    CLOCK_SET = 27, "a clock was set; release and engage again"
+    LINK_SLOW = 28, "round trip of the link beyond its bound"
+    LINK_JITTER = 29, "jitter of the link beyond its bound"
+    LINK_LOSS = 30, "loss of the link beyond its bound"
 
     DEVICE_FAULT = 40, "haptic device failed"
     RIG_FAULT = 41, "rig failed"
@@ -140,6 +144,8 @@ class Inputs(Record):
     not_ready_reason: I64 = Reason.NONE  # why this side must not engage
     peer: U64 = 0  # nonce of the peer's process
     follow_s: F64 = FOLLOW_LIMIT_S  # [s] timeout for the peer to engage
+    link: I64 = Reason.NONE  # the bound that the link exceeds, or CLOCK_SET
+    link_holds: Flag = False  # for so long, or so badly, that the session must hold
 
 
 class Session(Record):
@@ -280,6 +286,13 @@ def _fault_is_over(session: Session, inputs: Inputs) -> bool:
         return False
     if session.reason in (Reason.PEER_SILENT, Reason.PEER_LEFT, Reason.PEER_DECLINED):
         return inputs.peer_fresh
+    if session.reason in (
+        Reason.CLOCK_SET,
+        Reason.LINK_SLOW,
+        Reason.LINK_JITTER,
+        Reason.LINK_LOSS,
+    ):
+        return inputs.peer_fresh and not inputs.link_holds
     return True
 
 
@@ -291,14 +304,17 @@ def _step_ready(session: Session, inputs: Inputs) -> None:
     present = peer_ready or peer_engaged
     open_seen = session.open_seen or not inputs.engage
     peer_seen = session.peer_seen or peer_ready
-    asked = inputs.engage and not inputs.clutch and inputs.not_ready_reason == Reason.NONE
+    not_ready = inputs.not_ready_reason
+    if inputs.link_holds and not_ready == Reason.NONE:
+        not_ready = inputs.link
+    asked = inputs.engage and not inputs.clutch and not_ready == Reason.NONE
     # engaging takes a tick in READY, so that the peer sees READY too
     if session.state == State.READY and asked and present and open_seen and peer_seen:
         _enter(session, State.ENGAGED, Reason.NONE)
         session.followed = peer_engaged
         session.peer = inputs.peer
         return
-    _enter(session, State.READY, inputs.not_ready_reason)
+    _enter(session, State.READY, not_ready)
     session.open_seen = open_seen
     session.peer_seen = peer_seen
     if not inputs.peer_fresh:
@@ -315,6 +331,8 @@ def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
     follows = inputs.peer_state == State.ENGAGED
     if not inputs.usable:
         _enter(session, State.FAULT, Reason.NOT_USABLE)
+    elif inputs.link_holds:
+        _enter_with(session, State.HOLDING, inputs.link, False, 0.0)
     elif not inputs.peer_fresh:
         _enter_with(session, State.HOLDING, Reason.PEER_SILENT, False, 0.0)
     elif inputs.peer_state == State.STOPPED:
@@ -345,13 +363,20 @@ def _step_coupled(session: Session, inputs: Inputs, dt: float) -> None:
             _enter(session, State.FAULT, Reason.PEER_DECLINED)
         else:
             _enter_with(session, State.ENGAGED, Reason.NONE, follows, waited_s)
+    if session.state == State.ENGAGED:
+        session.reason = inputs.link  # force and motion are scaled down
 
 
 @compiled
 def _step_holding(session: Session, inputs: Inputs, dt: float) -> None:
-    """Hold until the peer sends again and the switch is open; too long a silence is a fault."""
+    """Hold until the peer sends again, the link is good and the switch is open; or a fault."""
     if not inputs.usable:
         _enter(session, State.FAULT, Reason.NOT_USABLE)
+    elif inputs.link_holds:
+        session.reason = inputs.link
+        session.waited_s += dt
+        if session.waited_s > HOLD_LIMIT_S:
+            _enter(session, State.FAULT, inputs.link)
     elif not inputs.peer_fresh:
         session.waited_s += dt
         if session.waited_s > HOLD_LIMIT_S:

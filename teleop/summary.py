@@ -129,6 +129,8 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
             f"latency   command to force p50 {latency['p50']:.2f} ms, p99 {latency['p99']:.2f} ms, "
             f"p99.9 {latency['p99_9']:.2f} ms ({latency['n']} round trips)"
         )
+    if link := loop.get("link"):
+        out += link_lines(link)
     stages = loop.get("stages_us", {})
     whole = stages.get(STAGE_NAMES[-1])
     if whole and whole["n"]:
@@ -139,6 +141,27 @@ def loop_lines(loop: Mapping[str, Any]) -> list[str]:
             f"({whole['n']} commands answered in their own tick)"
         )
     return out
+
+
+def link_lines(link: Mapping[str, Any]) -> list[str]:
+    """Return the health of a side's link over the run; none if nothing was measured."""
+    trip, jitter = link["round_trip_ms"], link["jitter_ms"]
+    if not trip["n"]:
+        return []
+    offset = ""
+    if link["offset_ms"] is not None:
+        clock = f"{link['offset_ms']:.3f} +- {link['uncertainty_ms']:.3f} ms"
+        offset = f", offset of the peer's clock {clock}"
+    line = (
+        f"link      round trip p50 {trip['p50']:.2f} p99 {trip['p99']:.2f} ms, "
+        f"jitter p50 {jitter['p50'] or 0:.2f} ms, loss {100 * link['loss']:.2f} %{offset}"
+    )
+    limits = [
+        f"{what} for {link[key]:.1f} s"
+        for key, what in (("scaled_s", "scaled down"), ("held_s", "held"))
+        if link[key]
+    ]
+    return [line, *([f"{'':9} because of the link {', '.join(limits)}"] if limits else [])]
 
 
 # how the stages of STAGE_NAMES, but for "all", are called in a line

@@ -16,6 +16,7 @@ from teleop.messages import (
     Hand,
     Latency,
     Ledger,
+    LinkReport,
     LoopReport,
     Message,
     Setting,
@@ -88,8 +89,9 @@ SETTING = Topic(
     "setting", Setting, None, 0, live=False, senders=_SUPERVISORS, addressees=(Role.MASTER,)
 )
 ANSWER = Topic("answer", Answer, Role.MASTER, 0, live=False, addressees=_SUPERVISORS)
+LINK = Topic("link", LinkReport, None, 2, live=False, senders=_SIDES)
 
 TOPICS: tuple[Topic[Any], ...] = (
     COMMAND, STATE, TENDONS, HAND, PROFILE, SHEATH, LEDGER, EVENT, REPORT, LATENCY,
-    STOP, SETTING, ANSWER,
+    STOP, SETTING, ANSWER, LINK,
 )  # fmt: skip

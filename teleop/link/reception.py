@@ -16,6 +16,8 @@ M = TypeVar("M", bound=Message)
 CLOCK_JUMP_NS = 1_000_000_000  # a message that much faster than any before: the clock jumped
 REJECTED = ("corrupted", "layout", "repeated", "out_of_order", "foreign", "forged")
 ENDED = 256  # earlier senders whose last sequence number is kept
+SETTLE_NS = 200_000_000  # after a clock was set: hundreds of messages, one of which is not late
+UNSETTLED_NS = 10_000_000_000  # age of the messages until then: beyond every timeout
 NEVER_NS = 2**63 - 1  # age of a missing message: beyond every limit
 DRIFT = 1000  # inverse of the largest drift between two clocks; NTP slews by half of that
 
@@ -155,9 +157,13 @@ class Latest(Generic[M]):
     The constant part of the travelling time is not observable and not included.
 
     A machine resumes from sleep with its clock far behind, but over a new connection without old
-    messages: its token has vanished and returned, and `least` is reset, as for a new sender. A
-    clock set back makes all later messages old, so they have no effect; one set forward resets
-    `least`. Both are counted.
+    messages: its token has vanished and returned, and `least` is reset, as for a new sender.
+
+    A clock that is set needs no restart. Numbers rise, so a stamp below the one before was made by
+    a clock set back: `least` is reset. So it is if the loop finds in another way, by the round trip
+    (`teleop.link_health`), that messages look too old because a clock was set (`clock_was_set`).
+    For `SETTLE_NS` after that `settles` is true: all messages count as old, and the session must
+    hold. A clock set forward lowers `least` by itself. Jumps are counted.
 
     Parameters
     ----------
@@ -188,6 +194,17 @@ class Latest(Generic[M]):
         self.stamp_ns = 0  # when it was sent, on its sender's clock
         self._least_ns = 0
         self._late_ns = 0
+        self._settled_ns = 0
+        self.settles = False  # whether a clock was set shortly before the newest message
+
+    def clock_was_set(self) -> None:
+        """Find anew which messages are late, if they count as too old now."""
+        if self._late_ns > self._limit_ns and not self.settles:
+            self._reception.counts.clock_jumps += 1
+            self._settled_ns = self.received_ns + SETTLE_NS
+            self.settles = True
+            self._late_ns = UNSETTLED_NS
+            self._least_ns = self.received_ns - self.stamp_ns
 
     @property
     def counts(self) -> Counts:
@@ -227,15 +244,20 @@ class Latest(Generic[M]):
         known, seen = self._seen_visit
         counts = self._reception.counts
         if sender == known and visit in (0, seen):  # 0: between two visits
-            set_back = newest_head.stamp_ns < self.stamp_ns
-            counts.clock_jumps += set_back or delay < self._least_ns - CLOCK_JUMP_NS
             risen = self._least_ns + max(0, now_ns - self.received_ns) // DRIFT
-            self._least_ns = min(risen, delay)
+            if newest_head.stamp_ns < self.stamp_ns:
+                counts.clock_jumps += 1
+                self._settled_ns = now_ns + SETTLE_NS
+                self._least_ns = delay
+            else:
+                counts.clock_jumps += delay < self._least_ns - CLOCK_JUMP_NS
+                self._least_ns = min(risen, delay)
         else:
             self._seen_visit = sender, visit
             self._least_ns = delay
         self.stamp_ns = newest_head.stamp_ns
-        self._late_ns = delay - self._least_ns
+        self.settles = now_ns < self._settled_ns
+        self._late_ns = UNSETTLED_NS if self.settles else delay - self._least_ns
         counts.delayed += self._late_ns > self._limit_ns
         self.received_ns = now_ns
         self.packet.data[:] = newest if len(newest) == self._size else newest[: self._size]

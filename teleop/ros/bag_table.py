@@ -27,7 +27,7 @@ from estimator.units import LINEAR
 from teleop.data.channel_names import standard
 from teleop.errors import UsageError
 from teleop.recording.names import SESSION_METADATA
-from teleop.recording.scan import Scan
+from teleop.recording.scan import RecordingError, Scan
 from teleop.ros import cdr
 from teleop.ros.standard import JointState, WrenchStamped
 
@@ -63,6 +63,8 @@ def is_bag(path: Path) -> bool:
         return (path / "metadata.yaml").is_file()
     scan = Scan(path)
     next(scan.blocks(), None)  # our metadata come before the first messages
+    if scan.damage:
+        raise RecordingError(f"{path}: is damaged {scan.damage}; nothing could be read")
     return SESSION_METADATA not in scan.metadata
 
 

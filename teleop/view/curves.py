@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from teleop.messages import STAGE_NAMES
-from teleop.topics import COMMAND, HAND, LATENCY, LEDGER, REPORT, STATE, TENDONS, Topic
+from teleop.topics import COMMAND, HAND, LATENCY, LEDGER, LINK, REPORT, STATE, TENDONS, Topic
 from teleop.view import colours
 
 STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.ASKED, colours.TRUTH)
@@ -131,6 +131,15 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
             Curve("loss/{}/lost", "lost", "lost", LOSS),
             Curve("loss/{}/rejected", "rejected", "rejected", colours.ASKED),
             Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH),
+        ),
+    ),),
+    LINK: (CurveGroup(
+        "role",
+        (
+            Curve("latency/{}/round_trip", "round_trip_ns", "round trip", colours.HAND, factor=_MS,
+                  positive_only=True),
+            Curve("latency/{}/jitter", "jitter_ns", "jitter", colours.ASKED, factor=_MS,
+                  positive_only=True),
         ),
     ),),
     LATENCY: (CurveGroup(

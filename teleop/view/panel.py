@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 
 from estimator.array_types import Array
-from teleop.topics import COMMAND, HAND, REPORT, STATE, Role
+from teleop.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
 from teleop.view.batch import AnyTopic, Rows, split, thinned
 from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
 from teleop.view.config import ViewConfig
@@ -49,6 +49,8 @@ class Panel:
         self._shown: tuple[Banner | None, int] = (None, 0)  # and its stamp [ns]
         self._counts: dict[Role, LinkCounts] = {}
         self._latency_ms: float | None = None
+        self._jitter_ms: float | None = None
+        self._allowed: dict[Role, str] = {}  # what the link allows, where that is not all
         self._limit_N = math.nan
         self._framed: tuple[int, float] | None = None  # joints and limit of the frames drawn
         self.newest_ns = 0
@@ -64,6 +66,8 @@ class Panel:
             return
         if STATE in batches and len(batches[STATE]):
             self._forces(batches[STATE])
+        if LINK in batches and len(batches[LINK]):
+            self._health(batches[LINK])
         if REPORT in batches and len(batches[REPORT]):
             self._link(batches[REPORT])
 
@@ -166,10 +170,24 @@ class Panel:
             quality = link_quality(before, self._counts, self._latency_ms)
             self._quality(quality, int(newest["stamp_ns"]))
 
+    def _health(self, rows: Rows) -> None:
+        for number, own in split(rows, "role").items():
+            if number not in (Role.MASTER, Role.SLAVE):
+                continue
+            newest, role = own[-1], Role(number)
+            if role is Role.MASTER:
+                jitter_ns = int(newest["jitter_ns"])
+                self._jitter_ms = None if jitter_ns < 0 else jitter_ns * 1e-6
+            scaled = "" if newest["scale"] >= 1.0 else f"scaled to {100 * newest['scale']:.0f} %"
+            self._allowed[role] = "held" if newest["holds"] else scaled
+
     def _quality(self, quality: LinkQuality, stamp_ns: int) -> None:
         parts = [f"link {quality.word}", f"{100 * quality.loss:.1f} % lost"]
         if quality.latency_ms is not None:
             parts.append(f"delay {quality.latency_ms:.1f} ms")
+        if self._jitter_ms is not None:
+            parts.append(f"jitter {self._jitter_ms:.1f} ms")
+        parts += [text for text in self._allowed.values() if text][:1]
         text = "   ".join(parts)
         height = fitted_height(text, WIDE - 2 * _MARGIN, LINK_HEIGHT)
         strips = text_strips(text, _MARGIN, LINK_TOP, height)

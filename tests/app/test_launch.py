@@ -17,13 +17,21 @@ from teleop.app.launch.keys import Keys
 from teleop.app.launch.supervisor import Supervisor, wait_for
 from teleop.errors import PeerError, TeleopError
 from teleop.link import ReceivedMessage
-from teleop.messages import Event, Latency, LoopReport, SlaveState, padded, text_bytes
+from teleop.messages import (
+    Event,
+    Latency,
+    LinkReport,
+    LoopReport,
+    SlaveState,
+    padded,
+    text_bytes,
+)
 from teleop.remote.requests import CALL, RESET
 from teleop.session import Reason, State
 from teleop.stages import StageMeter
 from teleop.status_line import StatusLine
 from teleop.summary import loop_lines
-from teleop.topics import COMMAND, EVENT, LATENCY, REPORT, STATE, STOP, Role
+from teleop.topics import COMMAND, EVENT, LATENCY, LINK, REPORT, STATE, STOP, Role
 
 
 def loop(ticks=1000, latencies=0):
@@ -116,6 +124,37 @@ def test_the_status_of_a_session_grows_with_what_is_known():
     assert "latency 0.38 ms (99 %: 0.50)" in status_text(reports, state, latency).plain
     # none was answered in its own tick: what there is, is the round trip
     assert "latency 2.00 ms" in status_text(reports, None, Latency()).plain
+
+
+def test_the_status_shows_a_recorder_that_is_behind_and_a_link_beyond_its_bound():
+    hearing = watch.Hearing()
+    report = LinkReport(
+        role=Role.MASTER, round_trip_ns=5_200_000, jitter_ns=300_000, loss=0.31, scale=0.6,
+        reason=Reason.LINK_LOSS,
+    )  # fmt: skip
+    hearing.take([heard(LINK, report)])
+    text = status_text({}, None, None, "recorder 0.4 s behind", hearing.links).plain
+    assert "link 5.2 +- 0.3 ms, loss 31.0 %: loss of the link beyond its bound, scaled to 60 %" in (
+        text
+    )
+    assert text.endswith("recorder 0.4 s behind")
+    held = LinkReport(role=Role.SLAVE, reason=Reason.LINK_SLOW, holds=1)
+    assert ", held" in status_text({}, None, None, "", {Role.SLAVE: held}).plain
+    assert "link" not in status_text({}, None, None, "", {Role.SLAVE: LinkReport()}).plain
+
+
+def test_the_summary_tells_of_the_link():
+    figures = {"n": 5, "p50": 1.0, "p99": 2.0}
+    link = {
+        "round_trip_ms": figures, "jitter_ms": figures, "offset_ms": 7.0, "uncertainty_ms": 0.5,
+        "loss": 0.01, "scaled_s": 2.0, "held_s": 0.0,
+    }  # fmt: skip
+    told = loop_lines(loop() | {"link": link})
+    assert "round trip p50 1.00 p99 2.00 ms" in told[-2]
+    assert "offset of the peer's clock 7.000 +- 0.500 ms" in told[-2]
+    assert "because of the link scaled down for 2.0 s" in told[-1]
+    unmeasured = link | {"round_trip_ms": {"n": 0}}
+    assert loop_lines(loop() | {"link": unmeasured}) == loop_lines(loop())
 
 
 def test_the_summary_shows_where_the_time_from_hand_to_force_went():

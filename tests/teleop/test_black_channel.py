@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 import pytest
 
-from teleop.link.reception import CLOCK_JUMP_NS, Latest
+from teleop.link.reception import CLOCK_JUMP_NS, SETTLE_NS, Latest
 from teleop.messages import Command, Hand, SlaveState
 from teleop.topics import COMMAND
 
@@ -166,16 +166,42 @@ def test_a_delay_that_grows_slowly_is_found_too():
     assert line.latest.counts.delayed == 29
 
 
-def test_a_clock_that_is_set_back_is_counted_and_nothing_after_it_is_acted_upon():
+@pytest.mark.parametrize("back", [2 * MS, 10**9, 10**15])
+def test_a_clock_that_is_set_back_is_counted_and_held_for_and_learnt_anew(back):
+    """Nothing is acted upon until it has settled; then a late message is late again."""
     line = CentreLine().run()
     before = counts(line)
-    for _ in range(5):
+    held = SETTLE_NS // MS
+    for k in range(held + 5):
         line.now += MS
         line.sequence += 1
-        line.look(line.message(BAD, stamp=line.now - DELAY - 10**9))
-        assert line.acted_upon is None
+        line.look(line.message(stamp=line.now - DELAY - back))
+        assert line.latest.settles == (k < held)
+        assert (line.acted_upon is None) == (k < held)
     found = moved(before, counts(line))
-    assert found == {"received": 5, "delayed": 5, "clock_jumps": 1}
+    assert found == {"received": held + 5, "delayed": held, "clock_jumps": 1}
+    line.now += 40 * MS
+    line.sequence += 1
+    line.look(line.message(BAD, stamp=line.now - DELAY - back - 35 * MS))
+    assert line.acted_upon is None
+
+
+def test_a_clock_set_back_while_messages_are_lost_is_learnt_anew_when_that_is_found_out():
+    line = CentreLine().run()
+    line.now += 1000 * MS  # of silence
+    for k in range(50):
+        line.now += MS
+        line.sequence += 1
+        line.look(line.message(stamp=line.now - DELAY - 500 * MS))
+        assert line.acted_upon is None  # late, for all that its stamps can say
+        if k == 20:
+            line.latest.clock_was_set()
+    assert line.latest.counts.clock_jumps == 1
+    for _ in range(SETTLE_NS // MS):
+        line.now += MS
+        line.sequence += 1
+        line.look(line.message(stamp=line.now - DELAY - 500 * MS))
+    assert line.acted_upon == 1
 
 
 def test_a_clock_that_is_set_forward_is_counted_and_learnt_anew():

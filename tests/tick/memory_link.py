@@ -5,7 +5,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 
 from teleop.link import Link, LinkConfig
-from teleop.topics import Role
+from teleop.topics import TOPICS, Role
 from tests.tick.profile import Calls
 
 
@@ -69,12 +69,15 @@ class MemoryLink(Link):
         What happens while this side waits.
     calls : Calls or None
         What is counted of this side, but not the wait.
+    way : callable or None
+        What becomes of a message on the way to the peer: other bytes, or None if it is lost.
     """
 
     def __init__(self, role: Role) -> None:
         super().__init__(LinkConfig(), "tick", role)
         self.world: Callable[[], None] = lambda: None
         self.calls: Calls | None = None
+        self.way: Callable[[bytes], bytes | None] | None = None
 
     def _open(self):
         return Session()
@@ -107,11 +110,24 @@ class MemoryLink(Link):
         self._roster.replace(frozenset(peer._token for peer in peers))
 
     def carry(self, peer: "MemoryLink") -> None:
-        """Give `peer` what this side has published since the last time."""
+        """Give `peer` what this side has published since the last time; see `way`."""
         for key, messages in self._zenoh.sent.items():
             store = peer._zenoh.stores.get(key)
             tags = self._zenoh.tags[key]
             for data, tag in zip(messages, tags, strict=True) if store else ():
-                store(Sample(data, tag))
+                if self.way is None:
+                    store(Sample(data, tag))
+                elif (carried := self.way(data)) is not None:
+                    store(Sample(carried, self._tags(key, carried)))
             messages.clear()
             tags.clear()
+
+    def _tags(self, key: str, data: bytes) -> bytes:
+        """The tags of a message that was altered: as if its sender had sent it so."""
+        (topic,) = (topic for topic in TOPICS if self._key(topic) == key)
+        tags = b""
+        for addressee, base in self._keyring.seals(topic).entries:
+            mac = base.copy()
+            mac.update(data)
+            tags += addressee + mac.digest()
+        return tags

@@ -1,5 +1,6 @@
 """A whole session in one thread: both loops as they are, an arm of four joints, a scripted hand."""
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from slave.process import SlaveProcess
 from slave.rigs import open_rig
 from teleop.clock import EventClock, Grid
 from teleop.config import load
+from teleop.link_health import HealthConfig
 from teleop.run_config import RunConfig
 from teleop.topics import COMMAND, HAND, STATE, TENDONS, Role
 from tests.tick.clock import StandingClock
@@ -24,6 +26,7 @@ from tests.tick.profile import Calls
 
 ARM = Path(__file__).parents[2] / "configs" / "arm.yaml"
 HAND_ENGAGED = ("master.device.engage=[[0.05, 1e6]]", "master.device.engage_period=1e6")
+BOUNDS = HealthConfig()
 ON_THE_WAY = 1e-4  # [s] from one side to the other
 
 
@@ -46,7 +49,9 @@ class Session:
         Bytes of a message of each live topic that has been published.
     """
 
-    def __init__(self, stack: ExitStack) -> None:
+    def __init__(
+        self, stack: ExitStack, hand: tuple[str, ...] = HAND_ENGAGED, health: HealthConfig = BOUNDS
+    ) -> None:
         self.master_calls, self.slave_calls = Calls(), Calls()
         self.counting = False
         self.sizes: dict[str, int] = {}
@@ -66,17 +71,27 @@ class Session:
         wait = partial(self._at_slave.wait, COMMAND)
         events = EventClock(shared.rate_hz, never, wait, clock.now, clock.sleep)
         link, bilateral = self._at_slave, shared.bilateral
-        self.slave = SlaveProcess(config, link, rig, model, events, bilateral=bilateral)
+        self.slave = SlaveProcess(
+            config, link, rig, model, events, bilateral=bilateral, health=health
+        )
 
-        config = load(ARM, MasterConfig, "master", HAND_ENGAGED)
+        config = load(ARM, MasterConfig, "master", hand)
         device = open_device(config.device)
         stack.callback(device.close)
         grid = Grid(shared.rate_hz, never, now=clock.now, sleep=clock.sleep)
-        self.master = Master(config, self._at_master, device, grid, bilateral)
+        self.master = Master(config, self._at_master, device, grid, bilateral, health=health)
 
         self._at_master.world, self._at_master.calls = self._slave_ticks, self.master_calls
         self._events, self._grid = iter(events), iter(grid)
         self._sent = self._at_slave.putting(STATE)
+
+    def alter(
+        self,
+        to_slave: Callable[[bytes], bytes | None] | None,
+        to_master: Callable[[bytes], bytes | None] | None,
+    ) -> None:
+        """Change what becomes of messages on the way; see `MemoryLink.way`."""
+        self._at_master.way, self._at_slave.way = to_slave, to_master
 
     def tick(self) -> None:
         """Let the master have a tick, and the slave the one that answers it."""

@@ -44,7 +44,7 @@ from teleop.ros.config import RosConfig, check_ports
 from teleop.run_config import RateChecked, RunConfig
 from teleop.running_sessions import registered
 from teleop.status_line import StatusLine
-from teleop.topics import EVENT, LATENCY, REPORT, Role
+from teleop.topics import EVENT, LATENCY, LINK, REPORT, Role
 from teleop.view.config import ViewConfig
 from teleop.view.ports import free_port
 
@@ -122,7 +122,7 @@ def main(args: argparse.Namespace) -> int:
         watch.require_free(link)  # before anything is started
         stack.enter_context(registered(own_endpoints.entry_of(config, impair, args.config)))
         console.status.say(_how_to_join(config.session))
-        listener, hearing = link.listen((EVENT, REPORT, LATENCY)), watch.Hearing()
+        listener, hearing = link.listen((EVENT, REPORT, LATENCY, LINK)), watch.Hearing()
         if args.record:
             family.start("record", [*shared, "--out", str(args.record)])
         if impair is not None:

@@ -9,8 +9,9 @@ from rich.table import Table
 from rich.text import Text
 
 from teleop import summary as summaries
-from teleop.messages import Latency, LoopReport, SlaveState
-from teleop.session import State
+from teleop.link_health import link_text
+from teleop.messages import Latency, LinkReport, LoopReport, SlaveState
+from teleop.session import Reason, State
 from teleop.status_line import StatusLine
 from teleop.topics import Role
 
@@ -131,6 +132,7 @@ def status_text(
     state: SlaveState | None,
     latency: Latency | None = None,
     recorder: str = "",
+    links: Mapping[Role, LinkReport] | None = None,
     insecure: bool = False,
 ) -> Text:
     """Return the status of a session in one line: state, force, rates, latency, losses.
@@ -160,6 +162,10 @@ def status_text(
     lost = sum(report.lost + report.rejected for report in (master, slave) if report)
     if rates:
         text.append(f" │ lost {lost}", "yellow" if lost else "")
+    for link in (links or {}).values():
+        if link.role == Role.MASTER or link.reason:
+            bad = link.reason != Reason.NONE
+            text.append(f" │ {link_text(link)}", "bold yellow" if bad else "")
     if recorder:
         text.append(f" │ {recorder}", "yellow" if "missing" in recorder else "")
     return text

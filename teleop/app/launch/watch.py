@@ -8,12 +8,12 @@ from teleop.app.launch.keys import Keys
 from teleop.app.launch.supervisor import Child, Supervisor
 from teleop.errors import PeerError, TeleopError
 from teleop.link import Link, Listener, ReceivedMessage
-from teleop.messages import Event, Latency, LoopReport, text_of
+from teleop.messages import Event, Latency, LinkReport, LoopReport, text_of
 from teleop.process import Stop
 from teleop.remote.requests import call_reset, call_stop
 from teleop.remote.stop import SIDES, state_of, stops_of
 from teleop.session import State
-from teleop.topics import LATENCY, REPORT, STATE, Role, role_name
+from teleop.topics import LATENCY, LINK, REPORT, STATE, Role, role_name
 
 START_S = 240.0  # timeout for the slave; the first start compiles estimator and plant
 _LOOK_S = 0.1
@@ -25,6 +25,7 @@ class Hearing:
     def __init__(self) -> None:
         self.reports: dict[Role, LoopReport] = {}
         self.latency: Latency | None = None
+        self.links: dict[Role, LinkReport] = {}
 
     @property
     def running(self) -> bool:
@@ -41,6 +42,10 @@ class Hearing:
                     self.reports[Role(report.role)] = report
             elif item.topic is LATENCY:
                 self.latency = Latency.unpack(item.data)
+            elif item.topic is LINK:
+                link = LinkReport.unpack(item.data)
+                if link.role in (Role.MASTER, Role.SLAVE):
+                    self.links[Role(link.role)] = link
             else:
                 event = Event.unpack(item.data)
                 lines.append((role_name(event.role), text_of(event.text)))
@@ -156,7 +161,9 @@ def watch(
             state = link.latest(STATE).message
             record = family.children.get("record")
             recorder = "" if record is None else record.status
-            line = status_text(hearing.reports, state, hearing.latency, recorder, link.insecure)
+            line = status_text(
+                hearing.reports, state, hearing.latency, recorder, hearing.links, link.insecure
+            )
             console.status.show(line)
         keyboard.look(_LOOK_S)
     return None
