@@ -12,8 +12,8 @@ from pathlib import Path
 from estimator import signals
 from estimator.array_types import Array
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.spikes import LEAST
 from estimator.online.extension import Use, why_left_out
+from estimator.spikes import LEAST
 from slave.calibration.file import JointTendons
 from slave.tendon_config import TendonConfig
 from teleop.data import model_file

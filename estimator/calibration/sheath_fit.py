@@ -18,13 +18,13 @@ from estimator.calibration.identification import (
     fit_bench,
     fit_blocked_tip,
 )
-from estimator.diagnosis.spikes import without_spikes
 from estimator.law.sheath import Sheath
 from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
 from estimator.online.score import Score
 from estimator.online.tendon_model import TendonModel
 from estimator.plausibility import contradiction, doubts, implausible, unit_slip
+from estimator.spikes import without_spikes
 
 AXIAL_STIFFNESS = 9000.0  # [N] where the data do not tell EA: the tendon of Phee et al. 2009
 COVER = 1.96  # standard uncertainties on each side of 95 %

@@ -14,12 +14,12 @@ from estimator import signals
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Model
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.spikes import without_spikes
 from estimator.measured_data import MeasuredData
 from estimator.online.estimator import Estimator
 from estimator.online.extension import extended
 from estimator.online.score import Score
 from estimator.online.tendon_model import TendonModel
+from estimator.spikes import without_spikes
 
 LENGTH = 1.0  # [m] of the sheath: elongation and force go by L/EA
 

@@ -25,7 +25,6 @@ from estimator.diagnosis.drive import (
     turns_between_samples,
 )
 from estimator.diagnosis.settings import SETTINGS
-from estimator.diagnosis.spikes import single_spikes
 from estimator.effects.effect import (
     CHANNELS,
     DISTAL_TENSION,
@@ -36,6 +35,7 @@ from estimator.effects.effect import (
 from estimator.measured_data import Samples
 from estimator.plausibility import doubts
 from estimator.signals import noise_sigma
+from estimator.spikes import single_spikes
 from estimator.units import LINEAR, Units
 
 Mask = NDArray[np.bool_]

@@ -18,7 +18,6 @@ class Settings:
     block: float = 5.0  # [s] that are fitted, and as long that are held out
     blocks_min: int = 12  # of a record; in a short one they are shorter
     short_block: float = 0.02  # of a block's length, where the error fills but a block or two
-    spike: float = 8.0  # times the local scatter by which a sample is off both its neighbours
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
     reversal: float = 1e-3  # of the drive's range that the motor goes back by, at least
     jitter: float = 4.0  # minimum reversal size, in sigma of the drive's noise

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from estimator.array_types import Array
-from estimator.diagnosis.spikes import without_spikes
 from estimator.effects.effect import CHANNELS
+from estimator.spikes import without_spikes
 from slave.rig import RigFinished, RigSample
 from teleop.data.table import Columns, read_tables
 from teleop.messages import MAX_JOINTS

@@ -21,12 +21,12 @@ import numpy as np
 
 from estimator.calibration.sheath_fit import LONGEST, FitError, SheathFit, fit_sheath
 from estimator.diagnosis.api import signals_of
-from estimator.diagnosis.spikes import without_spikes
 from estimator.measured_data import Samples
 from estimator.online import online
 from estimator.online.estimator import Estimator
 from estimator.online.score import PULLED, Score
 from estimator.plausibility import contradiction, doubts, stretch_slip, unit_slip
+from estimator.spikes import without_spikes
 from estimator.units import LINEAR
 from slave import model_files
 from slave.calibration import file

@@ -1,6 +1,6 @@
 """Reading the records of a pair."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 
@@ -11,6 +11,9 @@ from estimator.pair.pair import PairRecord
 from teleop.data.table_files import RawTable, read_columns
 from teleop.errors import UsageError
 from teleop.tools.pair.config import PairColumns, PairConfig
+
+ANGLE_SPAN = 7.0  # [rad] of a joint: above a full turn the unit is wrong
+SAMPLES_MIN = 20  # in which a sensor that works changes
 
 
 def read(paths: Sequence[Path], config: PairConfig) -> tuple[PairRecord, ...]:
@@ -34,6 +37,7 @@ def _record(path: Path, config: PairConfig) -> PairRecord:
         raise UsageError(
             f"{path}: column {config.columns.time!r}, {place}: time must increase from row to row"
         )
+    _require_moving(path, columns, config)
     return PairRecord(
         bend,
         time,
@@ -42,6 +46,23 @@ def _record(path: Path, config: PairConfig) -> PairRecord:
         columns["tension_a"],
         columns["tension_b"],
     )
+
+
+def _require_moving(path: Path, columns: Mapping[str, Array], config: PairConfig) -> None:
+    """Refuse a sensor that never changes, and angles that are plainly in degrees."""
+    for item, column in columns.items():
+        span = float(np.ptp(column))
+        name = getattr(config.columns, item)
+        if len(column) >= SAMPLES_MIN and span == 0.0:
+            raise UsageError(
+                f"{path}: column {name!r} never changes ({column[0]:g}): the sensor is stuck or "
+                "not connected, or nothing moved; check it, and move the joint while you record"
+            )
+        if item in ("command", "angle") and config.radians * span > ANGLE_SPAN:
+            raise UsageError(
+                f"{path}: column {name!r} spans {config.radians * span:.4g} rad; if it is in "
+                "degrees, set unit: deg in --columns FILE"
+            )
 
 
 def _column(path: Path, raw: RawTable, config: PairConfig, item: str) -> Array:

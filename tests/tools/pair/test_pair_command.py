@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from estimator.pair.pair_study import SHARE
 from teleop.app import cli
 from teleop.config import load
+from teleop.errors import UsageError
 from teleop.tools.pair.config import PairConfig
 from teleop.tools.pair.read import read
 from tests.estimator.pair import pair_bench as bench
@@ -118,6 +120,26 @@ def test_what_cannot_be_right_is_said(files, tmp_path, rows, message, capsys):
     line = refusal([*files, path], capsys)
     assert message in line
     assert str(path) in line
+
+
+@pytest.mark.parametrize(
+    ("changed", "unit", "message"),
+    [
+        (3, "deg", "'distal_angle_deg' never changes"),
+        (4, "deg", "never changes (5)"),
+        (None, "rad", "set unit: deg"),
+    ],
+)
+def test_a_dead_sensor_and_degrees_are_named(tmp_path, changed, unit, message):
+    time = np.arange(30.0)
+    rows = np.column_stack([time, *(60.0 * np.sin(time + k) for k in range(2)), *[5.0 + time] * 2])
+    if changed is not None:
+        rows[:, changed - 1] = 5.0
+    path, config = tmp_path / "bend10.csv", tmp_path / "columns.yaml"
+    np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="")
+    config.write_text(f"unit: {unit}\n")
+    with pytest.raises(UsageError, match=re.escape(message)):
+        read([path], load(config, PairConfig, None))
 
 
 def test_a_pattern_without_the_bend_is_refused(files, tmp_path, capsys):

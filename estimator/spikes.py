@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.settings import SETTINGS
 from estimator.measured_data import MeasuredData, Samples
 from estimator.signals import noise_sigma
 
+SCATTERS = 8.0  # the local scatter, by which a sample is off both its neighbours
 WINDOW = 101  # samples of the local scatter
 LEAST = 8  # samples that tell a scatter
 
@@ -15,7 +15,7 @@ LEAST = 8  # samples that tell a scatter
 def single_spikes(signal: Array) -> NDArray[np.bool_]:
     """Return which samples are single-sample spikes, shape (n,).
 
-    A spike is off the mean of its neighbours by `Settings.spike` times the local scatter, while
+    A spike is off the mean of its neighbours by `SCATTERS` times the local scatter, while
     its neighbours are near each other.
     """
     if len(signal) < LEAST:
@@ -28,7 +28,7 @@ def single_spikes(signal: Array) -> NDArray[np.bool_]:
     across[1:-1] = np.abs(signal[2:] - signal[:-2])
     usual = 1.4826 * median_filter(np.abs(off), WINDOW, mode="nearest")
     least = max(noise_sigma(signal), 1e-3 * float(np.ptp(signal)))
-    spike: NDArray[np.bool_] = np.abs(off) > SETTINGS.spike * np.maximum(usual, least)
+    spike: NDArray[np.bool_] = np.abs(off) > SCATTERS * np.maximum(usual, least)
     spike &= across < 0.5 * np.abs(off)
     # beside a spike both neighbours are off by half of it, the other way; beside a sharp turn not
     for beside in (np.roll(off, 1), np.roll(off, -1)):
