@@ -23,6 +23,8 @@ from teleop.session import OutlineReader, SessionOutline
 from teleop.summary import loop_lines, trouble
 from teleop.topics import LEDGER, REPORT, Role
 
+MANY = 50  # messages without a tag between two reports; fewer are of a process that just starts
+
 
 class LoopProcess(ABC):
     """One side of a session: its link, its counts, and why it ended.
@@ -68,6 +70,7 @@ class LoopProcess(ABC):
         self._meter = LoopMeter(self.role, stats)
         self._verdicts = Counter[int]()
         self._refused: dict[str, int] = {}  # by topic
+        self._forged: dict[str, int] = {}  # of them
 
     @abstractmethod
     def tick(self, tick: Tick) -> None:
@@ -106,12 +109,17 @@ class LoopProcess(ABC):
 
     def _publish_refusals(self, counts: Counts) -> None:
         """Publish what was refused since the last time."""
-        refused = self._requests.refused() | {"messages of the peer": counts.forged}
+        peers = "messages of the peer"
+        forged = self._requests.forged() | {peers: counts.forged}
+        refused = self._requests.refused() | {peers: counts.forged + counts.unknown}
         for name, count in refused.items():
+            wrong = forged[name] - self._forged.get(name, 0)
             new = count - self._refused.get(name, 0)
-            if new:
-                self._link.refusals.note(f"{name} without the right tag", new)
-        self._refused = refused
+            if wrong:
+                self._link.refusals.note(f"{name} with a wrong tag", wrong)
+            if new - wrong >= MANY:
+                self._link.refusals.note(f"{name} of an unknown sender", new - wrong)
+        self._refused, self._forged = refused, forged
         for line in self._link.refusals.take():
             publish_event(self._link, self.role, self._outline(), line)
 

@@ -384,8 +384,8 @@ class LoopReport(Message):
     repeated: U64 = 0
     out_of_order: U64 = 0
     foreign: U64 = 0  # from another sender while the peer is alive
-    forged: U64 = 0  # without the sender's tag for us
-    unknown: U64 = 0  # from a sender without a presence token
+    forged: U64 = 0  # with a wrong tag
+    unknown: U64 = 0  # from a sender without a presence token, or without a tag for us
     delayed: U64 = 0  # too old on arrival
     clock_jumps: U64 = 0  # of the peer's clock
     restarts: U64 = 0  # of the peer's process

@@ -11,6 +11,7 @@ Zenoh's thread adds and removes peers; the loop seals and verifies.
 import struct
 from collections import OrderedDict
 from collections.abc import Mapping
+from enum import Enum
 from hashlib import blake2b
 from hmac import compare_digest
 from typing import Any
@@ -24,6 +25,14 @@ ADDRESSEES = 8  # at most, of a message
 KEPT = 64  # peers whose messages are still believed after their token has vanished
 
 _NONCE = struct.Struct("<Q")
+
+
+class Verdict(Enum):
+    """What a message's tags say."""
+
+    GENUINE = 0
+    UNKNOWN = 1  # not for us, or of a sender without keys: one of us may not be known there yet
+    FORGED = 2  # for us, and wrong
 
 
 class Seals:
@@ -110,14 +119,14 @@ class Keyring:
         """Return the keyed hashes by sender of a topic; None if we do not act on it."""
         return self._senders.get(topic.name)
 
-    def verify(self, topic: Topic[Any], data: bytes, tags: bytes) -> bool:
+    def verify(self, topic: Topic[Any], data: bytes, tags: bytes) -> "Verdict":
         """Return whether `data` is of a known sender, to us, and unchanged."""
         base = self._senders[topic.name].get(topic.message.schema.sender(data))
         if base is None:
-            return False
+            return Verdict.UNKNOWN
         mac = base.copy()
         mac.update(data)
-        return is_among(self.addressee + mac.digest(), tags)
+        return verdict(self.addressee + mac.digest(), tags)
 
 
 def keyed_hash(key: bytes, topic: Topic[Any]) -> Any:
@@ -125,12 +134,16 @@ def keyed_hash(key: bytes, topic: Topic[Any]) -> Any:
     return blake2b(key=key, digest_size=TAG_BYTES, person=topic.name.encode())
 
 
-def is_among(tag: bytes, tags: bytes) -> bool:
-    """Return whether an entry (addressee and tag) is among those of a message."""
+def verdict(tag: bytes, tags: bytes) -> Verdict:
+    """Return what the tags of a message say; `tag` is the right one, behind its addressee."""
+    found = Verdict.UNKNOWN
     for begin in range(0, min(len(tags), ADDRESSEES * ENTRY_BYTES), ENTRY_BYTES):
-        if compare_digest(tags[begin : begin + ENTRY_BYTES], tag):
-            return True
-    return False
+        entry = tags[begin : begin + ENTRY_BYTES]
+        if compare_digest(entry, tag):
+            return Verdict.GENUINE
+        if entry[:8] == tag[:8]:
+            found = Verdict.FORGED
+    return found
 
 
 def nonce_bytes(nonce: int) -> bytes:

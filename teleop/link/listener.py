@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import zenoh
 
 from teleop.clock import now_ns
-from teleop.link.keyring import Keyring
+from teleop.link.keyring import Keyring, Verdict
 from teleop.link.message_queue import MessageQueue
 from teleop.link.rate_limit import RateLimit
 from teleop.link.reception import Counts, Reception
@@ -55,6 +55,7 @@ class Listener:
         self._queue = MessageQueue()
         self._visit, self._keyring = visit, keyring
         self._refused: dict[str, int] = {}
+        self._forged: dict[str, int] = {}
         self._senders: dict[str, _Senders] = {}
 
     def store(self, topic: Topic[Any]) -> Callable[[zenoh.Sample], None]:
@@ -71,21 +72,28 @@ class Listener:
         """Return how many messages of `topic` had no right tag, or came too fast."""
         return self._refused.get(topic.name, 0)
 
+    def forged(self, topic: Topic[Any]) -> int:
+        """Return how many of them had a wrong tag for us."""
+        return self._forged.get(topic.name, 0)
+
     def _verifying(
-        self, topic: Topic[Any], verify: Callable[[Topic[Any], bytes, bytes], bool]
+        self, topic: Topic[Any], verify: Callable[[Topic[Any], bytes, bytes], Verdict]
     ) -> Callable[[zenoh.Sample], None]:
         """Return the callback that queues messages of `topic` with the right tag only."""
         allowed = RateLimit(LOOKS, max(LOOKS_HZ, LOOKS_RATIO * topic.rate_hz))
         size, name = topic.message.schema.size, topic.name
-        put, refused = self._queue.put, self._refused
+        put, refused, forged = self._queue.put, self._refused, self._forged
 
         def store(sample: zenoh.Sample) -> None:
             tags = sample.attachment
             if tags is not None and len(sample.payload) == size and allowed():
                 data = sample.payload.to_bytes()
-                if verify(topic, data, tags.to_bytes()):
+                found = verify(topic, data, tags.to_bytes())
+                if found is Verdict.GENUINE:
                     put(topic, data, now_ns())
                     return
+                if found is Verdict.FORGED:
+                    forged[name] = forged.get(name, 0) + 1
             refused[name] = refused.get(name, 0) + 1
 
         return store

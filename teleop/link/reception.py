@@ -6,7 +6,7 @@ from hmac import compare_digest
 from typing import Any, Generic, TypeVar
 
 from teleop.link.inbox import Arrived
-from teleop.link.keyring import is_among
+from teleop.link.keyring import Verdict, verdict
 from teleop.messages import Head, Message, MessageError
 from teleop.packet import Packet
 from teleop.topics import Topic
@@ -32,8 +32,8 @@ class Counts:
     repeated: int = 0
     out_of_order: int = 0
     foreign: int = 0  # from another sender while ours is alive
-    unknown: int = 0  # from a sender without a believed token, ignored
-    forged: int = 0  # without the tag of its sender for us
+    unknown: int = 0  # from a sender without a believed token, or not tagged for us; ignored
+    forged: int = 0  # with a wrong tag for us
     delayed: int = 0  # accepted, but too old on arrival
     clock_jumps: int = 0  # the sender's clock was set, forward or back
     restarts: int = 0  # the sender's process was replaced
@@ -107,9 +107,12 @@ class Reception:
             mac.update(data)
             tag = self._addressee + mac.digest()
             # usually there is one tag, which costs no call of Python
-            if not (compare_digest(tags, tag) or (len(tags) > len(tag) and is_among(tag, tags))):
-                counts.forged += 1
-                return None
+            if not compare_digest(tags, tag):
+                found = verdict(tag, tags)
+                counts.forged += found is Verdict.FORGED
+                counts.unknown += found is Verdict.UNKNOWN
+                if found is not Verdict.GENUINE:
+                    return None
         if head.sender == self.sender:
             gap = head.sequence - self.sequence
             if gap <= 0:

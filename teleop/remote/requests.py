@@ -87,6 +87,10 @@ class RequestListener:
         """Return by topic how many messages had no right tag, or came too fast."""
         return {topic.name: self._listener.refused(topic) for topic in (STOP, SETTING)}
 
+    def forged(self) -> dict[str, int]:
+        """Return by topic how many of them had a wrong tag for us."""
+        return {topic.name: self._listener.forged(topic) for topic in (STOP, SETTING)}
+
     def relay(self, role: Role, side: SessionOutline, words: str) -> None:
         """Relay a stop that has just been executed to all processes.
 

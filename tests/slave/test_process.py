@@ -119,6 +119,8 @@ class FakeLink:
     def refused(self, _topic):
         return 0
 
+    forged = refused
+
     def counts(self):
         return self.latest_command.counts
 

@@ -185,7 +185,7 @@ def test_what_an_intruder_puts_on_the_key_is_counted_and_kept_out(config: LinkCo
                 (b"", None, 0),
                 (b"\0" * 2500, None, 1),
                 (genuine[:-1] + b"\x01", None, 1),
-                (genuine, None, 2),
+                (genuine, None, 3),
                 (genuine, tag, 2),
                 (genuine, tag * 9, 2),
                 (Command(state=2).pack(12345, 10**6, now_ns()), tag, 3),
