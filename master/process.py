@@ -24,6 +24,7 @@ from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
 from master.settings_record import SettingsRecord
+from teleop.bounds import lifted
 from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
 from teleop.compile_cache import announced
 from teleop.coupling import Bilateral
@@ -368,6 +369,8 @@ def main(args: argparse.Namespace) -> int:
 
     def start(link: Link, stack: ExitStack) -> tuple[Master, Grid, Stop]:
         stop.wake = link.wake
+        for warning in lifted("master.gate", config.gate):
+            print(warning, flush=True)
         device = open_device(config.device)
         stack.callback(device.close)
         commands_every = config.commands_every(shared.rate_hz)

@@ -17,6 +17,7 @@ from slave.rigs import RigConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
+from teleop.bounds import lifted
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS
@@ -153,7 +154,11 @@ def has_model_file(config: SlaveConfig) -> bool:
 
 
 def config_warnings(config: SlaveConfig, coupling: CouplingConfig = DIRECT) -> list[str]:
-    """Return warnings about calibration and coupling."""
+    """Return warnings about limits, calibration and coupling."""
+    return [*lifted("slave.gate", config.gate), *_model_warnings(config, coupling)]
+
+
+def _model_warnings(config: SlaveConfig, coupling: CouplingConfig) -> list[str]:
     if not config.rig_obeys and not isinstance(coupling, DirectConfig):
         return [
             (

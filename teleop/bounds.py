@@ -7,7 +7,7 @@ beside them says that it is no slip.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 
 class Bound(NamedTuple):
@@ -16,6 +16,20 @@ class Bound(NamedTuple):
     name: str
     most: float
     unit: str
+
+
+class Bounded(Protocol):
+    """Limits that may exceed their bounds."""
+
+    @property
+    def exceed_bounds(self) -> bool:
+        """Whether they may."""
+
+
+def lifted(section: str, config: Bounded) -> list[str]:
+    """Return a warning if the limits of a section may exceed their bounds."""
+    text = f"WARNING: {section}.exceed_bounds: its limits may be beyond those of docs/safety.md"
+    return [text] * config.exceed_bounds
 
 
 def check_bounds(config: object, bounds: Sequence[Bound], exceed: bool) -> None:

@@ -7,7 +7,8 @@ import pytest
 from master import gate as master_gate
 from master.config import MasterConfig
 from slave import gate as slave_gate
-from slave.config import SlaveConfig
+from slave.config import SlaveConfig, config_warnings
+from teleop.bounds import lifted
 from teleop.config import load
 from teleop.errors import UsageError
 
@@ -29,7 +30,15 @@ def test_a_limit_beyond_its_bound_needs_the_explicit_key(section, bound):
         load(None, cls, section, [above])
     assert "exceed_bounds: true" in str(refused.value)
     assert "\n" not in str(refused.value)
-    load(None, cls, section, [above, f"{section}.gate.exceed_bounds=true"])
+    config = load(None, cls, section, [above, f"{section}.gate.exceed_bounds=true"])
+    (warning,) = lifted(f"{section}.gate", config.gate)
+    assert f"{section}.gate.exceed_bounds" in warning
+    assert lifted(section, cls().gate) == []
+
+
+def test_the_slave_warns_of_lifted_bounds():
+    (line,) = config_warnings(SlaveConfig(gate=slave_gate.GateConfig(exceed_bounds=True)))
+    assert "exceed_bounds" in line
 
 
 def test_every_bound_is_in_the_docs():
