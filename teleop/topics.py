@@ -85,9 +85,10 @@ STOP = Topic(
     "stop", EmergencyStop, None, 0, live=False,
     senders=_SIDES + _SUPERVISORS, addressees=_SIDES,
 )  # fmt: skip
-SETTING = Topic(
-    "setting", Setting, None, 0, live=False, senders=_SUPERVISORS, addressees=(Role.MASTER,)
-)
+SETTING = Topic(  # of the sides only in a replay, without tags
+    "setting", Setting, None, 0, live=False,
+    senders=_SIDES + _SUPERVISORS, addressees=(Role.MASTER,),
+)  # fmt: skip
 ANSWER = Topic("answer", Answer, Role.MASTER, 0, live=False, addressees=_SUPERVISORS)
 LINK = Topic("link", LinkReport, None, 2, live=False, senders=_SIDES)
 
