@@ -224,6 +224,7 @@ def test_what_a_role_must_not_send_ends_at_the_router(served: tuple[str, ...]) -
         ) as viewer,
     ):
         pump(master, slave)
+        time.sleep(0.3)  # for commands that are still on their way
         before = slave.latest(COMMAND).counts
         received = before.received
         rejected = before.rejected + before.unknown
