@@ -1,9 +1,9 @@
 """What authentication costs: the tags of a tick, and a session plain against authenticated.
 
-    python benchmarks/authentication.py             the tags, and two sessions, 15 s each
+    python benchmarks/authentication.py             the tags, and sessions of 15 s
     python benchmarks/authentication.py --tags      the tags only
 
-Both sessions run in turns on this machine, twice each; figures are medians of them.
+Sessions of both kinds run in turns, twice each (`--rounds`); figures are medians of them.
 """
 
 import argparse
@@ -35,6 +35,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tags", action="store_true", help="the tags only")
     parser.add_argument("--seconds", type=float, default=15.0, help="of each session")
+    parser.add_argument("--rounds", type=int, default=2, help="sessions of each kind, in turns")
     args = parser.parse_args()
     for topic, sender, receiver in (
         (COMMAND, Role.MASTER, Role.SLAVE),
@@ -43,7 +44,7 @@ def main() -> None:
         made, checked = tag_us(topic, sender, receiver)
         print(f"{topic.name:8} tag made {made:5.2f} us, checked {checked:5.2f} us")
     if not args.tags:
-        sessions(args.seconds)
+        sessions(args.seconds, args.rounds)
 
 
 def tag_us(topic: Any, sender: Role, receiver: Role) -> tuple[float, float]:
@@ -86,10 +87,10 @@ def least_us(call: Any) -> float:
     return min(durations)
 
 
-def sessions(seconds: float) -> None:
+def sessions(seconds: float, rounds: int) -> None:
     """Print latency and processor time of sessions, plain and authenticated."""
     found: dict[str, list[dict[str, float]]] = {"plain": [], "authenticated": []}
-    for _, kind in itertools.product(range(2), found):
+    for _, kind in itertools.product(range(rounds), found):
         found[kind].append(measure(seconds, ["--insecure"] if kind == "plain" else []))
     medians = {
         kind: {name: statistics.median(run[name] for run in runs) for name in runs[0]}

@@ -112,6 +112,7 @@ def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
 
 def test_the_status_of_a_session_grows_with_what_is_known():
     assert status_text({}, None).plain == "waiting for the master │ slave starting"
+    assert status_text({}, None, insecure=True).plain.startswith("INSECURE │ waiting")
     reports = {
         Role.MASTER: LoopReport(state=State.ENGAGED, rate_hz=999.6, latency_p50_ns=2_000_000),
         Role.SLAVE: LoopReport(rate_hz=1000, lost=2, rejected=1),

@@ -471,3 +471,14 @@ def test_the_documented_snippets_run(all_topics, capsys):
     assert "demo 0.004" in said
     assert "(5, 8)" in said
     assert "/state" in said
+
+
+@pytest.mark.parametrize("insecure", [False, True])
+def test_a_recording_says_how_its_session_was_protected(tmp_path, insecure) -> None:
+    config = RecordConfig(directory=str(tmp_path))
+    with RecordingWriter(config, "demo", START_NS, insecure=insecure) as writer:
+        path = writer.path
+    protection = b"protection" + len(word := b"none" if insecure else b"authenticated").to_bytes(
+        4, "little"
+    )
+    assert protection + word in path.read_bytes()
