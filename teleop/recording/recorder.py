@@ -12,7 +12,7 @@ from teleop.messages import LoopReport
 from teleop.recording.writer import RecordingWriter
 from teleop.topics import REPORT, TOPICS, Role, Topic, role_name
 
-BATCH = 4000  # messages of one step: the backlog of a second, and a fraction of it in memory twice
+BATCH = 500  # messages of one step; none arrives meanwhile, and they are in memory twice
 QUIET_NS = 1_000_000_000  # without a message at the end: what has not come by then does not come
 GRACE_NS = 500_000_000  # at the end, for what is under way from a session that goes on
 SENDERS = 64  # whose reports are remembered

@@ -42,6 +42,11 @@ def states(session: Session) -> tuple[State, State]:
     return session.master._outline().state, session.slave._outline().state
 
 
+def lost(data: bytes) -> bytes:
+    """Return a message that is dropped where it arrives; the clock stands, so a side waits for it."""
+    return data[:-1]
+
+
 def shifted(message: type[Message], field: str, by_ns: int) -> Callable[[bytes], bytes]:
     """Return what moves a stamp in each `message` on the way, and mends its checksum."""
 
@@ -89,7 +94,7 @@ def test_a_clock_that_is_set_leads_through_holding_to_a_fresh_engagement(
 
 def test_a_link_that_was_cut_comes_back_into_holding() -> None:
     with engaged(release_s=1.2, press_s=1.3) as session:
-        session.alter(lambda _: None, lambda _: None)
+        session.alter(lost, lost)
         run(session, 0.2)
         assert states(session) == (State.HOLDING, State.HOLDING)
         session.alter(None, None)
@@ -107,7 +112,7 @@ def test_a_link_beyond_its_bound_is_scaled_then_held_then_a_fault_and_comes_back
     with engaged(release_s=4.2, press_s=5.6) as session:
         scale = float(session.master._settings.records["operator"]["position_scale"][0])
         force = float(session.master._settings.records["force"]["scale"][0])
-        session.alter(lambda data: None if chance.random() < 0.5 else data, None)
+        session.alter(lambda data: lost(data) if chance.random() < 0.5 else data, None)
         down = run(session, 1.5)
         told = [(slave.state, slave.reason) for _, slave in down]
         assert (State.ENGAGED, Reason.LINK_LOSS) in told
