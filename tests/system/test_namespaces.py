@@ -161,11 +161,11 @@ def test_a_cable_that_is_pulled_and_plugged_in_again_never_moves_anything(theatr
         asked = tendons["commanded_displacement"][:, 0]
         during = (tendons["stamp_ns"] > limit) & (tendons["stamp_ns"] < end + 1_000_000_000)
         assert np.ptp(asked[(tendons["stamp_ns"] < begin) & np.isfinite(asked)]) > 1e-4
-        assert during.sum() > 500
+        assert during.sum() > 100  # enough to tell, on a busy machine too
         assert np.ptp(asked[during]) == 0.0
     else:
         away = (hand["stamp_ns"] > limit) & (hand["stamp_ns"] < end)
-        assert away.sum() > 500
+        assert away.sum() > 100
         assert np.abs(hand["force"][away]).max() == 0.0
         assert not (hand["state"][away] == State.ENGAGED).any()
     # after it was plugged in: the operator still held the switch, and nothing coupled again until
