@@ -43,7 +43,7 @@ def states(session: Session) -> tuple[State, State]:
 
 
 def lost(data: bytes) -> bytes:
-    """Return a message that is dropped where it arrives; the clock stands, so a side waits for it."""
+    """Return a message that is dropped only where it arrives: the side that waits goes on."""
     return data[:-1]
 
 
@@ -113,13 +113,16 @@ def test_a_link_beyond_its_bound_is_scaled_then_held_then_a_fault_and_comes_back
         scale = float(session.master._settings.records["operator"]["position_scale"][0])
         force = float(session.master._settings.records["force"]["scale"][0])
         session.alter(lambda data: lost(data) if chance.random() < 0.5 else data, None)
-        down = run(session, 1.5)
+        records, scales, down = session.master._settings.records, [], []
+        for _ in range(150):
+            down += run(session, 0.01)
+            scales.append((records["operator"]["position_scale"][0], records["force"]["scale"][0]))
         told = [(slave.state, slave.reason) for _, slave in down]
         assert (State.ENGAGED, Reason.LINK_LOSS) in told
         assert told[-1] == (State.HOLDING, Reason.LINK_LOSS)
-        records = session.master._settings.records
-        assert records["operator"]["position_scale"][0] < 0.9 * scale
-        assert records["force"]["scale"][0] < 0.9 * force
+        least_scale, least_force = np.min(scales, axis=0)
+        assert least_scale < 0.9 * scale
+        assert least_force < 0.9 * force
         motor = session.slave._motor.copy()
         run(session, HOLD_LIMIT_S)
         assert session.slave._outline() == (State.FAULT, Reason.LINK_LOSS)
