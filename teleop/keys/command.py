@@ -45,6 +45,7 @@ from teleop.keys.authority import (
 )
 from teleop.keys.credentials import CertificateError, common_name, identify, stem
 from teleop.keys.identity import ALL_SESSIONS, RIGHTS, Identity, Office
+from teleop.output_file import SharedFolder
 from teleop.run_config import check_session
 
 
@@ -73,8 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=RIGHTS,
         help="what a supervisor may do, may be repeated (default all three)",
     )
-    issue.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the keys")
-    issue.add_argument("--force", action="store_true", help="replace keys that are there")
+    issue.add_argument(
+        "--out", type=SharedFolder(), required=True, metavar="DIR", help="folder of the keys"
+    )
     _add_days(issue, CERTIFICATE_DAYS)
     revoke = actions.add_parser("revoke", help="take a certificate back")
     revoke.add_argument("folder", type=Path, metavar="DIR", help="folder of the authority")

@@ -24,7 +24,9 @@ from teleop.output_file import (
 from teleop.tools.bench.command import BENCHES
 
 # options that name files to be read: every other option with a path must be an Output
-INPUTS = {"--calibration", "--columns", "--compare", "--config", "--replay", "--validate"}
+INPUTS = {
+    "--calibration", "--columns", "--compare", "--config", "--keys", "--replay", "--validate",
+}  # fmt: skip
 # parts of the name of an option that writes
 WRITES = {"out", "save", "json", "figure", "supplement", "package", "record", "report", "dump"}
 
