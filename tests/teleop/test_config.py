@@ -353,7 +353,10 @@ def test_shared_keys() -> None:
         ("rate_hz: 0", "rate_hz: 0.0: must be within 100 ... 4000 [Hz]"),
         ("rate_hz: 99", "rate_hz: 99.0: must be within 100 ... 4000 [Hz]"),
         ("rate_hz: 4001", "rate_hz: 4001.0: must be within 100 ... 4000 [Hz]"),
-        ("link: {master: udp/127.0.0.1:1}", "link.master: write 127.0.0.1:1 without udp/"),
+        (
+            "link: {master: udp/127.0.0.1:1}",
+            "link.master: 'udp/127.0.0.1:1': write 127.0.0.1:1 without udp/",
+        ),
     ],
 )
 def test_shared_keys_are_checked(tmp_path: Path, text: str, says: str) -> None:
