@@ -34,6 +34,7 @@ from teleop.topics import (
     COMMAND,
     EVENT,
     LEDGER,
+    LINK,
     PROFILE,
     REPORT,
     SETTING,
@@ -601,7 +602,7 @@ def test_the_state_tells_how_old_its_sample_is():
 def test_what_goes_out_is_what_the_table_says():
     _, line, _ = driven(FakeRig(), ticks=120, rate_hz=200.0)
     assert {topic for topic, _ in line.sent} == {
-        *(STATE, TENDONS, PROFILE, SHEATH, EVENT, REPORT, LEDGER)
+        *(STATE, TENDONS, PROFILE, SHEATH, EVENT, REPORT, LINK, LEDGER)
     }
     for topic, message in line.sent:
         assert type(message) is topic.message
