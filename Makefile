@@ -37,12 +37,10 @@ docs: .venv/docs.done  ## the documentation as a site, links checked: .cache/sit
 	@echo "written: .cache/site/index.html"
 
 bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run
-	@export NUMBA_CACHE_DIR="$$($(BIN)/python -c 'from teleop import compile_cache; print(compile_cache.choose())')"; \
-	for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 bench-diagnosis: .venv/dev.done  ## hide effects, diagnose, count what is found (hours); ARGS as in --help
-	@NUMBA_CACHE_DIR="$$($(BIN)/python -c 'from teleop import compile_cache; print(compile_cache.choose())')" \
-	$(BIN)/python -m benchmarks.hidden.campaign $(ARGS)
+	@$(BIN)/python -m benchmarks.hidden.campaign $(ARGS)
 
 pictures: .venv/dev.done  ## the pictures of the live view in docs/images, from real runs (needs Chromium)
 	@$(BIN)/python -m docs.pictures

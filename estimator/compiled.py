@@ -3,7 +3,15 @@
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast
 
-import numba
+from estimator import compile_cache
+
+_folder = compile_cache.choose()  # numba reads it from the environment when it is imported
+
+import numba  # noqa: E402
+
+if _folder is not None:
+    # somebody else may have imported it before
+    numba.config.CACHE_DIR = str(_folder)  # type: ignore[attr-defined]
 
 P = ParamSpec("P")
 R = TypeVar("R")

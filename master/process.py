@@ -26,7 +26,7 @@ from master.gate import GateFlags
 from master.settings_record import SettingsRecord
 from teleop.bounds import lifted
 from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
-from teleop.compile_cache import announced
+from teleop.compiling import announced
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
 from teleop.events import publish_event

@@ -41,7 +41,7 @@ from slave.state_messages import fill_tendon_state, fill_tension_profile
 from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
 from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns, quiet_garbage
-from teleop.compile_cache import announced
+from teleop.compiling import announced
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
 from teleop.events import publish_event

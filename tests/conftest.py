@@ -9,10 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from teleop import compile_cache
-
 ROOT = Path(__file__).parents[1]
-compile_cache.choose()  # before anything imports numba
 # keys of this test run, also of the processes that it starts; not those of the user
 KEYS = os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="teleop-tests-")
 atexit.register(shutil.rmtree, KEYS, ignore_errors=True)

@@ -34,11 +34,15 @@ class FaultSession(Processes):
         self._begun: list[str] = []
 
     def __enter__(self) -> "FaultSession":
-        for name in NAMES:
-            self.begin(name)
-        self.link = self.look()
-        self.link.__enter__()
-        self.await_engaged()
+        try:
+            for name in NAMES:
+                self.begin(name)
+            self.link = self.look()
+            self.link.__enter__()
+            self.await_engaged()
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from teleop import compile_cache, output_file
+from teleop import output_file
 from teleop.errors import TeleopError, UsageError
 from teleop.process import INTERRUPTED, die_with_launcher, interruption
 from teleop.realtime import limit_numeric_threads
@@ -60,7 +60,6 @@ COMMANDS = {
 
 
 # commands that import the estimator
-COMPILED = {"run", "slave", "rig", "calibrate", "estimate", "diagnose", "pair", "simulate", "bench"}
 
 
 class Parser(argparse.ArgumentParser):
@@ -114,8 +113,6 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
     command = words[0] if words and words[0] in COMMANDS else None
     try:
         die_with_launcher()
-        if command in COMPILED:
-            compile_cache.choose()
         parser = build_parser(command)
         args = parser.parse_args(words)
         output_file.check(parser, args)

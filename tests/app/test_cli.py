@@ -48,15 +48,6 @@ def test_every_command_refuses_a_wrong_duration_and_an_impossible_summary(comman
     assert captured.out == ""
 
 
-def test_only_commands_that_compile_look_for_a_place_to_keep_it(monkeypatch):
-    chosen = []
-    monkeypatch.setattr(cli.compile_cache, "choose", lambda: chosen.append(1))
-    for words in (["--help"], ["view", "--help"], ["master", "--help"], ["slave", "--help"]):
-        with pytest.raises(SystemExit):
-            cli.main(words)
-    assert chosen == [1]
-
-
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_closed_standard_streams_are_no_defect(closed, tmp_path):
     run = f"{sys.executable} -m teleop run --config no-such.yaml {closed}"
@@ -91,7 +82,7 @@ moment = sys.argv.pop(1)
 if moment == "importing":
     class Finder:
         def find_spec(name, *_):
-            if name == "teleop.compile_cache":
+            if name == "teleop.output_file":
                 interrupt()
     sys.meta_path.insert(0, Finder)
 else:

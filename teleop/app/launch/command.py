@@ -29,7 +29,7 @@ from teleop.app.launch import watch
 from teleop.app.launch.console import Console
 from teleop.app.launch.keys import HELP, Keys
 from teleop.app.launch.supervisor import Child, Supervisor
-from teleop.compile_cache import compiling_beside
+from teleop.compiling import compiling_beside
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
 from teleop.impair.config import wanted

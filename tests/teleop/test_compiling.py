@@ -1,0 +1,109 @@
+"""Compiling is announced, shared between two processes, and done once."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+from teleop.compiling import compiling_beside
+
+COMPILES = """
+import numba
+
+from teleop.compiling import announced
+
+@numba.njit(cache=True)
+def add(a, b):
+    return a + b
+
+with announced("a sum", 12.3):
+    add(1, 2)
+    add(1.0, 2.0)
+"""
+
+
+def test_compiling_is_announced_in_one_line_and_a_second_run_has_nothing_to_compile(tmp_path):
+    script = tmp_path / "compiles.py"
+    script.write_text(COMPILES)
+    root = Path(__file__).parents[2]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(root)}
+    runs = [
+        subprocess.run(
+            [sys.executable, script], capture_output=True, text=True, check=False, env=environment
+        )
+        for _ in range(2)
+    ]
+    assert [run.stderr for run in runs] == ["", ""]
+    line = "compiling a sum (once on this machine; about 12 s) ...\n"
+    assert [run.stdout for run in runs] == [line, ""]
+
+
+COMPILES_BESIDE = """
+from functools import partial
+
+import numba
+
+from teleop.compiling import announced
+
+def compile_of(kind):
+    product(kind(2), kind(3))
+    print(len(product.stats.cache_misses), "compiled here")
+
+@numba.njit(cache=True)
+def add(a, b):
+    return a + b
+
+@numba.njit(cache=True)
+def product(a, b):
+    return a * b
+
+if __name__ == "__main__":
+    with announced("a sum", 12.3, partial(compile_of, float)):
+        add(1, 2)
+"""
+
+
+def test_what_is_compiled_beside_is_in_the_cache_when_it_is_called(tmp_path):
+    """It runs in another process only if something is to be compiled, and always in this one."""
+    script = tmp_path / "compiles.py"
+    script.write_text(COMPILES_BESIDE)
+    root = Path(__file__).parents[2]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(root)}
+    runs = [
+        subprocess.run(
+            [sys.executable, script], capture_output=True, text=True, check=False, env=environment
+        )
+        for _ in range(2)
+    ]
+    assert [run.stderr for run in runs] == ["", ""]
+    line = "compiling a sum (once on this machine; about 12 s) ..."
+    there, here = "1 compiled here", "0 compiled here"
+    assert [run.stdout.splitlines() for run in runs] == [[line, there, here], [here]]
+
+
+def test_another_process_compiles_only_where_nothing_is_compiled_yet(tmp_path, monkeypatch):
+    caches = tmp_path / "mine"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(caches))
+    mark = partial(Path.touch, tmp_path / "done")
+    with compiling_beside(mark):
+        deadline = time.monotonic() + 30.0
+        while not (tmp_path / "done").exists() and time.monotonic() < deadline:
+            time.sleep(0.02)
+    assert (tmp_path / "done").exists()
+
+    (tmp_path / "done").unlink()
+    (caches / "slave_0").mkdir(parents=True)
+    (caches / "slave_0" / "loop.nbi").touch()
+    with compiling_beside(mark):
+        time.sleep(1.0)
+    assert not (tmp_path / "done").exists()
+
+
+def test_the_other_process_ends_with_the_work_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "mine"))
+    with compiling_beside(partial(time.sleep, 60.0)):
+        (helper,) = multiprocessing.active_children()
+    assert not helper.is_alive()
