@@ -55,7 +55,9 @@ def dragged(sections, pulled=1.0, a=1.0, gain_error=GAINS):
 
 
 @pytest.mark.parametrize(
-    "sections", [SLIGHT, TIP], ids=["ends in a slight bend", "bends at the tip"]
+    "sections",
+    [SLIGHT, pytest.param(TIP, marks=pytest.mark.slow)],
+    ids=["ends in a slight bend", "bends at the tip"],
 )
 def test_friction_that_hides_at_the_tip_is_found(sections):
     right, remark = dragged(sections)
