@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from slave.drivers import packets
 from slave.drivers.configs import DriverConfig, open_driver
 from slave.drivers.driver import Channels, Counts, Driver, DriverFault, Reading
+from teleop.clock import quiet_garbage
 from teleop.config import load
 from teleop.errors import TeleopError
 
@@ -44,7 +45,9 @@ def main(words: Sequence[str]) -> int:
     try:
         texts = [f"driver={driver}", f"motors={motors}", f"cells={cells}"]
         config = load(None, WorkerConfig, None, texts)
-        serve(open_driver(config.driver, Channels(config.motors, config.cells)), end)
+        opened = open_driver(config.driver, Channels(config.motors, config.cells))
+        with quiet_garbage():  # a collection takes longer than a cycle
+            serve(opened, end)
     except (DriverFault, TeleopError) as error:
         _send(end, packets.pack_fault(str(error)))
         return 1

@@ -6,6 +6,7 @@ import signal
 import numpy as np
 import pytest
 
+from slave.drivers import configs
 from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.registers import CURRENT_UNIT
 from slave.rig import RigFault
@@ -158,6 +159,10 @@ def test_a_servo_that_is_not_there_or_has_a_fault_is_refused(servos):
     servos.servos[1].put(ERROR, 1, 32)
     with pytest.raises(RigFault, match=r"servo 1 .*overload; remove the cause"), opened_on(servos):
         pass
+    assert configs.reset(dynamixel(servos.port.name), (1,)) == ["servo 1: restarted"]
+    with opened_on(servos) as rig:
+        read_some(rig, 1)
+        assert torque(servos) == [False, False]
 
 
 def test_an_unplugged_adapter_is_named(servos):

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from slave.bring_up import command
 from slave.rig import RigFault
 from tests.drivers.bench import (
     engage,
@@ -25,6 +26,7 @@ from tests.drivers.models.board import (
     Board,
     compile_firmware,
 )
+from tests.drivers.models.plant import METRES, ZERO
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +58,8 @@ def test_samples_come_once_and_in_order_and_motors_follow(board):
         start = engage(rig, moving(board))
         sample = follow(rig, start + 0.001)
         assert sample.proximal_tension == pytest.approx([3.0, 3.0], abs=0.3)
+        told = command.format_counts(rig)
+        assert told[1].startswith(f"tendon 2: motor at {ZERO + 0.001 / METRES:.0f}, cell at 3")
         times = [sample.time_s for sample in read_some(rig, 50)]
         assert np.all(np.diff(times) > 0.0)
 

@@ -88,9 +88,9 @@ class Servos:
         When a watchdog has triggered last, on the monotonic clock.
     """
 
-    def __init__(self, numbers=(1,), plant=None, patience: float = 10.0) -> None:
+    def __init__(self, numbers=(1,), plant=None, patience: float = 10.0, link=None) -> None:
         self._patience = patience
-        self.port = PseudoPort()
+        self.port = PseudoPort(link)
         self.servos = {number: Servo(number) for number in numbers}
         self.plant = plant or Springs(len(self.servos))
         self.lose = 0
