@@ -122,9 +122,12 @@ def test_a_drive_may_be_guarded_in_place_of_hearing_our_heartbeat(drives):
         for drive in drives.drives:
             assert drive.patience_s == pytest.approx(0.040)
             assert (drive.od.read(0x1016, 1), drive.od.read(0x1017, 0)) == (0, 0)
-        drives.drives[1].guards = False
-        with pytest.raises(RigFault, match="drive 2 does not answer node guarding"):
-            read_for(rig, 5.0)
+    drives.drives[1].guards = False
+    with (
+        opened_on(drives, error_control="guarding") as rig,
+        pytest.raises(RigFault, match="drive 2 does not answer node guarding"),
+    ):
+        read_for(rig, 5.0)
 
 
 def test_guarding_takes_its_share_of_the_bus():
