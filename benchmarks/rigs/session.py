@@ -8,6 +8,7 @@ from pathlib import Path
 from benchmarks.rigs.bench import Model
 from teleop.app.launch.supervisor import wait_for
 from teleop.messages import Hand
+from teleop.session import State
 from teleop.topics import HAND
 from tests.system.processes import START_S, Processes
 
@@ -65,6 +66,17 @@ class Session:
                     forces.append(max(map(abs, hand.force)))
                 time.sleep(0.02)
         return max(positions) - min(positions), max(forces)
+
+    def stop_seen(self) -> float:
+        """Wait until the master says that the session is stopped; return when it said so [s]."""
+        with self.processes.look() as link:
+
+            def stopped() -> bool:
+                hand = link.latest(HAND).message
+                return isinstance(hand, Hand) and hand.state == State.STOPPED
+
+            assert wait_for(stopped, START_S, poll_s=0.001), "the session is not stopped"
+            return time.monotonic()
 
     def stopped_after(self, since_s: float) -> float:
         """Wait until no motor moves; return how long that took [s]."""
