@@ -28,6 +28,7 @@ _LATE = ("hidraw", "multiprocessing.popen_fork", "encodings.utf_8_sig")  # impor
 _LATE_CAN = (  # imported by the driver's process and that of the drives
     "benchmarks.rigs.model",
     "can.interfaces.socketcan",
+    "numpy.random",
     "slave.drivers.cia402.driver",
     "slave.drivers.cia402.tools",
     "slave.drivers.worker",

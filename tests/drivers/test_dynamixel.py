@@ -21,7 +21,7 @@ from tests.drivers.bench import (
     wait_until,
 )
 from tests.drivers.models.plant import NEWTONS
-from tests.drivers.models.servos import ERROR, GOAL, WATCHDOG, Servos
+from tests.drivers.models.servos import ERROR, GOAL, WATCHDOG, Servos, positions
 
 SCALE = NEWTONS / CURRENT_UNIT  # [N/A] of the servos' currents
 
@@ -92,6 +92,16 @@ def test_a_killed_driver_leaves_the_servos_to_their_watchdogs(servos):
         read_some(rig)
         assert torque(servos) == [False, False]
         assert [servo.get(GOAL, 4, signed=True) for servo in servos.servos.values()] == goals
+
+
+def test_servos_are_stopped_where_they_are_when_the_slave_ends(servos):
+    with opened_on(servos) as rig:
+        start = engage(rig, moving(servos))
+        servos.plant.LAG_S = 1e6  # they do not come nearer to their goals
+        read_for(rig, 0.2, start + 0.001)
+    goals = [servo.get(GOAL, 4, signed=True) for servo in servos.servos.values()]
+    assert goals == pytest.approx(positions(servos), abs=3)
+    assert wait_until(lambda: all(s.table[WATCHDOG] == 255 for s in servos.servos.values()))
 
 
 def test_an_emergency_stop_is_torque_off_until_the_next_target(servos):

@@ -10,6 +10,7 @@ import can
 import canopen
 import numpy as np
 
+from slave.drivers.cia402.buffered_port import BufferedPort
 from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
 from slave.drivers.cia402.set_up import NodeSetUp
@@ -299,8 +300,11 @@ class Cia402Driver:
 def open_bus(config: Cia402Config) -> can.BusABC:
     """Open the CAN bus of a config; `DriverFault` if it cannot be."""
     try:
-        return can.Bus(**config.bus.arguments())
+        bus = can.Bus(**config.bus.arguments())
     except (can.CanError, OSError, ValueError) as error:
         raise DriverFault(
             f"CAN {config.bus.channel}: cannot be opened as {config.bus.interface}: {error}"
         ) from error
+    if config.bus.interface == "slcan":
+        bus.serialPortOrig = BufferedPort(bus.serialPortOrig)  # type: ignore[attr-defined]
+    return bus

@@ -22,15 +22,24 @@ TORQUE, ERROR, WATCHDOG, GOAL, CURRENT, POSITION, VOLTAGE, TEMPERATURE = (
     64, 70, 98, 116, 126, 132, 144, 146,
 )  # fmt: skip
 WATCHDOG_UNIT_S = 0.020
+ROUND_S = 0.0005  # [s] between two looks at the plant
+
+
+def _shifted(crc: int) -> int:
+    """Return a CRC register after eight bits of zero."""
+    for _ in range(8):
+        crc = ((crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
+
+
+TABLE = [_shifted(byte << 8) for byte in range(256)]
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC of protocol 2.0, bit by bit."""
+    """Return the CRC of protocol 2.0."""
     crc = 0
     for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = ((crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+        crc = (crc << 8 & 0xFFFF) ^ TABLE[crc >> 8 ^ byte]
     return crc
 
 
@@ -102,10 +111,13 @@ class Servos:
         self._start_s = time.monotonic()
 
     def serve(self) -> None:
+        due_s = 0.0
         while not self.ended:
             data = self.port.read(0.001)
             now = time.monotonic()
-            self._advance(now)
+            if now >= due_s:
+                self._advance(now)
+                due_s = now + ROUND_S
             self._received += data
             while (packet := self._next()) is not None:
                 self._obey(packet, now)
