@@ -4,7 +4,7 @@
 
 The first line that it prints is the buses of a config, as JSON. Orders on standard input: fault,
 repair, unplug, plug, state; each prints which motors follow, where they are, and when the last one
-was stopped (monotonic clock). `ordinary`: without real-time priority.
+was stopped (monotonic clock). `ordinary`: without real-time priority, for an emulated processor.
 """
 
 import gc
@@ -22,6 +22,7 @@ import numpy as np
 
 from benchmarks.rigs.bench import BUS
 from teleop.realtime import RealtimeConfig, go_realtime
+from tests.drivers.models import drives
 from tests.drivers.models.board import ENABLED, Board, compile_firmware
 from tests.drivers.models.drives import ENABLED as OPERATION
 from tests.drivers.models.drives import Drives, SlcanAdapter
@@ -29,6 +30,7 @@ from tests.drivers.models.line import PseudoPort
 from tests.drivers.models.plant import Springs, Tendons
 from tests.drivers.models.servos import ERROR, TORQUE, Servos
 
+EMULATED_ROUND_S = 0.002
 FOLDER = Path(tempfile.mkdtemp(prefix="rig-model-"))
 
 
@@ -163,7 +165,9 @@ def main(driver: str, count: str, kind: str, *ordinary: str) -> None:
         plant = Tendons(max(1, motors // 2), paired=motors > 1)
     plant.motors = motors
     model = MODELS[driver](motors, plant)
-    if not ordinary:
+    if ordinary:
+        drives.ROUND_S = EMULATED_ROUND_S
+    else:
         go_realtime(RealtimeConfig(priority=30, cores=()))
     threads = [threading.Thread(target=one.serve, daemon=True) for one in model.models]
     gc.collect()
