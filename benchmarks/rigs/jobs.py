@@ -160,8 +160,9 @@ def killed(session: Session, also: list[str]) -> str:
 def kill_driver(session: Session, driver: str) -> str:
     """Kill the drivers alone: the motors stop, the slave says so and ends."""
     session.engage()
+    processes = session.drivers()
     killed_s = time.monotonic()
-    for process in session.drivers():
+    for process in processes:
         os.kill(process, signal.SIGKILL)
     took_s = session.stopped_after(killed_s)
     assert took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after SIGKILL"

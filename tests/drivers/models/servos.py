@@ -119,8 +119,13 @@ class Servos:
                 self._advance(now)
                 due_s = now + ROUND_S
             self._received += data
+            packets = []
             while (packet := self._next()) is not None:
-                self._obey(packet, now)
+                packets.append(packet)
+            for k, packet in enumerate(packets):  # the line is not queued as a pty is
+                overtaken = any(later[1] == SYNC_READ for later in packets[k + 1 :])
+                if packet[1] != SYNC_READ or not overtaken:
+                    self._obey(packet, now)
         self.port.unplug()
 
     def start(self) -> threading.Thread:
