@@ -20,7 +20,7 @@ test test-all: .venv/dev.done
 test:  ## the tests, slow matrices apart; ARGS goes to pytest
 test-all:  ## all tests
 
-test-kernel: .venv/run.done  ## the HID drivers on virtual devices, through a Linux kernel in qemu; ARGS: devices
+test-kernel: .venv/dev.done  ## HID and CAN drivers on virtual devices, through a Linux kernel in qemu; ARGS: devices, or can
 	@$(BIN)/python -m benchmarks.kernel $(ARGS)
 
 test-ros: .cache/ros/done  ## messages, hashes and graph against rclpy and other implementations of ROS 2

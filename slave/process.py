@@ -21,6 +21,7 @@ import numpy as np
 
 from estimator.records import Records, as_bytes, one
 from slave import loop, model_files
+from slave.calibration import run as calibration_run
 from slave.calibration.initialise import initialise
 from slave.config import (
     SlaveConfig,
@@ -414,6 +415,8 @@ def prepare(config: SlaveConfig, with_dynamics: bool) -> None:
         if with_dynamics:
             slave, rows, _ = _example()
             loop.estimate_with_dynamics(*slave.estimated, rows, 1)
+        if config.initialise.at_start:
+            calibration_run.warm_up()
     if config.initialise.at_start:
         import_module("scipy.optimize")  # which the analysis of a calibration uses
 

@@ -17,8 +17,8 @@ import re
 import resource
 import signal
 import socket
-from collections.abc import Callable, Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -87,6 +87,20 @@ def go_realtime(config: RealtimeConfig = _DEFAULT) -> list[str]:
     if _lock_memory():
         granted.append("memory locked")
     return granted
+
+
+@contextmanager
+def ordinary_scheduling() -> Iterator[None]:
+    """Compute for seconds at ordinary priority, in a thread that is at real-time priority else."""
+    if not hasattr(os, "sched_getscheduler") or os.sched_getscheduler(0) != os.SCHED_FIFO:
+        yield
+        return
+    before = os.sched_getparam(0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_FIFO, before)
 
 
 def share_heaps() -> None:

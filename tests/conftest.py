@@ -21,6 +21,7 @@ REAL_TIME = (  # loops, sockets, clocks
     "drivers/test_cia402.py",
     "drivers/test_composed.py",
     "drivers/test_dynamixel.py",
+    "drivers/test_jobs.py",
     "drivers/test_microcontroller.py",
     "master/ros/test_operator.py",
     "master/test_process.py",

@@ -1,7 +1,8 @@
-"""Drive virtual HID devices with the project's own drivers, through a Linux kernel of their own.
+"""Drive virtual devices with the project's own drivers, through a Linux kernel of their own.
 
-  python -m benchmarks.kernel                        what `make test-kernel` does
-  python -m benchmarks.kernel arduino dualsense      these devices only
+  python -m benchmarks.kernel                        what `make test-kernel` does: HID devices, CAN
+  python -m benchmarks.kernel arduino dualsense      these HID devices only
+  python -m benchmarks.kernel can                    CiA 402 drives on SocketCAN only
   python -m benchmarks.kernel --by-the-wall          in real time, on an idle machine
 
 Boots virtual machines (qemu, in software) that make the devices and drive them, and prints what
@@ -20,10 +21,21 @@ from typing import Any, Protocol
 
 from benchmarks.kernel import image
 from benchmarks.kernel.cases import CASES
-from benchmarks.kernel.kernel import MissingError, emulator, kernel
+from benchmarks.kernel.kernel import CAN, MissingError, emulator, kernel
 from benchmarks.kernel.machine import Machine
 
 _LATE = ("hidraw", "multiprocessing.popen_fork", "encodings.utf_8_sig")  # imported while it runs
+_LATE_CAN = (  # imported by the driver's process and that of the drives
+    "benchmarks.rigs.model",
+    "can.interfaces.socketcan",
+    "numpy.random",
+    "slave.drivers.cia402.driver",
+    "slave.drivers.cia402.tools",
+    "slave.drivers.worker",
+    "encodings.utf_8_sig",
+    "runpy",
+)
+CAN_CHECKS = "can"
 SILENCE_MAX_S = 120.0  # of the processor's time that a machine works without a result
 HANGING_S = 120.0  # of the wall in which it gets no work done at all
 _MACHINES_MAX = 2
@@ -33,30 +45,31 @@ def run(names: list[str], by_the_wall: bool, folder: Path) -> int:
     """Try these devices; return how much has failed."""
     start = time.monotonic()
     qemu = emulator()
-    vmlinuz, modules = kernel()
-    initrd = folder / "initrd"
-    initrd.write_bytes(image.build("benchmarks.kernel.guest", _LATE, modules))
-    count = 1 if by_the_wall else min(_MACHINES_MAX, len(names), os.cpu_count() or 1)
+    devices = [name for name in names if name != CAN_CHECKS]
     results: list[dict[str, Any]] = []
     with ExitStack() as running:
-        machines = [
-            running.enter_context(
-                Machine(
-                    qemu,
-                    vmlinuz,
-                    initrd,
-                    f"devices={','.join(names[k::count])}",
-                    folder / str(k),
-                    by_the_wall,
-                )
-            )
-            for k in range(count)
+        machines = []
+        if devices:
+            vmlinuz, modules = kernel()
+            initrd = folder / "initrd"
+            initrd.write_bytes(image.build("benchmarks.kernel.guest", _LATE, modules))
+            count = 1 if by_the_wall else min(_MACHINES_MAX, len(devices), os.cpu_count() or 1)
+            words = [f"devices={','.join(devices[k::count])}" for k in range(count)]
+            machines += [(vmlinuz, initrd, text) for text in words]
+        if CAN_CHECKS in names:
+            vmlinuz, modules = kernel(CAN)
+            initrd = folder / "initrd-can"
+            initrd.write_bytes(image.build("benchmarks.kernel.can_guest", _LATE_CAN, modules))
+            machines.append((vmlinuz, initrd, ""))
+        guests = [
+            running.enter_context(Machine(qemu, *one, folder / str(k), by_the_wall))
+            for k, one in enumerate(machines)
         ]
-        for line in follow(machines):
+        for line in follow(guests):
             results.append(line)
             _show(line)
         if failed := sum("trouble" in line for line in results):
-            print(*(machine.console for machine in machines), sep="\n")
+            print(*(guest.console for guest in guests), sep="\n")
     print(f"{len(results)} checks, {failed} failed, {time.monotonic() - start:.0f} s")
     return failed
 
@@ -127,7 +140,7 @@ def main() -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    known = [case.name for case in CASES]
+    known = [*(case.name for case in CASES), CAN_CHECKS]
     parser.add_argument("device", nargs="*", help=f"any of {', '.join(known)}; none means all")
     parser.add_argument("--by-the-wall", action="store_true", help="take the time from the wall")
     args = parser.parse_args()

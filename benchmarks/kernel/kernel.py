@@ -1,21 +1,40 @@
-"""A kernel to boot: Debian's for virtual machines, downloaded once and kept in .cache/."""
+"""Kernels to boot: Debian's, downloaded once and kept in .cache/."""
 
 import os
 import shutil
 import subprocess
 from pathlib import Path
+from typing import NamedTuple
 
 CACHE = Path(__file__).resolve().parents[2] / ".cache" / "kernel"
-MODULES = (  # each after those it needs
-    "hid/hid",
-    "hid/uhid",
-    "hid/hid-generic",
-    "leds/led-class-multicolor",
-    "input/ff-memless",
-    "hid/hid-playstation",
-    "input/evdev",
+
+
+class Flavour(NamedTuple):
+    """One of Debian's kernels, and the modules that are loaded, each after those it needs."""
+
+    package: str  # that depends on the newest one
+    folder: Path
+    modules: tuple[str, ...]
+
+
+HID = Flavour(
+    "linux-image-cloud-amd64",
+    CACHE,
+    (
+        "drivers/hid/hid",
+        "drivers/hid/uhid",
+        "drivers/hid/hid-generic",
+        "drivers/leds/led-class-multicolor",
+        "drivers/input/ff-memless",
+        "drivers/hid/hid-playstation",
+        "drivers/input/evdev",
+    ),
 )
-_META = "linux-image-cloud-amd64"
+CAN = Flavour(
+    "linux-image-amd64",  # that for clouds has no CAN
+    CACHE.with_name("kernel-full"),
+    ("net/can/can", "net/can/can-raw", "drivers/net/can/dev/can-dev", "drivers/net/can/vcan"),
+)
 _QEMU = "qemu-system-x86"
 EMULATOR = "qemu-system-x86_64"
 
@@ -35,45 +54,47 @@ def emulator() -> str:
     return shutil.which(EMULATOR) or EMULATOR
 
 
-def kernel() -> tuple[Path, list[Path]]:
-    """Return the kernel and its modules, in the order to load them."""
-    if not (CACHE / "complete").exists():
-        _download()
-    found = [next((CACHE / "modules").glob(f"{Path(name).name}.ko*")) for name in MODULES]
-    return CACHE / "vmlinuz", found
+def kernel(flavour: Flavour = HID) -> tuple[Path, list[Path]]:
+    """Return a kernel and its modules, in the order to load them."""
+    folder = flavour.folder
+    if not (folder / "complete").exists():
+        _download(flavour)
+    found = [next((folder / "modules").glob(f"{Path(name).name}.ko*")) for name in flavour.modules]
+    return folder / "vmlinuz", found
 
 
-def _download() -> None:
+def _download(flavour: Flavour) -> None:
+    folder = flavour.folder
     if not shutil.which("apt-get") or not shutil.which("dpkg-deb"):
         raise MissingError(
-            f"no Debian kernel in {CACHE}, and no apt-get to download it: use Debian"
+            f"no Debian kernel in {folder}, and no apt-get to download it: use Debian"
         )
-    shutil.rmtree(CACHE, ignore_errors=True)
-    unpacked = CACHE / "package"
+    shutil.rmtree(folder, ignore_errors=True)
+    unpacked = folder / "package"
     unpacked.mkdir(parents=True)
-    package = _package()
-    _run("apt-get", "download", package, folder=CACHE)
-    (archive,) = CACHE.glob("*.deb")
-    _run("dpkg-deb", "-x", str(archive), str(unpacked), folder=CACHE)
+    package = _package(flavour.package)
+    _run("apt-get", "download", package, folder=folder)
+    (archive,) = folder.glob("*.deb")
+    _run("dpkg-deb", "-x", str(archive), str(unpacked), folder=folder)
     (image,) = (unpacked / "boot").glob("vmlinuz-*")
     (drivers,) = unpacked.glob("**/kernel/drivers")
-    image.rename(CACHE / "vmlinuz")
-    (CACHE / "modules").mkdir()
-    for name in MODULES:
-        (module,) = (drivers / name).parent.glob(f"{Path(name).name}.ko*")
-        module.rename(CACHE / "modules" / module.name)
+    image.rename(folder / "vmlinuz")
+    (folder / "modules").mkdir()
+    for name in flavour.modules:
+        (module,) = (drivers.parent / name).parent.glob(f"{Path(name).name}.ko*")
+        module.rename(folder / "modules" / module.name)
     shutil.rmtree(unpacked)
     archive.unlink()
-    (CACHE / "complete").write_text(f"{package}\n")
+    (folder / "complete").write_text(f"{package}\n")
 
 
-def _package() -> str:
+def _package(meta: str) -> str:
     """Return the newest kernel package, after an update of apt's lists if they know none."""
     for update in (False, True):
         if update and os.geteuid() == 0:
             _apt("update")
         shown = subprocess.run(
-            ["apt-cache", "depends", "--important", _META],
+            ["apt-cache", "depends", "--important", meta],
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
@@ -83,7 +104,7 @@ def _package() -> str:
             kind, _, package = line.strip().partition(" ")
             if kind == "Depends:":
                 return package
-    raise MissingError(f"apt knows no {_META}: apt-get update (as root, on Debian)")
+    raise MissingError(f"apt knows no {meta}: apt-get update (as root, on Debian)")
 
 
 def _apt(*arguments: str) -> None:

@@ -9,8 +9,10 @@ import yaml
 
 from tests.drivers.models.plant import COUNTS, NEWTONS, RADIUS, ZERO
 
+BUS = "TELEOP_CAN_BUS"  # of the environment: interface,channel of python-can in place of slcan
 TIMEOUT_S = 0.09  # of the buses: the model beside the session is held up at times
 TRUE_K = 0.15 * 1.5 / 0.225  # of the plant's sheaths
+MODEL_TENDON = [{"effective_friction": TRUE_K, "tension_noise": 0.01}]
 
 
 class Model:
@@ -22,9 +24,10 @@ class Model:
         `motors` and perhaps `cells`, of a config.
     """
 
-    def __init__(self, driver: str, motors: int, plant: str) -> None:
+    def __init__(self, driver: str, motors: int, plant: str, realtime: bool = True) -> None:
+        words = [driver, str(motors), plant, *(["ordinary"] if not realtime else [])]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.rigs.model", driver, str(motors), plant],
+            [sys.executable, "-m", "benchmarks.rigs.model", *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -41,8 +44,12 @@ class Model:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.wait()
+        self._process.stdin.close()  # then it ends
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
 
 def rig_tree(buses: dict, motors: int, paired: bool) -> dict:
@@ -73,7 +80,7 @@ def write_config(path: Path, buses: dict, motors: int, **slave: object) -> Path:
     tree = {
         "session": path.stem,
         "rate_hz": 500,
-        "slave": {"rig": rig, "gate": gate, **slave},
+        "slave": {"rig": rig, "gate": gate, "tendons": MODEL_TENDON, **slave},
         "master": {
             "device": {
                 "type": "virtual",

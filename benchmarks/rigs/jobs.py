@@ -1,208 +1,218 @@
-"""The main job of each driver: calibrate, run, e-stop, kill, unplug, drive fault.
+"""The main job of each driver, from its calibration to every way in which it can fail.
 
-  python -m benchmarks.rigs.jobs [DRIVER ...] [--motors 1 4] [--skip calibrate]
+  python -m benchmarks.rigs.jobs [DRIVER ...] [--motors 1 4] [--only JOB ...] [--attempts 2]
+  python -m benchmarks.rigs.jobs cia402 --multicast      CAN in UDP, in a network namespace
 
 Commands of the project as processes; the simulated plant is behind the motors, so tensions are
-those of sheaths with friction. A line for each: what was expected, what came, in which time.
+those of sheaths with friction. Prints a line for each job: pass or fail, and figures. The exit code
+is 1 if one fails.
 """
 
 import argparse
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.rigs import namespace
 from benchmarks.rigs.bench import TRUE_K, Model, write_config
+from benchmarks.rigs.session import Session
 from slave.calibration import file
 from teleop.app.launch.supervisor import wait_for
-from tests.system.processes import START_S, Processes
 
 DRIVERS = ("microcontroller", "dynamixel", "cia402")
-MODEL_TENDON = [{"effective_friction": TRUE_K, "tension_noise": 0.01}]
-ATTEMPTS = 3
 RUN_S = 5.0
-TRAVEL = 200.0  # [counts] a motor must have moved in a run
+TRAVEL_MIN = 200.0  # [counts] a motor must have moved in a run
+FORCE_MIN = 0.1  # [N] the hand must have felt
+K_ERROR_MAX = 0.05  # relative, of the calibration
+RATE_MIN = 0.95  # of the rate that was asked for
+RATE_HZ = {"microcontroller": 1000.0, "dynamixel": 250.0, "cia402": 500.0}
 WATCHDOG_S = 0.050
+ENGAGE_S = 30.0  # of a command to start, and of the hand to engage again
+STILL_S = 1.0  # in which nothing may move by itself
+
+FAULTS = {
+    "microcontroller": ("fault of its motors",),
+    "dynamixel": ("hardware error: overload",),
+    "cia402": ("following error",),
+}
+SILENT = ("unplugged", "silent", "no answer")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("drivers", nargs="*", default=DRIVERS)
+    """Return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.rigs.jobs",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("drivers", nargs="*", default=DRIVERS, metavar="DRIVER")
     parser.add_argument("--motors", type=int, nargs="*", default=[1, 4])
-    parser.add_argument("--skip", nargs="*", default=[])
+    parser.add_argument("--only", nargs="*", default=list(JOBS), choices=JOBS, metavar="JOB")
+    parser.add_argument("--attempts", type=int, default=1, help="of each job, on a busy machine")
+    parser.add_argument("--multicast", action="store_true", help="CAN over UDP multicast")
     args = parser.parse_args()
+    if unknown := set(args.drivers) - set(DRIVERS):
+        parser.error(f"no driver {', '.join(sorted(unknown))}; there are {', '.join(DRIVERS)}")
+    if args.multicast:
+        namespace.enter()
+    print(f"{'driver':16} {'motors':>6}  {'job':12} result")
     failed = 0
     for driver in args.drivers:
         for motors in args.motors:
-            for name, job in JOBS.items():
-                if name in args.skip:
-                    continue
-                text = attempt(job, driver, motors)
-                failed += text.startswith("FAILED")
-                print(f"{driver:16} {motors} motors  {name:12} {text}", flush=True)
+            for name in args.only:
+                passed, text = attempt(JOBS[name], driver, motors, args.attempts)
+                failed += not passed
+                word = "pass" if passed else "FAIL"
+                print(f"{driver:16} {motors:6}  {name:12} {word}  {text}", flush=True)
+    print(f"{failed} failed" if failed else "all passed")
     return 1 if failed else 0
 
 
-def attempt(job: Callable[[str, int, Path], str], driver: str, motors: int) -> str:
-    """Run a job, again if it fails: a busy machine holds up models and loops."""
-    reasons = []
-    while len(reasons) < ATTEMPTS:
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                text = job(driver, motors, Path(folder))
-            except (AssertionError, OSError, ValueError) as error:
-                reasons.append(" ".join(str(error).split())[-200:])
-                continue
-        return text + (f" (after {len(reasons)} failed: {reasons[-1]})" if reasons else "")
-    return f"FAILED: {' | '.join(reasons)}"
-
-
-def calibrate(driver: str, motors: int, folder: Path) -> str:
-    """Find the sheaths by the quick procedure."""
-    with Model(driver, motors, "tendons") as model:
-        config = write_config(folder / "rig.yaml", model.buses, motors)
-        out = folder / "calibration.yaml"
-        words = ["calibrate", "--config", str(config), "--quick", "--together", "--out", str(out)]
-        began_s = time.monotonic()
-        ended = subprocess.run(
-            [sys.executable, "-m", "teleop", *words], capture_output=True, text=True, check=False
-        )
-        assert ended.returncode == 0, ended.stderr.splitlines()[-1:]
-        found = file.load(out).directions
-    worst = max(abs(one.K.value - TRUE_K) for one in found)
-    return f"K within {worst / TRUE_K:.1%} of the truth in {time.monotonic() - began_s:.0f} s"
-
-
-class Session:
-    """A model, a slave and a master, engaged."""
-
-    def __init__(self, driver: str, motors: int, folder: Path) -> None:
-        self.model = Model(driver, motors, "tendons")
-        config = write_config(folder / "rig.yaml", self.model.buses, motors, tendons=MODEL_TENDON)
-        self.processes = Processes(folder, config)
-
-    def __enter__(self) -> "Session":
+def attempt(job: "Job", driver: str, motors: int, attempts: int) -> tuple[bool, str]:
+    """Run a job, again if it fails; return whether it passed, and its figures or the reasons."""
+    reasons: list[str] = []
+    while len(reasons) < attempts:
         try:
-            self._engage()
-        except AssertionError:
-            self.__exit__()
-            raise
-        return self
-
-    def _engage(self) -> None:
-        self.slave = self.processes.start("slave", "--json", str(self.processes.folder / "s.json"))
-        self.processes.start("master")
-        with self.processes.look() as link:
-
-            def over() -> bool:
-                return self.slave.poll() is not None
-
-            wait_for(lambda: self.processes.engaged(link) or over(), START_S)
-            assert not over(), self.processes.outputs()
-        assert wait_for(lambda: all(self.state()["moving"]), 5.0), "the motors are not enabled"
-
-    def __exit__(self, *_: object) -> None:
-        self.processes.__exit__()
-        self.model.__exit__()
-
-    def state(self) -> dict:
-        return self.model.order()
-
-    def stopped_after(self, since_s: float) -> float:
-        """Wait until no motor moves; return how long that took [s]."""
-        assert wait_for(lambda: not any(self.state()["moving"]), 5.0), "the motors are not stopped"
-        return self.state()["stopped_s"] - since_s
-
-    def drivers(self) -> list[int]:
-        """Return the process ids of the slave's drivers."""
-        children = Path(f"/proc/{self.slave.pid}/task/{self.slave.pid}/children").read_text()
-        return [int(word) for word in children.split()]
-
-    def ends_with(self, *said: str) -> str:
-        """Wait until the slave has ended in a fault; return its last line."""
-        code = self.slave.wait(10.0)
-        lines = self.processes.outputs().splitlines()
-        faults = [line for line in lines if line.startswith("teleop: rig: ")]
-        assert code == 1, f"exit code {code}"
-        assert faults, lines[-3:]
-        assert any(word in faults[-1] for word in said), faults[-1]
-        return faults[-1].removeprefix("teleop: rig: ")
+            text = perform(job, driver, motors)
+        except (AssertionError, OSError, ValueError) as error:
+            reasons.append(" ".join(str(error).split())[-250:])
+            continue
+        return True, text + "".join(f" (attempt {k + 1}: {r})" for k, r in enumerate(reasons))
+    return False, " | ".join(reasons)
 
 
-def run(driver: str, motors: int, folder: Path) -> str:
-    """Follow the hand."""
-    with Session(driver, motors, folder) as session:
-        positions = []
-        until_s = time.monotonic() + RUN_S
-        while time.monotonic() < until_s:
-            positions.append(session.state()["position"][0])
-            time.sleep(0.02)
-        assert session.processes.stop("slave") == 0, session.processes.outputs()
-        summary = session.processes.summary("s")
-    moved = max(positions) - min(positions)
-    assert moved > TRAVEL, f"motor 1 moved by {moved:.0f} counts"
-    told = ", ".join(f"{key} {value}" for key, value in summary["rig"].items())
-    return f"motor 1 moved by {moved:.0f} counts; {told}"
+def perform(job: "Job", driver: str, motors: int) -> str:
+    """Run a job on a model of its own; return its figures."""
+    with tempfile.TemporaryDirectory() as folder, Model(driver, motors, "tendons") as model:
+        config = write_config(Path(folder) / "rig.yaml", model.buses, motors)
+        with Session(model, config) as session:
+            return job(session, driver)
 
 
-def e_stop(driver: str, motors: int, folder: Path) -> str:
+def calibrate(session: Session, driver: str) -> str:
+    """Find the sheaths by the quick procedure, and run with what was found."""
+    out = session.config.parent / "calibration.yaml"
+    began_s = time.monotonic()
+    session.command("calibrate", "--quick", "--together", "--out", str(out))
+    took_s = time.monotonic() - began_s
+    found = file.load(out).directions
+    worst = max(abs(one.K.value - TRUE_K) for one in found) / TRUE_K
+    assert worst < K_ERROR_MAX, f"K is {worst:.1%} off the truth"
+    return f"K within {worst:.1%} of the truth, {took_s:.0f} s"
+
+
+def run(session: Session, driver: str) -> str:
+    """Follow the hand, which feels forces."""
+    session.engage()
+    moved, force = session.follow(RUN_S)
+    assert session.processes.stop("slave") == 0, session.processes.outputs()[-300:]
+    rig = session.processes.summary("s")["rig"]
+    assert moved > TRAVEL_MIN, f"motor 1 moved by {moved:.0f} counts"
+    assert force > FORCE_MIN, f"the hand felt {force:.2f} N"
+    rate_hz = rig["motors_rate_hz"]
+    assert rate_hz > RATE_MIN * RATE_HZ[driver], f"{rate_hz:g} Hz of {RATE_HZ[driver]:g}"
+    losses = ", ".join(f"{k} {v}" for k, v in rig.items() if "lost" in k or "bad" in k)
+    return f"{rate_hz:g} Hz, {losses}, late {rig['late']}; {moved:.0f} counts, {force:.1f} N felt"
+
+
+def e_stop(session: Session, driver: str) -> str:
     """Stop by `teleop stop`, reset, engage again."""
-    with Session(driver, motors, folder) as session:
-        called_s = time.monotonic()
-        session.processes.start("stop").wait(20.0)
-        took_s = session.stopped_after(called_s)
-        session.processes.start("stop", "--reset").wait(20.0)
-        again = wait_for(lambda: all(session.state()["moving"]), 8.0)
-        alive = session.slave.poll() is None
-    assert alive, "the slave has ended"
-    assert again, "the motors do not move after the reset"
-    return f"motors off {took_s * 1e3:.0f} ms after the command began, moving again after the reset"
+    session.engage()
+    session.processes.start("stop")
+    took_s = session.stopped_after(session.stop_seen())
+    assert took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after the master was"
+    require_still(session)
+    session.processes.start("stop", "--reset")
+    assert wait_for(session.all_move, ENGAGE_S), "the motors do not move after the reset"
+    assert session.slave.poll() is None, session.said()
+    return f"stopped {took_s * 1e3:.0f} ms after the master was; engaged again after the reset"
 
 
-def kill(driver: str, motors: int, folder: Path) -> str:
+def kill(session: Session, driver: str) -> str:
     """Kill the slave: its drivers notice and stop the motors."""
-    with Session(driver, motors, folder) as session:
-        killed_s = time.monotonic()
-        os.kill(session.slave.pid, signal.SIGKILL)
-        return f"motors stopped {session.stopped_after(killed_s) * 1e3:.0f} ms after SIGKILL"
+    return killed(session, [])
 
 
-def kill_all(driver: str, motors: int, folder: Path) -> str:
+def kill_all(session: Session, driver: str) -> str:
     """Kill the slave and its drivers: the motors' own watchdogs stop them."""
-    with Session(driver, motors, folder) as session:
-        processes = [*session.drivers(), session.slave.pid]
-        killed_s = time.monotonic()
-        for process in processes:
-            os.kill(process, signal.SIGKILL)
-        took_s = session.stopped_after(killed_s)
-    assert took_s < WATCHDOG_S, f"motors stopped only {took_s * 1e3:.0f} ms after SIGKILL"
-    return f"motors stopped by their watchdog {took_s * 1e3:.0f} ms after SIGKILL"
+    return killed(session, ["drivers"])
 
 
-def unplug(driver: str, motors: int, folder: Path) -> str:
-    """Unplug the adapter."""
-    with Session(driver, motors, folder) as session:
-        session.model.order("unplug")
-        return session.ends_with("unplugged", "silent", "no answer")
+def killed(session: Session, also: list[str]) -> str:
+    """Kill the slave, perhaps its drivers first; then start anew."""
+    session.engage()
+    processes = [*(session.drivers() if also else []), session.slave.pid]
+    assert len(processes) > len(also), "no driver's process"
+    killed_s = time.monotonic()
+    for process in processes:
+        os.kill(process, signal.SIGKILL)
+    took_s = session.stopped_after(killed_s)
+    assert took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after SIGKILL"
+    require_still(session)
+    session.engage()
+    return f"stopped {took_s * 1e3:.0f} ms after SIGKILL; engaged anew"
 
 
-def fault(driver: str, motors: int, folder: Path) -> str:
-    """Have the first drive fail."""
-    with Session(driver, motors, folder) as session:
-        session.model.order("fault")
-        return session.ends_with("fault", "hardware error")
+def kill_driver(session: Session, driver: str) -> str:
+    """Kill the drivers alone: the motors stop, the slave says so and ends."""
+    session.engage()
+    processes = session.drivers()
+    killed_s = time.monotonic()
+    for process in processes:
+        os.kill(process, signal.SIGKILL)
+    took_s = session.stopped_after(killed_s)
+    assert took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after SIGKILL"
+    return f"stopped {took_s * 1e3:.0f} ms after SIGKILL: {session.ended_with('has ended')}"
 
 
-JOBS = {
+def unplug(session: Session, driver: str) -> str:
+    """Unplug the adapter, and plug it in again: nothing moves until a new session engages."""
+    session.engage()
+    unplugged_s = time.monotonic()
+    session.model.order("unplug")
+    took_s = session.stopped_after(unplugged_s)
+    said = session.ended_with(*SILENT)
+    assert took_s <= WATCHDOG_S, f"stopped only {took_s * 1e3:.0f} ms after"
+    session.model.order("plug")
+    require_still(session)
+    session.engage()
+    return f"stopped {took_s * 1e3:.0f} ms after: {said}; engaged anew"
+
+
+def fault(session: Session, driver: str) -> str:
+    """Have the first motor fail: refused until the operator resets it, then engaged anew."""
+    session.engage()
+    failed_s = time.monotonic()
+    session.model.order("fault")
+    said = session.ended_with(*FAULTS[driver])
+    took_s = session.stopped_after(failed_s)
+    session.refused_with(*FAULTS[driver], "has a fault")
+    require_still(session)
+    session.model.order("repair")
+    session.command("rig", "reset")
+    require_still(session)
+    session.engage()
+    return f"all stopped {took_s * 1e3:.0f} ms after: {said}; refused, reset, engaged anew"
+
+
+def require_still(session: Session) -> None:
+    """Fail if a motor moves by itself."""
+    moved = wait_for(lambda: any(session.model.order()["moving"]), STILL_S)
+    assert not moved, "a motor moves by itself"
+
+
+Job = Callable[[Session, str], str]
+JOBS: dict[str, Job] = {
     "calibrate": calibrate,
     "run": run,
     "e-stop": e_stop,
     "kill": kill,
     "kill all": kill_all,
+    "kill driver": kill_driver,
     "unplug": unplug,
     "fault": fault,
 }

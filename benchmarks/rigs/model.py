@@ -1,29 +1,42 @@
 """A model of a bus with its plant, in a process of its own.
 
-  python -m benchmarks.rigs.model DRIVER MOTORS PLANT       PLANT: tendons or springs
+  python -m benchmarks.rigs.model DRIVER MOTORS PLANT [ordinary]       PLANT: tendons or springs
 
 The first line that it prints is the buses of a config, as JSON. Orders on standard input: fault,
-unplug, state; each prints which motors follow, where they are, and when the last one was stopped
-(monotonic clock).
+repair, unplug, plug, state; each prints which motors follow, where they are, and when the last one
+was stopped (monotonic clock). `ordinary`: without real-time priority, for an emulated processor.
 """
 
+import gc
 import json
 import os
+import shutil
 import sys
 import tempfile
 import threading
 import time
 from pathlib import Path
 
+import can
 import numpy as np
 
+from benchmarks.rigs.bench import BUS
 from teleop.realtime import RealtimeConfig, go_realtime
+from tests.drivers.models import drives
 from tests.drivers.models.board import ENABLED, Board, compile_firmware
 from tests.drivers.models.drives import ENABLED as OPERATION
 from tests.drivers.models.drives import Drives, SlcanAdapter
 from tests.drivers.models.line import PseudoPort
 from tests.drivers.models.plant import Springs, Tendons
-from tests.drivers.models.servos import ERROR, Servos
+from tests.drivers.models.servos import ERROR, TORQUE, Servos
+
+EMULATED_ROUND_S = 0.002
+FOLDER = Path(tempfile.mkdtemp(prefix="rig-model-"))
+
+
+def port_link(name: str) -> Path:
+    """Return the name of a port, which stays when it is unplugged and plugged in again."""
+    return FOLDER / name
 
 
 class Followed:
@@ -40,16 +53,21 @@ class Followed:
 
 
 class Microcontroller:
-    def __init__(self, motors, plant, library) -> None:
-        self.models = [Board(library, motors, motors, plant, patience=1.0)]
+    def __init__(self, motors, plant) -> None:
+        self.models = [
+            Board(compile_firmware(FOLDER), motors, motors, plant, 1.0, port_link("motors"))
+        ]
         self.board = self.models[0]
         self.buses = {"motors": {"type": "microcontroller", "port": self.board.port.name}}
 
     def fault(self) -> None:
         self.board.fault = True
 
-    def unplug(self) -> None:
-        self.board.ended = True
+    def repair(self) -> None:
+        self.board.fault = False
+
+    def connect(self, plugged: bool) -> None:
+        self.board.port.wanted = plugged
 
     def moving(self) -> list[bool]:
         return [bool(self.board.flags & ENABLED)]
@@ -58,9 +76,9 @@ class Microcontroller:
 class Dynamixel:
     """Servos, and a microcontroller for the load cells alone."""
 
-    def __init__(self, motors, plant, library) -> None:
-        self.servos = Servos(range(1, motors + 1), plant, patience=1.0)
-        board = Board(library, 0, motors, Followed(plant), patience=1.0)
+    def __init__(self, motors, plant) -> None:
+        self.servos = Servos(range(1, motors + 1), plant, 1.0, port_link("motors"))
+        board = Board(compile_firmware(FOLDER), 0, motors, Followed(plant), 1.0, port_link("cells"))
         self.models = [self.servos, board]
         self.buses = {
             "motors": {"type": "dynamixel", "port": self.servos.port.name},
@@ -69,29 +87,32 @@ class Dynamixel:
 
     def fault(self) -> None:
         self.servos.servos[1].put(ERROR, 1, 32)
+        self.servos.servos[1].put(TORQUE, 1, 0)  # as the servo does by itself
 
-    def unplug(self) -> None:
-        self.servos.ended = True
+    def repair(self) -> None:
+        """Do nothing: the error is kept until a restart."""
+
+    def connect(self, plugged: bool) -> None:
+        self.servos.port.wanted = plugged
 
     def moving(self) -> list[bool]:
         return [servo.moving for servo in self.servos.servos.values()]
 
 
 class Cia402:
-    """Drives with their load cells, behind an slcan adapter or on UDP multicast."""
+    """Drives with their load cells, behind an slcan adapter, or on another bus of python-can."""
 
-    def __init__(self, motors, plant, _library) -> None:
+    def __init__(self, motors, plant) -> None:
         rate_hz = 500.0 if motors <= 7 else 400.0
-        channel = os.environ.get("CAN_MULTICAST")
-        if channel:
-            import can
-
-            bus = can.Bus(interface="udp_multicast", channel=channel, hop_limit=0)
-            described = {"interface": "udp_multicast", "channel": channel}
+        self.port = None
+        if BUS in os.environ:
+            interface, channel = os.environ[BUS].split(",")
+            described = {"interface": interface, "channel": channel}
+            bus = can.Bus(**described)
         else:
-            port = PseudoPort()
-            bus = SlcanAdapter(port)
-            described = {"interface": "slcan", "channel": port.name, "tty_wait": 0.0}
+            self.port = PseudoPort(port_link("motors"))
+            bus = SlcanAdapter(self.port)
+            described = {"interface": "slcan", "channel": self.port.name, "tty_wait": 0.0}
         self.drives = Drives(bus, range(1, motors + 1), plant, patience=1.0)
         self.models = [self.drives]
         self.buses = {"motors": {"type": "cia402", "bus": described, "rate_hz": rate_hz}}
@@ -99,9 +120,13 @@ class Cia402:
     def fault(self) -> None:
         self.drives.drives[0].fail(0x8611)
 
-    def unplug(self) -> None:
-        self.drives.unplug = True
-        self.drives.silent = True
+    def repair(self) -> None:
+        """Do nothing: a fault is kept until it is reset."""
+
+    def connect(self, plugged: bool) -> None:
+        if self.port is not None:
+            self.port.wanted = plugged
+        self.drives.silent = not plugged
 
     def moving(self) -> list[bool]:
         return [drive.state == OPERATION for drive in self.drives.drives]
@@ -132,17 +157,21 @@ class Off:
 MODELS = {"microcontroller": Microcontroller, "dynamixel": Dynamixel, "cia402": Cia402}
 
 
-def main(driver: str, count: str, kind: str) -> None:
+def main(driver: str, count: str, kind: str, *ordinary: str) -> None:
     motors = int(count)
     if kind == "springs":
         plant = Springs(motors)
     else:
         plant = Tendons(max(1, motors // 2), paired=motors > 1)
     plant.motors = motors
-    library = compile_firmware(Path(tempfile.mkdtemp()))
-    go_realtime(RealtimeConfig(priority=30, cores=()))
-    model = MODELS[driver](motors, plant, library)
+    model = MODELS[driver](motors, plant)
+    if ordinary:
+        drives.ROUND_S = EMULATED_ROUND_S
+    else:
+        go_realtime(RealtimeConfig(priority=30, cores=()))
     threads = [threading.Thread(target=one.serve, daemon=True) for one in model.models]
+    gc.collect()
+    gc.disable()  # a collection takes longer than a watchdog waits
     for thread in threads:
         thread.start()
     off = Off(model)
@@ -150,8 +179,10 @@ def main(driver: str, count: str, kind: str) -> None:
     print(json.dumps(model.buses), flush=True)
     for line in sys.stdin:
         order = line.strip()
-        if order in ("fault", "unplug"):
+        if order in ("fault", "repair"):
             getattr(model, order)()
+        elif order in ("unplug", "plug"):
+            model.connect(order == "plug")
         state = {
             "moving": model.moving(),
             "position": np.asarray(plant.position, float).tolist(),
@@ -163,4 +194,7 @@ def main(driver: str, count: str, kind: str) -> None:
 
 if __name__ == "__main__":
     sys.setswitchinterval(0.0005)
-    main(*sys.argv[1:])
+    try:
+        main(*sys.argv[1:])
+    finally:
+        shutil.rmtree(FOLDER, ignore_errors=True)

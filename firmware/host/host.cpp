@@ -51,7 +51,8 @@ void* host_open(uint8_t motors, uint8_t cells) { return new Host(motors, cells);
 
 void host_close(void* host) { delete static_cast<Host*>(host); }
 
-void host_receive(void* host, const uint8_t* data, size_t length) {
+void host_receive(void* host, uint32_t now_us, const uint8_t* data, size_t length) {
+  static_cast<Host*>(host)->board.now_us = now_us;
   for (size_t i = 0; i < length; ++i) static_cast<Host*>(host)->controller.receive(data[i]);
 }
 

@@ -11,6 +11,7 @@ constexpr uint8_t kMotors = 2, kCells = 2;
 constexpr uint16_t kRateHz = 1000;
 constexpr uint8_t kPwm[kMotors] = {22, 23}, kIn1[kMotors] = {14, 16}, kIn2[kMotors] = {15, 17};
 constexpr uint8_t kCs = 10, kDrdy = 9;
+constexpr uint32_t kReadyUs = 5000;  // in which the converter has calibrated itself
 constexpr float kGain = 0.004f, kDamping = 0.00008f;  // [1/count], [s/count] of the position loops
 constexpr float kMost = 0.5f;                         // of full power; begin low
 
@@ -28,7 +29,10 @@ class TeensyBoard : public Board {
   int32_t cell(uint8_t cell) override { return cells_[cell]; }
   bool motor_fault() override { return false; }  // read the bridge's fault pin here, if it has one
   bool cell_fault() override { return ::micros() - converted_us_ > 20000; }
-  void send(const uint8_t* data, size_t length) override { Serial.write(data, length); }
+  // A computer that does not read must not hold up the watchdog: `write` waits 120 ms for room.
+  void send(const uint8_t* data, size_t length) override {
+    if (Serial.availableForWrite() >= static_cast<int>(length)) Serial.write(data, length);
+  }
 
   void enable(uint8_t motor, bool on) override {
     enabled_[motor] = on;
@@ -47,9 +51,10 @@ class TeensyBoard : public Board {
     }
     pinMode(kCs, OUTPUT);
     digitalWrite(kCs, HIGH);
-    pinMode(kDrdy, INPUT);
+    pinMode(kDrdy, INPUT_PULLUP);  // without a converter it is never ready
     SPI.begin();
-    write_register(0, 0x02);  // STATUS: automatic calibration
+    command(0xFE);            // RESET, after which it calibrates itself
+    write_register(0, 0x06);  // STATUS: calibrates itself at each change below; input buffer on
     write_register(2, 0x06);  // ADCON: gain 64
     write_register(3, 0xF0);  // DRATE: 30 kSPS; 4374 a second when the input changes each time
     for (uint8_t i = 0; i < kCells; ++i) cells_[i] = kMissing;
@@ -58,7 +63,7 @@ class TeensyBoard : public Board {
   // Reads a finished conversion and starts that of the next cell; true once all have been read.
   bool convert() {
     if (digitalReadFast(kDrdy)) return false;
-    const uint8_t next = (cell_ + 1) % kCells;
+    const uint8_t next = static_cast<uint8_t>((cell_ + 1) % kCells);
     SPI.beginTransaction(kSpi);
     digitalWriteFast(kCs, LOW);
     SPI.transfer(0x51);  // WREG MUX
@@ -68,6 +73,7 @@ class TeensyBoard : public Board {
     SPI.transfer(0xFC);  // SYNC
     delayMicroseconds(4);
     SPI.transfer(0xFF);  // WAKEUP
+    delayMicroseconds(1);
     SPI.transfer(0x01);  // RDATA of the conversion before
     delayMicroseconds(7);
     uint32_t raw = 0;
@@ -97,7 +103,17 @@ class TeensyBoard : public Board {
     digitalWriteFast(kIn2[motor], power < 0.0f);
     analogWrite(kPwm[motor], static_cast<int>(255.0f * (power < 0.0f ? -power : power)));
   }
+  void command(uint8_t code) {
+    wait_ready();
+    SPI.beginTransaction(kSpi);
+    digitalWriteFast(kCs, LOW);
+    SPI.transfer(code);
+    delayMicroseconds(5);
+    digitalWriteFast(kCs, HIGH);
+    SPI.endTransaction();
+  }
   void write_register(uint8_t number, uint8_t value) {
+    wait_ready();
     SPI.beginTransaction(kSpi);
     digitalWriteFast(kCs, LOW);
     SPI.transfer(static_cast<uint8_t>(0x50 | number));
@@ -106,6 +122,13 @@ class TeensyBoard : public Board {
     delayMicroseconds(5);
     digitalWriteFast(kCs, HIGH);
     SPI.endTransaction();
+  }
+
+  // While it calibrates itself, the converter takes no command; none is waited for longer than that.
+  void wait_ready() {
+    const uint32_t since_us = ::micros();
+    while (digitalReadFast(kDrdy) && ::micros() - since_us < kReadyUs) {
+    }
   }
 
   bool enabled_[kMotors] = {};

@@ -24,7 +24,7 @@ from slave.drivers.configs import DriverConfig
 from slave.drivers.driver import DriverFault
 from slave.rig import Rig, RigFault
 from slave.rigs import open_rig
-from slave.rigs.hardware import HardwareRigConfig
+from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from teleop.clock import Grid, Tick, now_ns
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
@@ -92,7 +92,7 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
         start_ns, ticks = now_ns(), iter(Grid(shared.rate_hz, lambda: False))
         try:
             rest = measure_at_rest(rig, ticks, start_ns, args.duration)
-            print("\n".join([*format_at_rest(rest), *_format_summary(rig)]))
+            print("\n".join([*format_at_rest(rest), *format_counts(rig), *_format_summary(rig)]))
             if args.read_only:
                 return 0
             if not np.all(np.isfinite([rest.displacement, rest.tension])):
@@ -155,6 +155,17 @@ def interfaces() -> list[str]:
 
 def _motors_on(rig: HardwareRigConfig, bus: DriverConfig) -> tuple[int, ...]:
     return rig.motor_ids if bus is rig.motors else ()
+
+
+def format_counts(rig: Rig) -> list[str]:
+    """Return what the buses of a hardware rig gave last, for `zero`, `offset` and `scale`."""
+    if not isinstance(rig, HardwareRig) or rig.counts is None:
+        return []
+    positions, cells = (values.tolist() for values in rig.counts)
+    return [
+        f"tendon {k}: motor at {position:.0f}, cell at {cell:.6g} counts"
+        for k, (position, cell) in enumerate(zip(positions, cells, strict=True), 1)
+    ]
 
 
 def _format_summary(rig: Rig) -> list[str]:

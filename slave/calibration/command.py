@@ -23,13 +23,14 @@ from slave.calibration import file
 from slave.calibration.file import Calibration, Direction, Value
 from slave.calibration.initialise import InitialiseResult, initialise
 from slave.calibration.refusals import tendon_name
-from slave.calibration.run import ProcedureData, Progress, fast_ticks
+from slave.calibration.run import ProcedureData, Progress, fast_ticks, warm_up
 from slave.config import SlaveConfig
 from slave.rig import Rig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from teleop.clock import Grid, Tick, now_ns
+from teleop.compile_cache import announced
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.options import add_option, add_options
@@ -38,6 +39,7 @@ from teleop.process import Stop
 from teleop.realtime import go_realtime
 from teleop.run_config import RunConfig
 
+COMPILE_S = 10.0  # [s] of a processor, without a cache
 BAR = 24  # characters
 SHOWN_EVERY_S = 0.1  # [s] of the rig's time
 NOTED_EVERY_S = 10.0  # [s] likewise, if the output is not a terminal
@@ -87,6 +89,8 @@ def main(args: argparse.Namespace) -> int:
     stop = Stop()
     is_real = not isinstance(config.rig, SimulatedRigConfig)
     if is_real:
+        with announced("the calibration", COMPILE_S):
+            warm_up()  # else it would compile while the motors wait for targets
         go_realtime(shared.realtime)  # before the rig: its processes inherit the priority
     with ExitStack() as stack:
         rig = open_rig(config.rig)

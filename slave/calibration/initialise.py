@@ -11,6 +11,7 @@ from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
 from teleop.clock import Tick
 from teleop.errors import UsageError
+from teleop.realtime import ordinary_scheduling
 
 
 class InitialiseResult(NamedTuple):
@@ -67,7 +68,8 @@ def initialise(
     limits = Limits(procedure, config.gate)
     driven = drive(rig, limits, ticks, start_ns, chosen, together, stopped, progress)
     ranges = earlier.ranges if earlier is not None and fits(earlier, rig) is None else ()
-    results = analyse(driven.record, procedure, ranges)
+    with ordinary_scheduling():  # it computes for seconds, while the motors hold
+        results = analyse(driven.record, procedure, ranges)
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")
     calibration = assemble_calibration(results, rig, method, now, earlier if in_part else None)

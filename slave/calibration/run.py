@@ -6,7 +6,7 @@ unless the rig failed, the tensions are low and the motors hold.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from teleop.process import INTERRUPTED
 
 Codes = NDArray[np.int64]
 
+WARM_UP_HZ, WARM_UP_TICKS = 500.0, 20
 SILENCE_MAX_S = 0.5  # [s] without a usable sample
 UNREADABLE = (
     "no tension and travel of every tendon for 0.5 s: check that every tendon has a load cell "
@@ -307,6 +308,34 @@ class _Drive:
             self._no_reach, False, False, passed,
         )  # fmt: skip
         return passed, GateFlags(verdict)
+
+
+class _StillRig:
+    """A joint of one tendon at rest, on which nothing moves."""
+
+    name = "still"
+    tendons = 1
+    joints: tuple[tuple[int, ...], ...] = ((0,),)
+    starts_at_zero = True
+
+    def read(self, time_s: float) -> tuple[RigSample, ...]:
+        return (RigSample(time_s, np.ones(1), np.zeros(1)),)
+
+    def write(self, proximal_displacement: Array) -> None: ...
+
+    def advance(self) -> None: ...
+
+    def summary(self) -> dict[str, int | float | str]:
+        return {}
+
+    def close(self) -> None: ...
+
+
+def warm_up() -> None:
+    """Compile what a tick of the procedure calls, before it has to be on time."""
+    driven = _Drive(_StillRig(), Limits(InitialiseConfig(), GateConfig()), (0,), together=False)
+    for tick in islice(fast_ticks(WARM_UP_HZ), WARM_UP_TICKS):
+        driven.tick(tick.stamp_ns * 1e-9, tick.dt, "")
 
 
 def fast_ticks(rate_hz: float) -> Iterator[Tick]:

@@ -7,6 +7,7 @@ long as it runs, seconds in the analysis of a calibration, and the motors' watch
 """
 
 import contextlib
+import math
 import signal
 import socket
 import sys
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 from slave.drivers import packets
 from slave.drivers.configs import DriverConfig, open_driver
 from slave.drivers.driver import Channels, Counts, Driver, DriverFault, Reading
+from teleop.clock import quiet_garbage
 from teleop.config import load
 from teleop.errors import TeleopError
 
@@ -44,7 +46,9 @@ def main(words: Sequence[str]) -> int:
     try:
         texts = [f"driver={driver}", f"motors={motors}", f"cells={cells}"]
         config = load(None, WorkerConfig, None, texts)
-        serve(open_driver(config.driver, Channels(config.motors, config.cells)), end)
+        opened = open_driver(config.driver, Channels(config.motors, config.cells))
+        with quiet_garbage():  # a collection takes longer than a cycle
+            serve(opened, end)
     except (DriverFault, TeleopError) as error:
         _send(end, packets.pack_fault(str(error)))
         return 1
@@ -100,15 +104,19 @@ def _run(driver: Driver, end: socket.socket) -> None:
                 counts_s = time.monotonic() + COUNTS_S
                 end.send(packets.pack_counts(driver.counts()))
         if driver.period_s:
-            due_s = _wait(due_s, driver.period_s)
+            now = time.monotonic()
+            due_s = next_due(due_s, now, driver.period_s)
+            time.sleep(max(0.0, due_s - now))
 
 
-def _wait(due_s: float, period_s: float) -> float:
-    """Wait for the next point of an absolute grid; whole periods are skipped if late."""
-    now = time.monotonic()
-    due_s += period_s * max(1, -int((due_s - now) // period_s))
-    time.sleep(max(0.0, due_s - now))
-    return due_s
+def next_due(due_s: float, now_s: float, period_s: float) -> float:
+    """Return when the next cycle is due, on an absolute grid.
+
+    A cycle that took a little longer than its period is followed at once by the next one; of those
+    that are missed altogether only the last is due.
+    """
+    next_s = due_s + period_s
+    return next_s + period_s * max(0, math.floor((now_s - next_s) / period_s))
 
 
 def _send(end: socket.socket, packet: bytes) -> None:

@@ -180,6 +180,7 @@ class HardwareRig:
         self._aligner = Aligner() if config.cells is not None else None
         self._buses: list[Connection] = []
         self._position: Array | None = None  # [m] newest
+        self._counts: tuple[Counts, Counts] | None = None  # newest, of motors and cells
         self._moving = False  # whether the motors are enabled
         self._late = self._samples = 0
         self._start_s = time.monotonic()
@@ -205,7 +206,7 @@ class HardwareRig:
             displacement = self._transmission.displacement(position)
             tension = self._transmission.tension(cell)
             samples.append(RigSample(sampled_s - self._start_s, tension, displacement))
-            self._position = displacement
+            self._position, self._counts = displacement, (position, cell)
         self._samples += len(samples)
         return tuple(samples)
 
@@ -247,6 +248,11 @@ class HardwareRig:
         """Let the drivers stop their motors and release their buses."""
         for bus in self._buses:
             bus.close()
+
+    @property
+    def counts(self) -> tuple[Counts, Counts] | None:
+        """Newest positions and cell readings [counts], as they came from the buses."""
+        return self._counts
 
     @property
     def buses(self) -> tuple[Connection, ...]:

@@ -6,6 +6,7 @@ import signal
 import numpy as np
 import pytest
 
+from slave.drivers import configs
 from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load, frame_bits
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
@@ -29,10 +30,13 @@ def drives():
     drives.bus.shutdown()
 
 
-def opened_on(drives, count=2, **settings):
+def config_on(drives, **settings):
     bus = BusConfig(interface="slcan", channel=drives.port_name, tty_wait=0.0)
-    config = Cia402Config(bus=bus, rate_hz=50.0, timeout=0.5, **settings)
-    return opened(rig_config(config, count=count))
+    return Cia402Config(bus=bus, rate_hz=50.0, timeout=0.5, **settings)
+
+
+def opened_on(drives, count=2, **settings):
+    return opened(rig_config(config_on(drives, **settings), count=count))
 
 
 def moving(drives):
@@ -112,6 +116,27 @@ def test_limits_and_watchdog_are_in_the_drive(drives):
         assert od.read(0x60C2, 1) == 20
 
 
+def test_a_drive_may_be_guarded_in_place_of_hearing_our_heartbeat(drives):
+    with opened_on(drives, error_control="guarding") as rig:
+        engage(rig, moving(drives))
+        for drive in drives.drives:
+            assert drive.patience_s == pytest.approx(0.040)
+            assert (drive.od.read(0x1016, 1), drive.od.read(0x1017, 0)) == (0, 0)
+    drives.drives[1].guards = False
+    with (
+        opened_on(drives, error_control="guarding") as rig,
+        pytest.raises(RigFault, match="drive 2 does not answer node guarding"),
+    ):
+        read_for(rig, 5.0)
+
+
+def test_guarding_takes_its_share_of_the_bus():
+    rates = {"rate_hz": 500.0, "bus": BusConfig(channel="none")}
+    Cia402Config(**rates).require_load(7, 7, 7)
+    with pytest.raises(ValueError, match="the bus would be"):
+        Cia402Config(**rates, error_control="guarding").require_load(7, 7, 7)
+
+
 @pytest.mark.slow
 def test_a_value_that_the_drive_changes_is_refused(drives):
     od = drives.drives[1].od
@@ -123,8 +148,11 @@ def test_a_value_that_the_drive_changes_is_refused(drives):
         pass
 
 
-def test_a_killed_driver_leaves_the_drives_to_their_heartbeat_consumer(drives):
-    with opened_on(drives) as rig:
+@pytest.mark.parametrize(
+    "error_control", ["heartbeat", pytest.param("guarding", marks=pytest.mark.slow)]
+)
+def test_a_killed_driver_leaves_the_drives_to_their_watchdog(drives, error_control):
+    with opened_on(drives, error_control=error_control) as rig:
         engage(rig, moving(drives))
         os.kill(rig.buses[0].pid, signal.SIGKILL)
         assert wait_until(lambda: all(drive.state == QUICK_STOP for drive in drives.drives))
@@ -151,6 +179,10 @@ def test_a_fault_is_named_and_stays_until_the_operator_resets_it(drives):
     with pytest.raises(RigFault, match=r"drive 2 has a fault.*teleop rig reset"), opened_on(drives):
         pass
     assert drives.drives[1].state == FAULT
+    assert configs.reset(config_on(drives), (2,)) == ["drive 2: switch on disabled"]
+    with opened_on(drives) as rig:
+        read_some(rig, 1)
+        assert drives.drives[1].state == DISABLED
 
 
 def test_a_motor_that_does_not_follow_is_stopped_by_its_drive(drives):

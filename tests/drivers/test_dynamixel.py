@@ -6,6 +6,7 @@ import signal
 import numpy as np
 import pytest
 
+from slave.drivers import configs
 from slave.drivers.dynamixel import registers
 from slave.drivers.dynamixel.registers import CURRENT_UNIT
 from slave.rig import RigFault
@@ -20,7 +21,7 @@ from tests.drivers.bench import (
     wait_until,
 )
 from tests.drivers.models.plant import NEWTONS
-from tests.drivers.models.servos import ERROR, GOAL, WATCHDOG, Servos
+from tests.drivers.models.servos import ERROR, GOAL, WATCHDOG, Servos, positions
 
 SCALE = NEWTONS / CURRENT_UNIT  # [N/A] of the servos' currents
 
@@ -93,6 +94,16 @@ def test_a_killed_driver_leaves_the_servos_to_their_watchdogs(servos):
         assert [servo.get(GOAL, 4, signed=True) for servo in servos.servos.values()] == goals
 
 
+def test_servos_are_stopped_where_they_are_when_the_slave_ends(servos):
+    with opened_on(servos) as rig:
+        start = engage(rig, moving(servos))
+        servos.plant.LAG_S = 1e6  # they do not come nearer to their goals
+        read_for(rig, 0.2, start + 0.001)
+    goals = [servo.get(GOAL, 4, signed=True) for servo in servos.servos.values()]
+    assert goals == pytest.approx(positions(servos), abs=3)
+    assert wait_until(lambda: all(s.table[WATCHDOG] == 255 for s in servos.servos.values()))
+
+
 def test_an_emergency_stop_is_torque_off_until_the_next_target(servos):
     with opened_on(servos) as rig:
         start = engage(rig, moving(servos))
@@ -158,6 +169,10 @@ def test_a_servo_that_is_not_there_or_has_a_fault_is_refused(servos):
     servos.servos[1].put(ERROR, 1, 32)
     with pytest.raises(RigFault, match=r"servo 1 .*overload; remove the cause"), opened_on(servos):
         pass
+    assert configs.reset(dynamixel(servos.port.name), (1,)) == ["servo 1: restarted"]
+    with opened_on(servos) as rig:
+        read_some(rig, 1)
+        assert torque(servos) == [False, False]
 
 
 def test_an_unplugged_adapter_is_named(servos):

@@ -1,12 +1,14 @@
 """A rig on the firmware's own protocol code, over a pty: what moves, what stops, what is said."""
 
 import os
+import re
 import signal
 import time
 
 import numpy as np
 import pytest
 
+from slave.bring_up import command
 from slave.rig import RigFault
 from tests.drivers.bench import (
     engage,
@@ -25,6 +27,7 @@ from tests.drivers.models.board import (
     Board,
     compile_firmware,
 )
+from tests.drivers.models.plant import METRES, NEWTONS, ZERO
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +59,10 @@ def test_samples_come_once_and_in_order_and_motors_follow(board):
         start = engage(rig, moving(board))
         sample = follow(rig, start + 0.001)
         assert sample.proximal_tension == pytest.approx([3.0, 3.0], abs=0.3)
+        told = command.format_counts(rig)
+        motor, cell = (float(word) for word in re.findall(r"at (\d+)", told[1]))
+        assert motor == pytest.approx(ZERO + 0.001 / METRES, abs=3.0)
+        assert cell * NEWTONS == pytest.approx(3.0, abs=0.3)
         times = [sample.time_s for sample in read_some(rig, 50)]
         assert np.all(np.diff(times) > 0.0)
 

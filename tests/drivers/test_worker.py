@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+import pytest
 
 from slave.drivers import packets, worker
 
@@ -47,3 +48,11 @@ def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch):
             told.append(packet)
     assert told[-1][:1] == packets.FAULT
     assert b"the slave has given no target" in told[-1]
+
+
+@pytest.mark.parametrize(
+    ("now_s", "due_s"),
+    [(10.0, 11.0), (10.9, 11.0), (11.2, 11.0), (12.2, 12.0), (19.7, 19.0)],
+)
+def test_a_cycle_that_is_late_is_followed_at_once_and_none_is_made_up_for(now_s, due_s):
+    assert worker.next_due(10.0, now_s, 1.0) == due_s

@@ -1,7 +1,7 @@
 """Share of a CAN bus that cyclic PDOs take."""
 
 LOAD_MAX = 0.95
-_HEARTBEATS_HZ = 110.0  # ours, every 10 ms, and one a node every 100 ms
+HEARTBEATS_HZ = 110.0  # ours, every 10 ms, and one a node every 100 ms
 
 
 def frame_bits(data: int) -> int:
@@ -15,7 +15,13 @@ def frame_bits(data: int) -> int:
 
 
 def bus_load(
-    bitrate: float, rate_hz: float, drives: int, cells: int, together: int, wide: bool
+    bitrate: float,
+    rate_hz: float,
+    drives: int,
+    cells: int,
+    together: int,
+    wide: bool,
+    beats_hz: float = HEARTBEATS_HZ,
 ) -> float:
     """Return the share of the bus in use in the worst case.
 
@@ -33,10 +39,12 @@ def bus_load(
         Nodes with a motor, with a cell, and with both.
     wide : bool
         Whether a cell's value has 32 bits.
+    beats_hz : float
+        Frames a second of NMT error control: heartbeats, or node guarding.
     """
     width = 4 if wide else 2
     shared = 0 if wide else together
     cycle = frame_bits(0) + drives * frame_bits(6)
     cycle += (drives - shared) * frame_bits(6) + shared * frame_bits(6 + width)
     cycle += (cells - shared) * frame_bits(width)
-    return (cycle * rate_hz + _HEARTBEATS_HZ * frame_bits(1)) / bitrate
+    return (cycle * rate_hz + beats_hz * frame_bits(1)) / bitrate

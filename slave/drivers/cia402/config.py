@@ -3,7 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load
+from slave.drivers.cia402.bus_load import HEARTBEATS_HZ, LOAD_MAX, bus_load
+
+BEATS = 4  # heartbeats, or requests to a guarded drive, in the time of its watchdog
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,9 @@ class Cia402Config:
     rate_hz: float = 500.0  # of SYNC
     mode: Literal["position", "interpolation"] = "position"  # cyclic synchronous, or interpolated
     master: int = 127  # node number of this side's heartbeat
-    watchdog: float = 0.040  # [s] without our heartbeat a drive stops
+    watchdog: float = 0.040  # [s] without our heartbeat, or without being guarded, a drive stops
+    # what the drives watch: our heartbeat, or being guarded, for those that consume no heartbeat
+    error_control: Literal["heartbeat", "guarding"] = "heartbeat"
     timeout: float = 0.050  # [s] without a PDO a node counts as silent
     homed_bit: int | None = 15  # of the status word: position referenced; None: absolute encoder
     following_error: int = 2000  # [counts] beyond which the drive stops by itself
@@ -88,6 +92,11 @@ class Cia402Config:
         if self.following_error < 1:
             raise ValueError("following_error: must be at least 1 count")
 
+    @property
+    def beat_s(self) -> float:
+        """Time [s] between two heartbeats, or two requests to a guarded drive."""
+        return self.watchdog / BEATS
+
     def require_load(self, drives: int, cells: int, together: int) -> float:
         """Return the share of the bus in use; raises `ValueError` if it cannot fit.
 
@@ -97,7 +106,9 @@ class Cia402Config:
             Nodes with a motor, with a cell, and with both.
         """
         wide = self.analogue.bits == 32
-        load = bus_load(self.bus.bitrate, self.rate_hz, drives, cells, together, wide)
+        guarded = self.error_control == "guarding"
+        beats_hz = 2.0 * drives / self.beat_s if guarded else HEARTBEATS_HZ  # request and answer
+        load = bus_load(self.bus.bitrate, self.rate_hz, drives, cells, together, wide, beats_hz)
         if load > LOAD_MAX:
             raise ValueError(
                 f"the bus would be {load:.0%} full at {self.rate_hz:g} Hz, {LOAD_MAX:.0%} at most: "

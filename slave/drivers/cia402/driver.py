@@ -10,6 +10,7 @@ import can
 import canopen
 import numpy as np
 
+from slave.drivers.cia402.buffered_port import BufferedPort
 from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
 from slave.drivers.cia402.set_up import NodeSetUp
@@ -28,6 +29,7 @@ OPERATIONAL, BOOT_UP = 5, 0  # NMT states in a heartbeat
 ENABLE_S = 2.0  # [s] in which a drive must be enabled, its brake released
 EMERGENCY_S = 0.02  # [s] to wait for the reason of a fault
 STOPS = 3  # quick stops sent at the end
+TOGGLE = 0x80  # bit of a guarded node's answer, which changes from one to the next
 BUS_OFF = 0x40  # class of an error frame
 LIMIT = (1 << 31) - 1  # [counts]
 _COMMAND, _STATUS = struct.Struct("<Hi"), struct.Struct("<Hi")
@@ -41,7 +43,8 @@ class _Node:
         self.status = 0
         self.position = self.cell = math.nan
         self.answered = False  # in this cycle
-        self.heard_s = math.inf
+        self.heard_s = self.guarded_s = math.inf
+        self.toggle = 0  # of the next answer to guarding
         self.emergency = ""
         self.restarted = False
 
@@ -65,6 +68,7 @@ class Cia402Driver:
         self._cycles = self._lost = 0
         self._load = 0.0
         self._began_s = self._sync_s = 0.0
+        self._guards = config.error_control == "guarding"
         self._cell = struct.Struct("<h" if config.analogue.bits == 16 else "<i")
 
     def start(self) -> None:
@@ -93,7 +97,7 @@ class Cia402Driver:
         now = time.monotonic()
         self._beat(now)
         for node in self._nodes.values():
-            node.heard_s = now
+            node.heard_s = node.guarded_s = now
             self._send(0, bytes([1, node.number]))  # operational
         self._began_s = now
 
@@ -201,6 +205,9 @@ class Cia402Driver:
         elif kind == HEARTBEAT and data[:1] == bytes([BOOT_UP]):
             node.restarted = True
             return
+        elif kind == HEARTBEAT and data and data[0] & TOGGLE == node.toggle:
+            node.guarded_s, node.toggle = time.monotonic(), node.toggle ^ TOGGLE
+            return
         else:
             return
         node.heard_s = time.monotonic()
@@ -220,6 +227,11 @@ class Cia402Driver:
                 )
             if not node.moves:
                 continue
+            if self._guards and now - node.guarded_s > self._config.timeout:
+                raise DriverFault(
+                    f"drive {node.number} does not answer node guarding: if it has none, set "
+                    "error_control to heartbeat"
+                )
             state = node.state
             if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
                 raise DriverFault(f"drive {node.number}: {self._reason(node)}")
@@ -247,15 +259,27 @@ class Cia402Driver:
         return f"fault: {node.emergency or 'reason unknown'}"
 
     def _beat(self, now: float) -> None:
-        """Send our heartbeat, a quarter of the watchdog before the next one."""
-        self._beat_s = now + 0.25 * self._config.watchdog
-        self._send(HEARTBEAT + self._config.master, bytes([OPERATIONAL]))
+        """Send our heartbeat, or ask each guarded drive for its state."""
+        self._beat_s = now + self._config.beat_s
+        if self._guards:
+            for number in self._channels.motors:
+                self._send(HEARTBEAT + number, None)
+        else:
+            self._send(HEARTBEAT + self._config.master, bytes([OPERATIONAL]))
 
-    def _send(self, identifier: int, data: bytes) -> None:
+    def _send(self, identifier: int, data: bytes | None) -> None:
+        """Send a message; without data a remote frame, which asks for one byte."""
         if self._bus is None:
             return
+        message = can.Message(
+            arbitration_id=identifier,
+            data=data,
+            dlc=1 if data is None else len(data),
+            is_remote_frame=data is None,
+            is_extended_id=False,
+        )
         try:
-            self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+            self._bus.send(message)
         except (can.CanError, OSError) as error:
             raise self._bus_fault(error) from error
 
@@ -276,8 +300,11 @@ class Cia402Driver:
 def open_bus(config: Cia402Config) -> can.BusABC:
     """Open the CAN bus of a config; `DriverFault` if it cannot be."""
     try:
-        return can.Bus(**config.bus.arguments())
+        bus = can.Bus(**config.bus.arguments())
     except (can.CanError, OSError, ValueError) as error:
         raise DriverFault(
             f"CAN {config.bus.channel}: cannot be opened as {config.bus.interface}: {error}"
         ) from error
+    if config.bus.interface == "slcan":
+        bus.serialPortOrig = BufferedPort(bus.serialPortOrig)  # type: ignore[attr-defined]
+    return bus

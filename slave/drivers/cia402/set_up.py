@@ -6,7 +6,7 @@ import struct
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
-from slave.drivers.cia402.config import Cia402Config
+from slave.drivers.cia402.config import BEATS, Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
 from slave.drivers.cia402.state_machine import Control, DriveState, drive_state
 from slave.drivers.driver import DriverFault
@@ -54,7 +54,7 @@ class NodeSetUp:
         self.put(0x6007, 0, 2, QUICK_STOP_ON_LOSS)
         self.put(0x60C2, 1, 1, round(1e3 / config.rate_hz))
         self.put(0x60C2, 2, 1, -3)
-        self._heartbeats(consumed=True)
+        self._error_control()
         target = (0x60C1, 1, 32) if config.mode == "interpolation" else (0x607A, 0, 32)
         self._map(0x1400, 0x200, [(0x6040, 0, 16), target])
         cell = self._cell()
@@ -65,7 +65,7 @@ class NodeSetUp:
 
     def cell(self) -> None:
         """Set up a node that has a load cell and no motor in use."""
-        self._heartbeats(consumed=False)
+        self.put(0x1017, 0, 2, HEARTBEAT_MS)
         self._map(0x1800, 0x180, [])
         self._map(0x1801, 0x280, [self._cell()])
 
@@ -122,11 +122,16 @@ class NodeSetUp:
                 "homed_bit to null if its encoder is absolute"
             )
 
-    def _heartbeats(self, consumed: bool) -> None:
-        self.put(0x1017, 0, 2, HEARTBEAT_MS)
-        if consumed:
-            milliseconds = round(self._config.watchdog * 1e3)
-            self.put(0x1016, 1, 4, self._config.master << 16 | milliseconds)
+    def _error_control(self) -> None:
+        """Set up how the drive notices that this side is gone."""
+        config = self._config
+        if config.error_control == "guarding":
+            self.put(0x1017, 0, 2, 0)  # a node that sends heartbeats cannot be guarded
+            self.put(0x100C, 0, 2, int(config.beat_s * 1e3))
+            self.put(0x100D, 0, 1, BEATS)
+        else:
+            self.put(0x1017, 0, 2, HEARTBEAT_MS)
+            self.put(0x1016, 1, 4, config.master << 16 | round(config.watchdog * 1e3))
 
     def _cell(self) -> tuple[int, int, int]:
         analogue = self._config.analogue

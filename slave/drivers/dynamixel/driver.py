@@ -45,6 +45,7 @@ class DynamixelDriver:
         self._cell_rows = [self._ids.index(number) for number in channels.cells]
         self._watchdog = round(config.watchdog / WATCHDOG_UNIT)
         self._enabled = False
+        self._positions: list[int] = []  # of the motors, read last
         self._wanted_s = math.inf
         self._cycles = self._lost = 0
         self._began_s = self._heard_s = 0.0
@@ -81,10 +82,15 @@ class DynamixelDriver:
         }
 
     def close(self) -> None:
-        """Send nothing more: their watchdogs stop the servos where they are, and torque holds."""
-        if self._port.ser is not None:
-            with contextlib.suppress(serial.SerialException, OSError):
-                self._port.closePort()
+        """Stop the servos where they are, by their goals and then their watchdogs; torque holds."""
+        if self._port.ser is None:
+            return
+        with contextlib.suppress(serial.SerialException, termios.error, OSError):
+            if self._enabled:
+                self._send(registers.GOAL_POSITION, self._positions)
+                self._send(registers.BUS_WATCHDOG, [1] * len(self._positions))
+        with contextlib.suppress(serial.SerialException, OSError):
+            self._port.closePort()
 
     def _call(self, action: Callable[[], Result]) -> Result:
         """Call with the errors of an unplugged adapter as a `DriverFault`."""
@@ -154,6 +160,7 @@ class DynamixelDriver:
         status = registers.parse_status(b"".join(bytes(self._read.data_dict[k]) for k in self._ids))
         self._check(status)
         motors = status[self._motor_rows]
+        self._positions = motors["position"].tolist()
         if target is None:
             self._disable(motors)
         elif not self._enabled:

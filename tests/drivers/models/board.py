@@ -37,18 +37,23 @@ class Firmware:
         self._lib.host_sent.restype = ctypes.c_size_t
         self._host = ctypes.c_void_p(self._lib.host_open(motors, cells))
         self.motors, self.cells = motors, cells
+        self._now_us = 0
         self._targets = (ctypes.c_int32 * motors)()
         self._on = (ctypes.c_uint8 * motors)()
         self._out = (ctypes.c_uint8 * 4096)()
 
-    def receive(self, data: bytes) -> None:
-        self._lib.host_receive(self._host, data, ctypes.c_size_t(len(data)))
+    def receive(self, data: bytes, now_us: int | None = None) -> None:
+        """Take bytes at a time of the watchdog's clock, that of the last step if none is given."""
+        self._now_us = self._now_us if now_us is None else now_us & 0xFFFFFFFF
+        now = ctypes.c_uint32(self._now_us)
+        self._lib.host_receive(self._host, now, data, ctypes.c_size_t(len(data)))
 
     def step(
         self, now_us: int, sampled: bool, positions, cells, fault=False, watchdog_us=None
     ) -> None:
         """Run the sketch's loop once; `watchdog_us` is another clock for the watchdog."""
         watchdog_us = now_us if watchdog_us is None else watchdog_us
+        self._now_us = watchdog_us & 0xFFFFFFFF
         self._lib.host_step(
             self._host,
             ctypes.c_uint32(watchdog_us & 0xFFFFFFFF),
@@ -87,10 +92,16 @@ class Board:
     RATE_HZ = 1000.0
 
     def __init__(
-        self, library: Path, motors: int = 1, cells: int = 1, plant=None, patience: float = 10.0
+        self,
+        library: Path,
+        motors: int = 1,
+        cells: int = 1,
+        plant=None,
+        patience: float = 10.0,
+        link: Path | None = None,
     ) -> None:
         self._patience = patience
-        self.port = PseudoPort()
+        self.port = PseudoPort(link)
         self.firmware = Firmware(library, motors, cells)
         self.plant = plant or Springs(max(motors, cells))
         self.flip, self.silent, self.fault, self.ended = 0, False, False, False
@@ -100,14 +111,15 @@ class Board:
     def serve(self) -> None:
         due_s = time.monotonic()
         while not self.ended:
-            self.firmware.receive(self.port.read(max(0.0, min(0.001, due_s - time.monotonic()))))
+            data = self.port.read(max(0.0, min(0.001, due_s - time.monotonic())))
             now = time.monotonic()
+            now_us = (now - self._start_s) * 1e6
+            self.firmware.receive(data, round(now_us / self._patience))
             sampled = now >= due_s
             if sampled:
                 due_s = max(due_s + 1.0 / self.RATE_HZ, now - 0.01)
                 self._advance(now)
             motors, cells = self.firmware.motors, self.firmware.cells
-            now_us = (now - self._start_s) * 1e6
             self.firmware.step(
                 round(now_us),
                 sampled,

@@ -53,11 +53,15 @@ class Drive:
         self.homed = HOMED
         self.obeys = True  # whether the motor follows
         self.beat_s = 0.0
+        self.guards = True  # whether it answers node guarding
+        self._toggle, self._guarded = 0, False
         self.stopped_s = 0.0
         self._off_s = 0.0
         od = self.node.object_dictionary
         self.od = od
         for index, kind, access, value in (
+            (0x100C, Kind.UNSIGNED16, "rw", 0),
+            (0x100D, Kind.UNSIGNED8, "rw", 0),
             (0x603F, Kind.UNSIGNED16, "ro", 0),
             (0x6007, Kind.INTEGER16, "rw", 1),
             (0x6040, Kind.UNSIGNED16, "rw", 0),
@@ -103,6 +107,21 @@ class Drive:
         self._enter(FAULT)
         self.node.emcy.set(code, 1)
 
+    def guarded(self, identifier: int, now: float) -> None:
+        """Answer a remote frame of node guarding; the first one begins the life time."""
+        if identifier != 0x700 + self.number or not self.guards:
+            return
+        self.beat_s, self._guarded = now, True
+        self.network.send(identifier, bytes([self._toggle | self.node.nmt.state]))
+        self._toggle ^= 0x80
+
+    @property
+    def patience_s(self) -> float:
+        """Time [s] without heartbeat or guarding after which it stops; 0: none."""
+        if self._guarded:
+            return self.od.read(0x100C, 0) * self.od.read(0x100D, 0) * 1e-3
+        return (self.od.read(0x1016, 1) & 0xFFFF) * 1e-3
+
     def hear(self, identifier: int, data: bytes, now: float) -> None:
         """Take a message of the bus."""
         consumed = self.od.read(0x1016, 1)
@@ -116,7 +135,7 @@ class Drive:
         """Take the plant's values, and watch heartbeat and following error."""
         self.od.write(0x6064, 0, round(position))
         self.od.write(0x3160, 1, max(-32768, min(32767, round(cell))))
-        limit_s = (self.od.read(0x1016, 1) & 0xFFFF) * 1e-3 * self._patience
+        limit_s = self.patience_s * self._patience
         if self.state == ENABLED and limit_s and now - self.beat_s > limit_s:
             self.stopped_s = now
             self._enter(QUICK_STOP)
@@ -181,7 +200,10 @@ class Drives:
             now = time.monotonic()
             if message is not None and not self.silent:
                 for drive in self.drives:
-                    drive.hear(message.arbitration_id, bytes(message.data), now)
+                    if message.is_remote_frame:
+                        drive.guarded(message.arbitration_id, now)
+                    else:
+                        drive.hear(message.arbitration_id, bytes(message.data), now)
             if now < due_s:
                 continue
             due_s = now + ROUND_S
@@ -225,13 +247,19 @@ class SlcanAdapter(can.BusABC):
         line, _, self._received = self._received.partition(b"\r")
         if line[:1] in (b"O", b"C"):
             self._open = line[:1] == b"O"
-        if line[:1] != b"t" or not self._open:
+        if line[:1] not in (b"t", b"r") or not self._open:
             return None, False
-        length = int(line[4:5])
-        data = bytes.fromhex(line[5 : 5 + 2 * length].decode())
-        return can.Message(
-            arbitration_id=int(line[1:4], 16), data=data, is_extended_id=False
-        ), False
+        remote, length = line[:1] == b"r", int(line[4:5])
+        data = None if remote else bytes.fromhex(line[5 : 5 + 2 * length].decode())
+        identifier = int(line[1:4], 16)
+        message = can.Message(
+            arbitration_id=identifier,
+            data=data,
+            dlc=length,
+            is_remote_frame=remote,
+            is_extended_id=False,
+        )
+        return message, False
 
     def send(self, msg, timeout=None) -> None:  # noqa: ARG002 - of the base class
         if self._open:

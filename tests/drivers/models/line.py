@@ -6,24 +6,44 @@ import select
 import termios
 import time
 import tty
+from pathlib import Path
 
 
 class PseudoPort:
     """The far end of a pty; `name` is the device that a driver opens.
 
-    Closing it is what unplugging an adapter is to the driver.
+    Closing it is what unplugging an adapter is to the driver. With a `link`, that is its name, and
+    stays the same when it is plugged in again.
+
+    Attributes
+    ----------
+    wanted : bool
+        Whether it is to be plugged in; obeyed at the next `read`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, link: Path | None = None) -> None:
+        self.wanted = True
+        self._link = link
+        self._plug()
+
+    def _plug(self) -> None:
         self._far, self._near = os.openpty()
         tty.setraw(self._near)
         tty.setraw(self._far)
         os.set_blocking(self._far, False)
         self.name = os.ttyname(self._near)
         self._plugged = True
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(self.name)
+            self.name = str(self._link)
 
     def read(self, wait_s: float = 0.0) -> bytes:
         """Return what has arrived, after at most `wait_s` [s]."""
+        if self.wanted and not self._plugged:
+            self._plug()
+        elif self._plugged and not self.wanted:
+            self.unplug()
         if not self._plugged:
             time.sleep(wait_s)
             return b""
@@ -51,6 +71,8 @@ class PseudoPort:
         """Hang up, once; call it from the thread that reads and writes."""
         if not self._plugged:
             return
-        self._plugged = False
+        self._plugged = self.wanted = False
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
         for end in (self._far, self._near):
             os.close(end)

@@ -43,6 +43,7 @@ class Tendons:
     """The simulated rig of the project behind the motors: sheaths, friction, joints with stops."""
 
     def __init__(self, joints: int, paired: bool = True) -> None:
+        from slave.rigs.simulated.plant.body import BodyConfig
         from slave.rigs.simulated.plant.environment import FreeConfig
         from slave.rigs.simulated.simulated import (
             JointConfig,
@@ -52,7 +53,9 @@ class Tendons:
         )
 
         tendons = (TendonPlantConfig(),) * (2 if paired else 1)
-        joint = JointConfig(tendons=tendons, environment=FreeConfig())
+        # one tendon must reach its stop well below the tension of a calibration
+        body = BodyConfig() if paired else BodyConfig(spring=60.0, stops=(-0.002, 0.030))
+        joint = JointConfig(tendons=tendons, body=body, environment=FreeConfig())
         self._rig = SimulatedRig(SimulatedRigConfig(joints=(joint,) * joints))
         self._sample = self._rig.read(0.0)[0]
         self._held = self._sample.proximal_displacement.copy()

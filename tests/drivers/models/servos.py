@@ -22,15 +22,24 @@ TORQUE, ERROR, WATCHDOG, GOAL, CURRENT, POSITION, VOLTAGE, TEMPERATURE = (
     64, 70, 98, 116, 126, 132, 144, 146,
 )  # fmt: skip
 WATCHDOG_UNIT_S = 0.020
+ROUND_S = 0.0005  # [s] between two looks at the plant
+
+
+def _shifted(crc: int) -> int:
+    """Return a CRC register after eight bits of zero."""
+    for _ in range(8):
+        crc = ((crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
+
+
+TABLE = [_shifted(byte << 8) for byte in range(256)]
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC of protocol 2.0, bit by bit."""
+    """Return the CRC of protocol 2.0."""
     crc = 0
     for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = ((crc << 1) ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+        crc = (crc << 8 & 0xFFFF) ^ TABLE[crc >> 8 ^ byte]
     return crc
 
 
@@ -88,9 +97,9 @@ class Servos:
         When a watchdog has triggered last, on the monotonic clock.
     """
 
-    def __init__(self, numbers=(1,), plant=None, patience: float = 10.0) -> None:
+    def __init__(self, numbers=(1,), plant=None, patience: float = 10.0, link=None) -> None:
         self._patience = patience
-        self.port = PseudoPort()
+        self.port = PseudoPort(link)
         self.servos = {number: Servo(number) for number in numbers}
         self.plant = plant or Springs(len(self.servos))
         self.lose = 0
@@ -102,13 +111,21 @@ class Servos:
         self._start_s = time.monotonic()
 
     def serve(self) -> None:
+        due_s = 0.0
         while not self.ended:
             data = self.port.read(0.001)
             now = time.monotonic()
-            self._advance(now)
+            if now >= due_s:
+                self._advance(now)
+                due_s = now + ROUND_S
             self._received += data
+            packets = []
             while (packet := self._next()) is not None:
-                self._obey(packet, now)
+                packets.append(packet)
+            for k, packet in enumerate(packets):  # the line is not queued as a pty is
+                overtaken = any(later[1] == SYNC_READ for later in packets[k + 1 :])
+                if packet[1] != SYNC_READ or not overtaken:
+                    self._obey(packet, now)
         self.port.unplug()
 
     def start(self) -> threading.Thread:

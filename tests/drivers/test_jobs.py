@@ -1,0 +1,18 @@
+"""The whole job of each driver on its model, from the calibration to every way it can fail."""
+
+import pytest
+
+from benchmarks.rigs import jobs
+from tests.drivers.models.board import COMPILER
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(COMPILER is None, reason="no C++ compiler, so the firmware is not compiled"),
+]
+
+
+@pytest.mark.parametrize("name", jobs.JOBS)
+@pytest.mark.parametrize("motors", [1, 4])
+@pytest.mark.parametrize("driver", jobs.DRIVERS)
+def test_the_job(driver, motors, name):
+    jobs.perform(jobs.JOBS[name], driver, motors)
