@@ -179,7 +179,8 @@ def _feed(
     if file is not None:
         return _show_recording(file, config, show, sink, stop)
     with ExitStack() as stack:
-        link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
+        limits_hz = {} if config.foxglove else config.receive_hz()
+        link = stack.enter_context(Link(run.link, run.session, Role.VIEWER, limits_hz=limits_hz))
         listener = link.listen(TOPICS)
         messages: Messages = listener
         if config.foxglove:
@@ -189,7 +190,10 @@ def _feed(
         share = config.processor_share if sink.watched else math.inf
         fed = from_link(messages, show, sink, stop, config.drain_hz, periods(sink, config), share)
         counts = {topic.name: listener.counts(topic) for topic in TOPICS}
-        summary["lost"] = {topic: c.lost + c.overwritten for topic, c in counts.items()}
+        summary["lost"] = {
+            topic: c.lost + (0 if topic in limits_hz else c.overwritten)
+            for topic, c in counts.items()
+        }
         summary["rejected"] = {topic: c.rejected for topic, c in counts.items()}
     return fed
 

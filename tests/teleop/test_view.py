@@ -148,6 +148,7 @@ def test_nothing_is_kept_when_nothing_is_shown():
         ({"tension_scale_N": -1.0}, "tension_scale_N"),
         ({"web_port": 80}, "web_port"),
         ({"server_memory_mb": 1}, "server_memory_mb"),
+        ({"page_memory_mb": 1}, "page_memory_mb"),
         ({"directory": ""}, "directory"),
     ],
 )
@@ -219,6 +220,7 @@ def test_the_page_is_served_and_may_reach_only_this_machine(web):
         page = answer.read().decode()
         policy = answer.headers["Content-Security-Policy"]
     assert "re_viewer.js" in page
+    assert page.count(f'memory_limit: "{CONFIG.page_memory_mb}MB",') == 1
     with urllib.request.urlopen(address + "instance", timeout=10) as answer:  # noqa: S310
         query = urllib.parse.parse_qs(json.load(answer)["query"])
     assert query["theme"] == ["dark"]
