@@ -83,6 +83,8 @@ def main(args: argparse.Namespace) -> int:
     if saved:
         require_viewer(args.file, mode, out)
     elif args.file is not None:
+        if Path(args.file).suffix in (".yaml", ".yml"):
+            raise UsageError(f"{args.file}: is a config; teleop view --config {args.file}")
         info = open_recording(args.file)
         require_playable(info)
         print_doubts(info)
@@ -182,6 +184,8 @@ def _feed(
         limits_hz = {} if config.foxglove else config.receive_hz()
         link = stack.enter_context(Link(run.link, run.session, Role.VIEWER, limits_hz=limits_hz))
         listener = link.listen(TOPICS)
+        if not supervised() and not any(map(link.present, (Role.MASTER, Role.SLAVE))):
+            print(f"Waiting for session {run.session!r} (`teleop sessions` lists those that run)")
         messages: Messages = listener
         if config.foxglove:
             server = stack.enter_context(FoxgloveServer(run.session, config.foxglove_port))

@@ -15,6 +15,7 @@ this server adds that; without a bound a page grows to 2.5 GB.
 import json
 import secrets
 import shutil
+import sys
 import threading
 import urllib.error
 import urllib.parse
@@ -96,6 +97,11 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False  # do not wait for open connections of a browser
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a browser that disconnected, which is no error."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
 
 class _Handler(BaseHTTPRequestHandler):
     source = ""
@@ -148,10 +154,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         with answer:
             self._begin({n: answer.headers[n] for n in _PASSED_ON if n in answer.headers})
-            try:
-                shutil.copyfileobj(answer, self.wfile, 1 << 20)
-            except (BrokenPipeError, ConnectionResetError):
-                self.close_connection = True  # the browser disconnected
+            shutil.copyfileobj(answer, self.wfile, 1 << 20)
 
     def _begin(self, headers: dict[str, str]) -> None:
         self.send_response(200)

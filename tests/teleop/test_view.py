@@ -2,6 +2,7 @@ import json
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -243,6 +244,20 @@ def test_the_page_serves_nothing_else(web, path):
         urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10)
     assert refused.value.code == 404
     refused.value.close()
+
+
+def test_a_browser_that_disconnects_is_no_error(web, capfd):
+    address = urllib.parse.urlsplit(web.lines[0].removeprefix("Web view: "))
+    for _ in range(3):
+        with socket.create_connection((address.hostname, address.port)) as browser:
+            reset_at_close = struct.pack("ii", 1, 0)
+            browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset_at_close)
+            browser.sendall(b"GET /re_viewer_bg.wasm HTTP/1.0\r\n\r\n")
+            browser.recv(1000)
+    with urllib.request.urlopen(web.lines[0].removeprefix("Web view: "), timeout=10) as answer:  # noqa: S310
+        answer.read()
+    time.sleep(0.2)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_second_web_view_takes_other_ports(web):
