@@ -216,5 +216,5 @@ def _show_recording(
 def periods(sink: Sink, config: ViewConfig) -> tuple[float, float]:
     """Return the periods [s] of scene updates and of curves."""
     if sink.watched:
-        return 0.0, 1.0 / config.curves_hz
+        return 1.0 / config.drain_hz, 1.0 / config.curves_hz
     return config.file_period_s, config.file_period_s

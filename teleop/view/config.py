@@ -27,8 +27,8 @@ class ViewRates:
     tendons: float = 100.0
     hand: float = 100.0
     ledger: float = 20.0  # of each side
-    profile: float = 15.0  # of each tendon: tube, T(x) and X'
-    levers: float = 15.0  # joint, hand and their forces in the scene
+    profile: float = 8.0  # of each tendon: tube, T(x) and X'
+    levers: float = 8.0  # joint, hand and their forces in the scene
     loop: float = 30.0  # pieces of each hysteresis loop
 
     def __post_init__(self) -> None:
@@ -44,7 +44,7 @@ class ViewConfig:
 
     layout: Layout = "experiment"
     rate_hz: ViewRates = field(default_factory=ViewRates)
-    drain_hz: float = 12.5  # [Hz] rate of reading the link and updating the scene
+    drain_hz: float = 8.0  # [Hz] rate of reading the link and updating the scene
     curves_hz: float = 4.0  # [Hz] rate of extending the curves: 0.2 ms for each curve
     processor_share: float = 0.25  # of a processor; both are slower where they would take more
     file_period_s: float = 1.0  # [s] of data per block when only a file is written

@@ -82,6 +82,18 @@ def test_what_waits_comes_out_in_time_and_all_of_it():
     assert sum(bool(block) for block in out) == pytest.approx(10, abs=1)
 
 
+@pytest.mark.parametrize("stretch", [1, 2, 3])
+def test_a_block_comes_with_each_call_that_is_due_though_calls_jitter(stretch):
+    paced = PacedMessages(0.125, 0.125)
+    paced.stretch = stretch
+    calls, blocks = 60, 0
+    for k in range(calls):
+        paced.add([k])
+        jitter_ns = (-1) ** k * 10_000_000
+        blocks += bool(paced.take(k * 125_000_000 + jitter_ns))
+    assert blocks == pytest.approx(calls / stretch, abs=1)
+
+
 class OneBatch:
     """A listener that has heard something once."""
 
