@@ -1,7 +1,7 @@
 """A page of the web view that is opened late, opened again, or beside another.
 
 Each shows what one does that was there from the start, although the server has dropped the oldest
-data by then: its memory is bounded, and here so small that a minute overflows it.
+data by then: its memory is bounded, and here so small that two minutes overflow it.
 """
 
 from dataclasses import replace
@@ -27,13 +27,13 @@ pytestmark = [
 ]
 
 SERVER_MB = 16
-START_S, TURN_S, TURNS = 0.4, 0.6, 120  # the part of the session that is engaged, again and again
+START_S, TURN_S, TURNS = 0.4, 0.6, 240  # the part of the session that is engaged, again and again
 END = T0 + round((START_S + TURNS * TURN_S) * 1e9)
 MESSAGES = Session(1.0).messages
 
 
 def feed(scene):
-    """Send more than a minute at once: the start with the sheaths, then what moves."""
+    """Send more than two minutes at once: the start with the sheaths, then what moves."""
     first = round(len(MESSAGES) * START_S)
     scene.send(decode(MESSAGES[:first]))
     moving = decode(MESSAGES[first:])
@@ -46,7 +46,7 @@ def feed(scene):
 
 @pytest.fixture(scope="module")
 def minute(tmp_path_factory):
-    """A view of a session that began a minute ago: its address, and its scene."""
+    """A view of a session that began two minutes ago: its address, and its scene."""
     ports = dict(zip(("web_port", "grpc_port"), free_ports(2), strict=True))
     config = replace(CONFIG, server_memory_mb=SERVER_MB, **ports)
     copy = tmp_path_factory.mktemp("view") / "copy.rrd"
@@ -67,7 +67,7 @@ def shows_everything(picture):
     assert (tubes.max(axis=-1) - tubes.min(axis=-1) > 60).sum() > 2000
 
 
-def test_a_page_that_is_opened_a_minute_late_and_reloaded_shows_everything(minute):
+def test_a_page_that_is_opened_minutes_late_and_reloaded_shows_everything(minute):
     address, _, _ = minute
     with browser.Browser() as chromium:
         for _ in range(2):
