@@ -1,7 +1,7 @@
 """What a viewer does to the loops, and what an hour of viewing needs.
 
   python benchmarks/view.py [SECONDS [ROUNDS]]     both parts; 8 s of each state, 3 rounds
-  python benchmarks/view.py FILE.mcap              the second part, with a recording
+  python benchmarks/view.py FILE.mcap [MINUTES]    the second part, with a recording; 60 minutes
   python benchmarks/view.py CONFIG.yaml [SECONDS]  processor time and memory of a live view
 
 First one session runs while a viewer is, in turn, absent, there, stopped (SIGSTOP) and just killed,
@@ -9,10 +9,12 @@ several times over; a recorder beside it tells the period of both loops and the 
 to force in each state. The states take turns in one run, so all meet the same machine.
 
 Then an hour of messages, ten seconds of that run again and again with stamps of their own, goes
-through the view as fast as it can: memory of both its processes, and the size of its file. It is
-shown on a page and written to a file at once, at the rates of the config.
+through the view as fast as it can: memory of both its processes and of a page in a headless
+Chromium, open from the start, and the size of its file. It is shown on the page and written to a
+file at once, at the rates of the config.
 """
 
+import math
 import os
 import signal
 import subprocess
@@ -36,9 +38,10 @@ from teleop.session import State
 from teleop.topics import STATE, TOPICS, Role
 from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.config import ViewConfig
-from teleop.view.ports import free_port
+from teleop.view.ports import WEB_VIEW, free_port
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
+from tests import browser
 
 CONFIG = Path(__file__).parents[1] / "configs" / "demo.yaml"
 ENGAGED_S = 180.0  # [s] in which both sides must have compiled and engaged
@@ -51,7 +54,7 @@ Spans = dict[str, list[tuple[int, int]]]
 
 def main(*words: str) -> None:
     if words and words[0].endswith(".mcap"):
-        hour(Path(words[0]))
+        hour(Path(words[0]), float(words[1]) if len(words) > 1 else HOUR_S / 60)
         return
     if words and words[0].endswith(".yaml"):
         processes(Path(words[0]), float(words[1]) if len(words) > 1 else 20.0)
@@ -152,18 +155,24 @@ def percentiles_ms(values_ns: NDArray[np.int64]) -> tuple[float, float, float]:
     return float(p50), float(p99), float(p999)
 
 
-def hour(recording: Path) -> None:
+def hour(recording: Path, minutes: float = HOUR_S / 60) -> None:
     """Print memory and file size over an hour of messages."""
     view = config.load(CONFIG, ViewConfig, "view")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "hour.rrd"
-        with Sink("web", view, "hour", file, live=True) as sink:
+        with Sink("web", view, "hour", file, live=True) as sink, ExitStack() as stack:
             if sink.stream is None or sink.pid is None:
                 raise RuntimeError("a web view has a stream and a program")
+            page = None if browser.program() is None else stack.enter_context(browser.Browser())
+            if page is not None:
+                os.setpriority(os.PRIO_PGRP, page.pid, 19)
+                page.open(sink.lines[0].removeprefix(WEB_VIEW) + "?renderer=webgl")
             scene = Scene(view, sink.stream, sink.lay_out)
             begin, moments = time.monotonic(), list(SAID_MIN)
             print(f"view.server_memory_mb {view.server_memory_mb}; resident memory:")
             for passed_s, batch in looped(recording, 1 / view.curves_hz):
+                if passed_s > 60 * minutes:
+                    break
                 scene.pictures(batch)
                 scene.curves(batch)
                 sink.stream.flush()
@@ -172,7 +181,8 @@ def hour(recording: Path) -> None:
                     speed = passed_s / (time.monotonic() - begin)
                     print(
                         f"{minute:3} min: view {memory_mb(os.getpid()):4.0f} MB, its program "
-                        f"{memory_mb(sink.pid):4.0f} MB; file {size:6.1f} MB, "
+                        f"{memory_mb(sink.pid):4.0f} MB, page {page_memory_mb(page):4.0f} MB; "
+                        f"file {size:6.1f} MB, "
                         f"{size / max(minute, 1):.1f} MB a minute; {speed:.1f} times real time",
                         flush=True,
                     )
@@ -265,6 +275,19 @@ def own_memory_mb(pid: int) -> float:
     """Return the memory that a process shares with no other [MB]."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     return sum(int(line.split()[1]) for line in lines if line.startswith("Private_")) / 1e3
+
+
+def page_memory_mb(page: browser.Browser | None) -> float:
+    """Return the resident memory of the largest process that draws pages [MB]; NaN if none."""
+    if page is None:
+        return math.nan
+    drawing = [pid for pid in descendants(page.pid) if b"--type=renderer" in command_of(pid)]
+    return max(map(memory_mb, drawing), default=math.nan)
+
+
+def descendants(parent: int) -> list[int]:
+    """Return the process ids of a process's children, of theirs, and so on."""
+    return [pid for child in children(parent) for pid in (child, *descendants(child))]
 
 
 def memory_mb(pid: int) -> float:

@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,11 @@ Picture = NDArray[np.uint8]  # shape (height, width, 3)
 def program() -> str | None:
     """Return a Chromium on this machine, if there is one."""
     return next((path for name in _NAMES if (path := shutil.which(name))), None)
+
+
+def has_many_colours(picture: Picture) -> bool:
+    """Return whether a page is no longer empty, judged by the number of its colours."""
+    return len(np.unique(picture[::4, ::4].reshape(-1, 3), axis=0)) > _COLOURS
 
 
 class Browser:
@@ -87,12 +93,7 @@ class Browser:
         self._session = attached["sessionId"]
         for domain in ("Page", "Network", "Runtime"):
             self.ask(f"{domain}.enable")
-        self.ask(
-            "Emulation.setDeviceMetricsOverride",
-            width=width, height=height, deviceScaleFactor=1, mobile=False,
-        )  # fmt: skip
-        preferred = [{"name": "prefers-color-scheme", "value": theme}]
-        self.ask("Emulation.setEmulatedMedia", features=preferred)
+        self.emulate(width, height, theme)
 
     def __enter__(self) -> "Browser":
         return self
@@ -113,6 +114,15 @@ class Browser:
         """Its process id, and that of its process group."""
         return self._process.pid
 
+    def emulate(self, width: int, height: int, theme: str) -> None:
+        """Show pages in `width` by `height` pixels, and prefer a light or dark theme."""
+        self.ask(
+            "Emulation.setDeviceMetricsOverride",
+            width=width, height=height, deviceScaleFactor=1, mobile=False,
+        )  # fmt: skip
+        preferred = [{"name": "prefers-color-scheme", "value": theme}]
+        self.ask("Emulation.setEmulatedMedia", features=preferred)
+
     def open(self, address: str) -> None:
         """Go to an address, and wait until the page itself is there."""
         self._loaded = False
@@ -126,10 +136,16 @@ class Browser:
         data = base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
         return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
-    def settle(self, patience_s: float, still: int = _STILL) -> Picture:
+    def settle(
+        self,
+        patience_s: float,
+        still: int = _STILL,
+        appeared: Callable[[Picture], bool] = has_many_colours,
+    ) -> Picture:
         """Wait until the page has appeared and changes no more, or for so long; return it.
 
-        It changes no more when `still` looks in a row are the same.
+        It changes no more when `still` looks in a row are the same. `appeared` tells by a picture
+        whether it shows what it should; a page of few colours needs one of its own.
         """
         end = time.monotonic() + patience_s
         last, same = self.picture(), 0
@@ -137,8 +153,7 @@ class Browser:
             time.sleep(_LOOK_S)
             now = self.picture()
             changed = np.abs(now.astype(int) - last).mean() > _CHANGE
-            appeared = len(np.unique(now[::4, ::4].reshape(-1, 3), axis=0)) > _COLOURS
-            same = 0 if changed or not appeared else same + 1
+            same = 0 if changed or not appeared(now) else same + 1
             last = now
         return last
 

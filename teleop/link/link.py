@@ -1,7 +1,7 @@
 """The link of one process to a session: publish, latest value, listen, presence."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Self, TypeVar
@@ -53,6 +53,9 @@ class Link:
     at_once : bool
         Whether to skip the detection of peers, which takes up to twice `SETTLE_S`: for listeners
         that repeat their messages until they are answered.
+    limits_hz : mapping, optional
+        [Hz] of topics of which no more messages are received, by their names: for a viewer, which
+        shows a tenth of them. What is dropped is counted as `overwritten`, not lost.
 
     Raises
     ------
@@ -64,10 +67,18 @@ class Link:
         On entering: no router answers, if the config names some.
     """
 
-    def __init__(self, config: LinkConfig, session: str, role: Role, at_once: bool = False) -> None:
+    def __init__(
+        self,
+        config: LinkConfig,
+        session: str,
+        role: Role,
+        at_once: bool = False,
+        limits_hz: Mapping[str, float] | None = None,
+    ) -> None:
         if at_once and role in presence.EXCLUSIVE:
             raise ValueError(f"a {role!r} must look about before it takes its place")
         self._at_once = at_once
+        self._limits_hz = limits_hz or {}
         self.config, self.session, self.role = config, session, role
         self.credentials = credentials_of(config, session, OFFICE_OF[role])
         self.nonce = presence.new_nonce()
@@ -184,7 +195,7 @@ class Link:
         )
         inbox = Inbox(RING, tagged=senders is not None)
         direct = zenoh.handlers.Callback(inbox.store, indirect=False)  # no thread in between
-        self._subscribers.append(self._zenoh.declare_subscriber(self._key(topic), direct))
+        self._subscribers.append(self._zenoh.declare_subscriber(self._key(topic.name), direct))
         self._latest[topic.name] = latest, inbox
         return latest
 
@@ -214,10 +225,10 @@ class Link:
 
         Without a thread in between: that would keep 256 samples a topic, with their buffers.
         """
-        listener = Listener(self._visit, self._keyring)
+        listener = Listener(self._visit, self._keyring, self._limits_hz)
         for topic in topics:
             direct = zenoh.handlers.Callback(listener.store(topic), indirect=False)
-            subscriber = self._zenoh.declare_subscriber(self._key(topic), direct)
+            subscriber = self._zenoh.declare_subscriber(self._key(topic.name), direct)
             self._subscribers.append(subscriber)
         return listener
 
@@ -253,8 +264,8 @@ class Link:
         numbers = [0 if publisher is None else publisher.sequence for publisher in publishers]
         return (*numbers, *(0,) * (TOPIC_SLOTS - len(numbers)))
 
-    def _key(self, topic: Topic[Any]) -> str:
-        return f"teleop/{self.session}/{topic.name}"
+    def _key(self, name: str) -> str:
+        return f"teleop/{self.session}/{name}"
 
     def _visit(self, topic: Topic[Any], nonce: int) -> int:
         return 0 if topic.publisher is None else self._roster.visit(topic.publisher, nonce)
@@ -264,7 +275,7 @@ class Link:
         if topic.publisher not in (None, self.role):
             raise ValueError(f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}")
         live = topic.live and not patient
-        publisher = declare_publisher(self._zenoh, self._key(topic), live, patient)
+        publisher = declare_publisher(self._zenoh, self._key(topic.name), live, patient)
         return _Publisher(
             publisher, Seals() if self._keyring is None else self._keyring.seals(topic)
         )
@@ -288,7 +299,10 @@ class Link:
         listen, connect = self._endpoints()
         mode: Mode = "client" if self.config.routers else "peer"
         try:
-            session = open_session(self.credentials, listen, connect, self._access(), mode)
+            session = open_session(
+                self.credentials, listen, connect, self._access(), mode,
+                {self._key(name): rate_hz for name, rate_hz in self._limits_hz.items()},
+            )  # fmt: skip
         except UsageError:
             if listen:
                 self._blame_rival(listen)

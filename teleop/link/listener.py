@@ -1,7 +1,7 @@
 """Receive all messages in the order of arrival: for the recorder and the viewer."""
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import Any, NamedTuple
 
 import zenoh
@@ -47,13 +47,18 @@ class Listener:
         As of `Reception`, with the topic.
     keyring : Keyring, optional
         Our keys; None in an insecure session.
+    sampled : container of str
+        Names of topics of which not every message is received (`Link`, `limits_hz`).
     """
 
     def __init__(
-        self, visit: Callable[[Topic[Any], int], int], keyring: Keyring | None = None
+        self,
+        visit: Callable[[Topic[Any], int], int],
+        keyring: Keyring | None = None,
+        sampled: Container[str] = (),
     ) -> None:
         self._queue = MessageQueue()
-        self._visit, self._keyring = visit, keyring
+        self._visit, self._keyring, self._sampled = visit, keyring, sampled
         self._refused: dict[str, int] = {}
         self._forged: dict[str, int] = {}
         self._senders: dict[str, _Senders] = {}
@@ -61,7 +66,7 @@ class Listener:
     def store(self, topic: Topic[Any]) -> Callable[[zenoh.Sample], None]:
         """Return the callback for Zenoh's samples of `topic`."""
         self._queue.add(topic)
-        self._senders[topic.name] = _Senders(topic, self._visit)
+        self._senders[topic.name] = _Senders(topic, self._visit, topic.name in self._sampled)
         put = self._queue.put
         if self._keyring is not None and self._keyring.senders(topic) is not None:
             return self._verifying(topic, self._keyring.verify)
@@ -144,8 +149,11 @@ class _Senders:
     are kept.
     """
 
-    def __init__(self, topic: Topic[Any], visit: Callable[[Topic[Any], int], int]) -> None:
+    def __init__(
+        self, topic: Topic[Any], visit: Callable[[Topic[Any], int], int], sampled: bool
+    ) -> None:
         self._topic, self._visit = topic, visit
+        self._sampled = sampled  # all gaps are due to us
         self._receptions: OrderedDict[int, Reception] = OrderedDict()
         self._overflowed: set[int] = set()  # whose next gap is due to our queue
         self._dropped = 0
@@ -166,7 +174,7 @@ class _Senders:
         sender = self._topic.message.schema.sender(data) if shared else 0
         known = self._receptions.get(sender)
         reception = known or Reception(self._topic, self._announced)
-        head = reception.admit(data, overflowed=sender in self._overflowed)
+        head = reception.admit(data, overflowed=self._sampled or sender in self._overflowed)
         if head is not None:
             self._overflowed.discard(sender)
         if known is not None:

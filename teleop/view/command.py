@@ -83,6 +83,8 @@ def main(args: argparse.Namespace) -> int:
     if saved:
         require_viewer(args.file, mode, out)
     elif args.file is not None:
+        if Path(args.file).suffix in (".yaml", ".yml"):
+            raise UsageError(f"{args.file}: is a config; teleop view --config {args.file}")
         info = open_recording(args.file)
         require_playable(info)
         print_doubts(info)
@@ -179,8 +181,11 @@ def _feed(
     if file is not None:
         return _show_recording(file, config, show, sink, stop)
     with ExitStack() as stack:
-        link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
+        limits_hz = {} if config.foxglove else config.receive_hz()
+        link = stack.enter_context(Link(run.link, run.session, Role.VIEWER, limits_hz=limits_hz))
         listener = link.listen(TOPICS)
+        if not supervised() and not any(map(link.present, (Role.MASTER, Role.SLAVE))):
+            print(f"Waiting for session {run.session!r} (`teleop sessions` lists those that run)")
         messages: Messages = listener
         if config.foxglove:
             server = stack.enter_context(FoxgloveServer(run.session, config.foxglove_port))
@@ -189,7 +194,10 @@ def _feed(
         share = config.processor_share if sink.watched else math.inf
         fed = from_link(messages, show, sink, stop, config.drain_hz, periods(sink, config), share)
         counts = {topic.name: listener.counts(topic) for topic in TOPICS}
-        summary["lost"] = {topic: c.lost + c.overwritten for topic, c in counts.items()}
+        summary["lost"] = {
+            topic: c.lost + (0 if topic in limits_hz else c.overwritten)
+            for topic, c in counts.items()
+        }
         summary["rejected"] = {topic: c.rejected for topic, c in counts.items()}
     return fed
 
@@ -208,5 +216,5 @@ def _show_recording(
 def periods(sink: Sink, config: ViewConfig) -> tuple[float, float]:
     """Return the periods [s] of scene updates and of curves."""
     if sink.watched:
-        return 0.0, 1.0 / config.curves_hz
+        return 1.0 / config.drain_hz, 1.0 / config.curves_hz
     return config.file_period_s, config.file_period_s

@@ -3,12 +3,16 @@
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from teleop.config import MAY_BE_INFINITE
+from teleop.topics import COMMAND, HAND, STATE, TENDONS, Topic
 
 Layout = Literal["surgeon", "experiment", "presentation"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+
+
+FAST: tuple[Topic[Any], ...] = (COMMAND, STATE, TENDONS, HAND)  # each has one sender
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +27,8 @@ class ViewRates:
     tendons: float = 100.0
     hand: float = 100.0
     ledger: float = 20.0  # of each side
-    profile: float = 15.0  # of each tendon: tube, T(x) and X'
-    levers: float = 15.0  # joint, hand and their forces in the scene
+    profile: float = 8.0  # of each tendon: tube, T(x) and X'
+    levers: float = 8.0  # joint, hand and their forces in the scene
     loop: float = 30.0  # pieces of each hysteresis loop
 
     def __post_init__(self) -> None:
@@ -40,7 +44,7 @@ class ViewConfig:
 
     layout: Layout = "experiment"
     rate_hz: ViewRates = field(default_factory=ViewRates)
-    drain_hz: float = 12.5  # [Hz] rate of reading the link and updating the scene
+    drain_hz: float = 8.0  # [Hz] rate of reading the link and updating the scene
     curves_hz: float = 4.0  # [Hz] rate of extending the curves: 0.2 ms for each curve
     processor_share: float = 0.25  # of a processor; both are slower where they would take more
     file_period_s: float = 1.0  # [s] of data per block when only a file is written
@@ -59,11 +63,19 @@ class ViewConfig:
     )
     tendon_spacing: float = 0.05  # of the size of the scene, between sheaths
     server_memory_mb: int = 512  # [MB] of history for a browser that connects later
+    page_memory_mb: int = 1024  # [MB] memory of the viewer in a browser
     web_port: int = 9090  # preferred port; a free one if it is in use
     grpc_port: int = 9876  # likewise
     foxglove: bool = False  # also serve the messages to the Foxglove app, on this machine
     foxglove_port: int = 8765  # preferred port, as above
     directory: str = "recordings"  # folder of `--view rrd` without `--out`
+
+    def receive_hz(self) -> dict[str, float]:
+        """Return at which rates [Hz] the fast topics are to be received, by name.
+
+        Twice what is shown, so that each period of the display has a message.
+        """
+        return {topic.name: 2.0 * getattr(self.rate_hz, topic.name) for topic in FAST}
 
     def __post_init__(self) -> None:
         for name, low, high, unit in (
@@ -80,6 +92,7 @@ class ViewConfig:
             ("tube_radius", 1e-4, 0.1, ""),
             ("tendon_spacing", 1e-3, 1, ""),
             ("server_memory_mb", 16, 65536, " MB"),
+            ("page_memory_mb", 256, 4000, " MB"),
             ("web_port", 1024, 65535, ""),
             ("grpc_port", 1024, 65535, ""),
             ("foxglove_port", 1024, 65535, ""),

@@ -64,10 +64,13 @@ class PacedMessages:
     ----------
     period_s : float
         [s] between two blocks.
+    tick_s : float
+        [s] between two calls of `take`: a block may come half of it early, as the calls jitter.
     """
 
-    def __init__(self, period_s: float) -> None:
+    def __init__(self, period_s: float, tick_s: float = 0.0) -> None:
         self._period_ns = round(period_s * 1e9)
+        self._early_ns = round(tick_s * 0.5e9)
         self.stretch = 1.0  # factor of the period
         self._held: list[tuple[AnyTopic, bytes]] = []
         self._due_ns: int | None = None
@@ -79,10 +82,10 @@ class PacedMessages:
     def take(self, now_ns: int, all_of_it: bool = False) -> list[tuple[AnyTopic, bytes]]:
         """Return the buffer if its period is over or with `all_of_it`, else nothing."""
         if self._due_ns is None:
-            self._due_ns = now_ns + self._period_ns
+            self._due_ns = now_ns + self._period_ns - self._early_ns
         if now_ns < self._due_ns and not all_of_it:
             return []
-        self._due_ns = now_ns + round(self._period_ns * self.stretch)
+        self._due_ns = now_ns + round(self._period_ns * self.stretch) - self._early_ns
         block, self._held = self._held, []
         return block
 
@@ -107,7 +110,7 @@ def from_link(
         same factor, where they would take more than `processor_share`, of one processor.
     """
     fed = FeedCounts()
-    pictures, curves = PacedMessages(periods_s[0]), PacedMessages(periods_s[1])
+    pictures, curves = (PacedMessages(period_s, 1.0 / drain_hz) for period_s in periods_s)
     pacing = Pacing(processor_share)
 
     def pass_on(now_ns: int, all_of_it: bool) -> None:

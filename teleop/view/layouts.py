@@ -16,6 +16,7 @@ from teleop.view.stage import EYE
 
 _DARK = list(BACKGROUND)
 _ROOM = 0.32  # of the window, right of the newest data, for the legend
+_FEW = 4  # joints
 _UNKNOWN_M = 0.001  # [m] radius of a tube before its tension is known
 Part = rrb.Container | rrb.View
 _Make = Callable[[str, int], Part]  # name of a view, and the joint it is of
@@ -64,8 +65,8 @@ def _experiment(views: "_Views") -> Part:
             views.banner(),
             views.scene(distance=0.9),
             rrb.Horizontal(
-                views.joint_tabs("T(x) in its band", views.profile),
-                views.joint_tabs("T_out over T_in", views.loop),
+                views.joint_tabs("T(x) in its band", views.profile, short="T(x)"),
+                views.joint_tabs("T_out over T_in", views.loop, short="Loop"),
             ),
             row_shares=[0.7, 3, 2.3],
         ),
@@ -86,9 +87,12 @@ def _experiment(views: "_Views") -> Part:
                 views.states(),
                 views.energy(),
                 views.curves("Rate [Hz]", ["rate"]),
-                views.curves("Latency [ms]", ["latency"]),
-                views.curves("Budget [ms]", ["budget"]),
-                views.curves("Age [ms]", ["age"]),
+                rrb.Tabs(  # one in the other: all tabs have room in 640 pixels
+                    views.curves("Latency [ms]", ["latency"]),
+                    views.curves("Budget [ms]", ["budget"]),
+                    views.curves("Age [ms]", ["age"]),
+                    name="Delays [ms]",
+                ),
                 views.curves("Lost", ["loss"]),
                 name="Session",
             ),
@@ -138,11 +142,21 @@ class _Views:
             background=_DARK,
         )
 
-    def joint_tabs(self, name: str, make: _Make, detail: str = "") -> Part:
-        """Return one view for each joint, one in front of the other; `detail` if there is room."""
+    def joint_tabs(self, name: str, make: _Make, detail: str = "", short: str = "") -> Part:
+        """Return one view for each joint, one in front of the other.
+
+        The first tab says what they all show, the others have but the number of their joint, so
+        that the tabs have room on a screen of 1280 pixels. A `short` name is used for several
+        joints in a narrow view, `detail` is left out for many.
+        """
         if len(self._joints) == 1:
             return make(name + detail, *self._joints)
-        return rrb.Tabs(*(make(f"{name} {j + 1}", j) for j in self._joints), name=name)
+        if len(self._joints) > _FEW:
+            detail = ""
+        first = min(self._joints)
+        whole = f"{short} {first + 1}" if short else f"{name}{detail}, joint {first + 1}"
+        tabs = (make(whole if j == first else f"{j + 1}", j) for j in self._joints)
+        return rrb.Tabs(*tabs, name=name + detail)
 
     def profile(self, name: str, joint: int) -> Part:
         """Return T(x) of a joint's tendons."""

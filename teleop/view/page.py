@@ -7,16 +7,20 @@ left open comes back by itself after a restart.
 Rerun's viewer loads a font from Google and posts usage statistics to tel.rerun.io from the browser,
 whatever the settings here. This server adds a content security policy that restricts both pages to
 the data on this machine. The viewer would follow the browser's light or dark theme; the colours of
-the view are made for a dark background, so its address asks for the dark one.
+the view are made for a dark background, so its address asks for the dark one. Its bound of memory
+(`memory_limit`) is an option of the viewer that its own page does not take from the address, so
+this server adds that; without a bound a page grows to 2.5 GB.
 """
 
 import json
 import secrets
 import shutil
+import sys
 import threading
 import urllib.error
 import urllib.parse
 import urllib.request
+from http.client import HTTPResponse
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Self
@@ -24,16 +28,17 @@ from typing import Any, Self
 from teleop.view.ports import LOOPBACK
 
 _HERE = Path(__file__).parent
+_VIEWER = "/viewer.html"
 _OURS = {  # path -> file, content type
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
 }
 _VIEWERS = {  # path -> path at the viewer program
-    "/viewer.html": "/",
     "/re_viewer.js": "/re_viewer.js",
     "/re_viewer_bg.wasm": "/re_viewer_bg.wasm",
     "/favicon.ico": "/favicon.ico",
 }
+_MARK = b'hide_welcome_screen: query.has("hide_welcome_screen"),'  # in the viewer's own page
 _PASSED_ON = ("Content-Type", "Content-Length", "rerun-final-length")
 
 
@@ -48,9 +53,11 @@ class Page:
         Where the viewer program serves its files, on loopback.
     data_url : str
         `rerun+http://...`, where the page is to find its data.
+    memory_mb : int
+        [MB] memory of the viewer in the browser, beyond which it drops the oldest data.
     """
 
-    def __init__(self, port: int, source_port: int, data_url: str) -> None:
+    def __init__(self, port: int, source_port: int, data_url: str, memory_mb: int) -> None:
         data_address = urllib.parse.urlsplit(data_url.removeprefix("rerun+")).netloc
         query = urllib.parse.urlencode(
             {"url": data_url, "theme": "dark", "hide_welcome_screen": ""}
@@ -60,6 +67,7 @@ class Page:
         class Handler(_Handler):
             source = f"http://{LOOPBACK}:{source_port}"
             instance = answer.encode()
+            limit = memory_mb
             policy = (
                 f"default-src 'self'; connect-src 'self' http://{data_address}; "
                 "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
@@ -89,11 +97,17 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False  # do not wait for open connections of a browser
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a browser that disconnected, which is no error."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
 
 class _Handler(BaseHTTPRequestHandler):
     source = ""
     policy = ""
     instance = b""
+    limit = 0  # [MB]
     timeout = 60
 
     def do_GET(self) -> None:
@@ -104,6 +118,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer((_HERE / name).read_bytes(), kind)
         elif path == "/instance":
             self._answer(self.instance, "application/json")
+        elif path == _VIEWER:
+            self._bound()
         elif path in _VIEWERS:
             self._pass_on(_VIEWERS[path])
         else:
@@ -114,19 +130,31 @@ class _Handler(BaseHTTPRequestHandler):
         self._begin(headers | {"Cache-Control": "no-store"})
         self.wfile.write(content)
 
-    def _pass_on(self, path: str) -> None:
-        """Send what the viewer program answers for `path`."""
+    def _bound(self) -> None:
+        """Send the viewer's page, with a bound of its memory."""
+        if answer := self._ask("/"):
+            with answer:
+                content = answer.read()
+            limit = f' memory_limit: "{self.limit}MB",'.encode()
+            self._answer(content.replace(_MARK, _MARK + limit), _OURS["/"][1])
+
+    def _ask(self, path: str) -> HTTPResponse | None:
+        """Return what the viewer program answers for `path`, or answer that it does not."""
         try:
-            answer = urllib.request.urlopen(self.source + path, timeout=30)  # noqa: S310 - http only
+            answer: HTTPResponse = urllib.request.urlopen(self.source + path, timeout=30)  # noqa: S310 - http only
         except (urllib.error.URLError, OSError):
             self.send_error(502, "the viewer program does not answer")
+            return None
+        return answer
+
+    def _pass_on(self, path: str) -> None:
+        """Send what the viewer program answers for `path`."""
+        answer = self._ask(path)
+        if answer is None:
             return
         with answer:
             self._begin({n: answer.headers[n] for n in _PASSED_ON if n in answer.headers})
-            try:
-                shutil.copyfileobj(answer, self.wfile, 1 << 20)
-            except (BrokenPipeError, ConnectionResetError):
-                self.close_connection = True  # the browser disconnected
+            shutil.copyfileobj(answer, self.wfile, 1 << 20)
 
     def _begin(self, headers: dict[str, str]) -> None:
         self.send_response(200)

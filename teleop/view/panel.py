@@ -131,8 +131,7 @@ class Panel:
                 path = f"panel/joint_{joint}/bar"
                 self._strips(path, int(row["stamp_ns"]), lines, force_colour(share), radius)
             for row in numbers:
-                force = float(row["force"][joint])
-                text = "---" if not math.isfinite(force) else f"{force:.1f}"
+                text = number_text(float(row["force"][joint]))
                 left = place.number_right - text_width(text, place.number_height)
                 strips = text_strips(text, left, place.number_top, place.number_height)
                 path, radius = f"panel/joint_{joint}/number", STROKE * place.number_height
@@ -142,10 +141,10 @@ class Panel:
         self, joint: int, joints: int, place: ForceRow, limit: float, known: bool, two_way: bool
     ) -> None:
         """Draw what stands still: the name, the frame of the bar, and the limit in words."""
-        name = "force at the tip" if joints == 1 else f"joint {joint + 1}"
+        name = "force at the tip" + (f", joint {joint + 1}" if joints > 1 else "")
         words = text_strips(name, _MARGIN, place.name_top, place.name_height)
         end = f"limit {limit:.0f} N" if known else f"scale {limit:.0f} N"
-        unit = place.number_right + 0.5 * place.number_height
+        unit = place.number_right + 0.25 * place.number_height
         unit_top = place.number_top + 0.5 * place.number_height
         unit_strips = text_strips("N", unit, unit_top, 0.5 * place.number_height)
         left = place.bar_right - text_width(end, place.name_height)
@@ -213,6 +212,13 @@ class Panel:
         )
         stamps = np.array([stamp_ns], np.int64)
         self._sender.columns_at(path, stamps, columns.partition([len(strips)]))
+
+
+def number_text(force: float) -> str:
+    """Return a force [N] in at most five characters, up to 9999 N; dashes if it is not known."""
+    if not math.isfinite(force):
+        return "---"
+    return f"{force:.1f}" if abs(force) < 99.95 else f"{force:.0f}"
 
 
 def _bright(colour: int) -> bool:

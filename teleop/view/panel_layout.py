@@ -11,7 +11,7 @@ BANNER = (0.0, 0.0, WIDE, 2.6)  # left, top, right, bottom
 STATE_HEIGHT, REASON_HEIGHT = 1.35, 0.45
 _FORCES = (3.0, 8.5)  # top and bottom of the rows of forces
 LINK_TOP, LINK_HEIGHT = 8.9, 0.42
-_BAR_LEFT, _BAR_RIGHT, _NUMBER_RIGHT = 7.2, 15.6, 5.4
+_BAR_LEFT, _BAR_RIGHT, _NUMBER_RIGHT = 7.7, 15.6, 6.4
 _FILL_LINES, _OVERLAP = 16, 1.5  # lines that fill a box, and how much thicker than apart
 
 

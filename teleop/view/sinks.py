@@ -158,7 +158,7 @@ class Sink:
             )  # a browser that connects later starts with the newest data
         self._viewer = stack.enter_context(ViewerProcess(arguments, port))
         web_port = free_port(config.web_port, patience_s)
-        page = stack.enter_context(Page(web_port, inner, self._viewer.url))
+        page = stack.enter_context(Page(web_port, inner, self._viewer.url, config.page_memory_mb))
         self._sinks.append(rr.GrpcSink(self._viewer.url))
         self.lines.append(f"{WEB_VIEW}{page.address}")
 

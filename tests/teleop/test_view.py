@@ -2,6 +2,7 @@ import json
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -81,6 +82,18 @@ def test_what_waits_comes_out_in_time_and_all_of_it():
     assert sum(bool(block) for block in out) == pytest.approx(10, abs=1)
 
 
+@pytest.mark.parametrize("stretch", [1, 2, 3])
+def test_a_block_comes_with_each_call_that_is_due_though_calls_jitter(stretch):
+    paced = PacedMessages(0.125, 0.125)
+    paced.stretch = stretch
+    calls, blocks = 60, 0
+    for k in range(calls):
+        paced.add([k])
+        jitter_ns = (-1) ** k * 10_000_000
+        blocks += bool(paced.take(k * 125_000_000 + jitter_ns))
+    assert blocks == pytest.approx(calls / stretch, abs=1)
+
+
 class OneBatch:
     """A listener that has heard something once."""
 
@@ -148,6 +161,7 @@ def test_nothing_is_kept_when_nothing_is_shown():
         ({"tension_scale_N": -1.0}, "tension_scale_N"),
         ({"web_port": 80}, "web_port"),
         ({"server_memory_mb": 1}, "server_memory_mb"),
+        ({"page_memory_mb": 1}, "page_memory_mb"),
         ({"directory": ""}, "directory"),
     ],
 )
@@ -219,6 +233,7 @@ def test_the_page_is_served_and_may_reach_only_this_machine(web):
         page = answer.read().decode()
         policy = answer.headers["Content-Security-Policy"]
     assert "re_viewer.js" in page
+    assert page.count(f'memory_limit: "{CONFIG.page_memory_mb}MB",') == 1
     with urllib.request.urlopen(address + "instance", timeout=10) as answer:  # noqa: S310
         query = urllib.parse.parse_qs(json.load(answer)["query"])
     assert query["theme"] == ["dark"]
@@ -241,6 +256,20 @@ def test_the_page_serves_nothing_else(web, path):
         urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10)
     assert refused.value.code == 404
     refused.value.close()
+
+
+def test_a_browser_that_disconnects_is_no_error(web, capfd):
+    address = urllib.parse.urlsplit(web.lines[0].removeprefix("Web view: "))
+    for _ in range(3):
+        with socket.create_connection((address.hostname, address.port)) as browser:
+            reset_at_close = struct.pack("ii", 1, 0)
+            browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset_at_close)
+            browser.sendall(b"GET /re_viewer_bg.wasm HTTP/1.0\r\n\r\n")
+            browser.recv(1000)
+    with urllib.request.urlopen(web.lines[0].removeprefix("Web view: "), timeout=10) as answer:  # noqa: S310
+        answer.read()
+    time.sleep(0.2)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_second_web_view_takes_other_ports(web):

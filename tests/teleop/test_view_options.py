@@ -26,6 +26,7 @@ def test_a_file_name_that_ends_in_rrd_is_a_view(tmp_path):
         (["view", "here.rrd", "--view", "rrd"], "is a Rerun file already"),
         (["view", "absent.rrd", "--view", "web"], "absent.rrd: cannot be read"),
         (["view", "text.rrd", "--view", "web"], "is no Rerun file"),
+        (["view", "rig.yaml"], "is a config; teleop view --config rig.yaml"),
     ],
 )
 def test_a_view_that_cannot_be_is_refused_in_one_line(words, said, tmp_path, capsys, monkeypatch):

@@ -1,5 +1,7 @@
 """The panel: large letters, the state of a session, the force with its limit, the link."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,12 +14,13 @@ from teleop.view.batch import decode
 from teleop.view.colours import STATES
 from teleop.view.config import ViewConfig
 from teleop.view.pacing import Pacing
+from teleop.view.panel import number_text
 from teleop.view.panel_layout import BANNER, TALL, WIDE, filled, force_rows
 from teleop.view.plane import axis_end, ticks, ticks_to_end
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from teleop.view.status import Banner, LinkCounts, banner, link_quality
-from teleop.view.stroke_text import _GLYPHS, fitted_height, text_strips, text_width
+from teleop.view.stroke_text import _GLYPHS, STROKE, fitted_height, text_strips, text_width
 from tests.teleop.view_session import T0, Session, read
 
 SURGEON = ViewConfig(layout="surgeon", tension_scale_N=10.0)
@@ -90,6 +93,15 @@ def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
         assert row.name_top + row.name_height < top
         edges.append(max(bottom, row.number_top + row.number_height))
     assert edges[-1] < 8.9 < TALL
+
+
+@pytest.mark.parametrize("force", [0.0, -12.34, 99.96, -99.96, -9999.0, math.nan])
+@pytest.mark.parametrize("joints", [1, 4, 8])
+def test_every_force_fits_between_the_edge_and_its_unit(force, joints):
+    for row in force_rows(joints):
+        assert row.number_right - text_width(number_text(force), row.number_height) > 0.2
+        unit_right = row.number_right + (0.25 + 0.5 * 4 / 6 + STROKE) * row.number_height
+        assert unit_right < row.bar(0.0, two_way=False)[0]
 
 
 @given(st.floats(-3, 3), st.booleans())

@@ -459,29 +459,31 @@ def views_of(path):
 @pytest.mark.parametrize(
     ("layout", "shown", "hidden"),
     [
-        ("surgeon", {"State"}, {"Log", "Tension [N] 1"}),
+        ("surgeon", {"State"}, {"Log", "T(x) 1"}),
         (
             "experiment",
             {
-                *(
-                    "T(x) in its band 1",
-                    "T_out over T_in 2",
-                    "Tension [N] 1",
-                    "Force at the tip [N] 2",
-                ),
-                *(
-                    "Tip [mm] 1",
-                    "Hand [N] 1",
-                    "Elongation [mm] 2",
-                    "Motor [mm] 1",
-                    "Log",
-                    "Energy [mJ]",
-                ),
-                *("Rate [Hz]", "Latency [ms]", "Age [ms]", "Lost", "State"),
+                "T(x) 1",
+                "Loop 1",
+                "2",
+                "Tension [N] at the housing (measured) and at the tip, joint 1",
+                "Force at the tip [N], positive against pulling, joint 1",
+                "Tip [mm], positive pulled in, joint 1",
+                "Hand [N], joint 1",
+                "Elongation [mm], joint 1",
+                "Motor [mm], joint 1",
+                "Log",
+                "Energy [mJ]",
+                "Delays [ms]",
+                "Rate [Hz]",
+                "Latency [ms]",
+                "Age [ms]",
+                "Lost",
+                "State",
             },
             set(),
         ),
-        ("presentation", set(), {"State", "Log", "T(x) in its band 1"}),
+        ("presentation", set(), {"State", "Log", "T(x) 1"}),
     ],
 )
 def test_a_layout_has_its_views_for_each_joint(layout, shown, hidden, tmp_path):

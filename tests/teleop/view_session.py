@@ -45,6 +45,7 @@ from teleop.view.sinks import Sink
 T0 = 1_790_000_000_000_000_000
 SENDER = 77
 CONFIG = ViewConfig(tension_scale_N=10.0)
+FORCE_MAX_N = 20.0  # twice what is reached, so that the force is far from its limit
 
 
 def tendon_state(k, bench=True):
@@ -107,7 +108,8 @@ class Session:
             self.add(STATE, told, stamp)
             hand = padded((-k * 0.003,), MAX_JOINTS)
             self.add(HAND, Hand(state=mode, joints=1, force=hand), stamp)
-            self.add(COMMAND, Command(position=padded((k * 1e-5,), MAX_JOINTS)), stamp)
+            travel = padded((k * 1e-5,), MAX_JOINTS)
+            self.add(COMMAND, Command(position=travel, force_max=FORCE_MAX_N), stamp)
             if k % 20 == 0:
                 for tendon in (0, 1):
                     self.add(PROFILE, tension_profile(k, tendon), stamp)

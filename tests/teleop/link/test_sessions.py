@@ -18,8 +18,8 @@ from teleop.link.keyring import Keyring, nonce_bytes
 from teleop.link.network import BATCH_BYTES, open_session
 from teleop.link.ping_pong import ping_pong
 from teleop.link.presence import Stage, Token, new_nonce
-from teleop.messages import LAYOUT, Command, Event, LoopReport, SlaveState, text_bytes
-from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, Role
+from teleop.messages import LAYOUT, Command, Event, Hand, LoopReport, SlaveState, text_bytes
+from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, Role, Topic
 from tests.teleop.link.bench import MS, free_config, pump, session, wait_until
 
 
@@ -216,6 +216,33 @@ def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config: LinkConfi
         assert first is not None
         assert again is not None
         assert again.sequence >= first.sequence + 3
+
+
+def test_a_viewer_receives_no_more_than_it_asked_for_and_calls_none_of_it_lost(
+    config: LinkConfig,
+) -> None:
+    with (
+        session(config, Role.SLAVE, Role.MASTER) as (_, master),
+        Link(config, "test", Role.VIEWER, limits_hz={"hand": 50.0}) as viewer,
+    ):
+        listener = viewer.listen([HAND, COMMAND])
+        wait_until(lambda: not master.skip_unsubscribed(HAND))
+        wait_until(lambda: not master.skip_unsubscribed(COMMAND))
+        begin = time.monotonic()
+        for _ in range(200):
+            master.publish(HAND, Hand())
+            master.publish(COMMAND, Command())
+            time.sleep(0.002)
+        passed_s = time.monotonic() - begin
+
+        def received(topic: Topic[Any]) -> int:
+            listener.drain()
+            return listener.counts(topic).received
+
+        wait_until(lambda: received(COMMAND) == 200)  # not limited
+        assert 10 <= received(HAND) <= 50.0 * passed_s + 2
+        assert listener.counts(HAND).lost == 0
+        assert listener.counts(HAND).overwritten > 100
 
 
 def test_a_topic_subscribed_to_twice_has_one_inbox_that_is_emptied(config: LinkConfig) -> None:
