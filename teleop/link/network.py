@@ -1,6 +1,7 @@
 """Zenoh sessions with explicit endpoints, no discovery and short timeouts."""
 
 import json
+import os
 import re
 from typing import Any, Literal
 
@@ -41,6 +42,8 @@ def open_session(
     TeleopError
         No target of a client answers.
     """
+    if "RUST_LOG" in os.environ:  # else Zenoh prints its errors, among what commands print
+        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
     try:
         return zenoh.open(config_of(settings(credentials, listen, connect, access, mode)))
     except zenoh.ZError as error:
@@ -113,6 +116,7 @@ def settings(
             "enable_mtls": True,
             # a certificate names a role, which the other side checks, and no host
             "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
             **credentials.for_tls(),
         }
         if access is not None:
