@@ -30,7 +30,7 @@ from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from teleop.clock import Grid, Tick, now_ns
-from teleop.compile_cache import announced
+from teleop.compiling import announced
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.options import add_option, add_options

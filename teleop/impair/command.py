@@ -79,6 +79,8 @@ class Proxy:
             opening.callback(master.close)
             slave = Bank(shared.link, shared.session, [], [shared.link.slave], self._look_soon)
             opening.callback(slave.close)
+            master.pass_challenges_to(slave)
+            slave.pass_challenges_to(master)
             self._stack = opening.pop_all()
         ends = {"to_slave": (master, slave), "to_master": (slave, master)}
         self._directions = {

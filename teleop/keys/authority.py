@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
@@ -22,6 +22,7 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
     load_pem_private_key,
 )
+from cryptography.utils import CryptographyDeprecationWarning
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from teleop.errors import UsageError
@@ -30,7 +31,12 @@ from teleop.keys.identity import Identity
 AUTHORITY_DAYS = 3650
 CERTIFICATE_DAYS = 90
 AUTHORITY, AUTHORITY_KEY, REVOKED = "authority.pem", "authority.key", "revoked.pem"
+FILE_MAX = 1_000_000  # [B] of a file of keys; a list of 10 000 revoked certificates has half
 BACKDATED = timedelta(hours=1)  # for clocks that are behind
+UNREADABLE = (  # what `cryptography` raises for certificates, lists and keys that are none
+    ValueError, TypeError, UnsupportedAlgorithm, CryptographyDeprecationWarning,
+    x509.InvalidVersion, x509.DuplicateExtension, x509.UnsupportedGeneralNameType,
+)  # fmt: skip
 _SERVER_NAME = "teleop.invalid"  # never compared: certificates name a role, not a host
 
 
@@ -117,24 +123,23 @@ class Authority:
 
 
 def load_certificate(path: Path) -> x509.Certificate:
-    """Load a certificate; `UsageError` if there is none."""
+    """Load a certificate; `UsageError` if there is none, or others could replace it."""
     try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
+        return x509.load_pem_x509_certificate(_read(path, 0o022, "change this file; chmod 644"))
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; see `teleop keys --help`") from error
-    except ValueError as error:
+    except UNREADABLE as error:
         raise UsageError(f"{path}: not a certificate (PEM)") from error
 
 
 def load_key(path: Path) -> Ed25519PrivateKey:
     """Load a private key; `UsageError` if there is none, or others could read it."""
     try:
-        if path.stat().st_mode & 0o077:
-            raise UsageError(f"{path}: other users can read this private key; chmod 600 {path}")
-        key = load_pem_private_key(path.read_bytes(), None)
+        data = _read(path, 0o077, "read this private key; chmod 600")
+        key = load_pem_private_key(data, None)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; see `teleop keys --help`") from error
-    except (ValueError, TypeError) as error:
+    except UNREADABLE as error:
         raise UsageError(f"{path}: not a private key (PEM, not encrypted)") from error
     if not isinstance(key, Ed25519PrivateKey):
         raise UsageError(f"{path}: not an Ed25519 key; issue it with `teleop keys issue`")
@@ -145,12 +150,12 @@ def load_revoked(folder: Path, authority: x509.Certificate) -> frozenset[int]:
     """Return the revoked serial numbers of a folder; `UsageError` if their list is not genuine."""
     path = folder / REVOKED
     try:
-        revoked = x509.load_pem_x509_crl(path.read_bytes())
+        revoked = x509.load_pem_x509_crl(_read(path, 0o022, "change this file; chmod 644"))
     except FileNotFoundError as error:
         raise UsageError(f"{path}: missing; copy it from the folder of the authority") from error
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}") from error
-    except ValueError as error:
+    except UNREADABLE as error:
         raise UsageError(f"{path}: not a list of revoked certificates (PEM)") from error
     public = authority.public_key()
     if not isinstance(public, Ed25519PublicKey) or not revoked.is_signature_valid(public):
@@ -158,11 +163,36 @@ def load_revoked(folder: Path, authority: x509.Certificate) -> frozenset[int]:
     return frozenset(entry.serial_number for entry in revoked)
 
 
+def require_unshared(folder: Path) -> None:
+    """Raise `UsageError` if other users could exchange the files of a folder."""
+    status = folder.stat()
+    if status.st_mode & 0o022:
+        raise UsageError(f"{folder}: other users can change this folder; chmod go-w {folder}")
+    _require_owner(folder, status)
+
+
+def _read(path: Path, forbidden: int, complaint: str) -> bytes:
+    """Return the content of a file that nobody else owns, nor has `forbidden` permissions for."""
+    with path.open("rb") as file:
+        status = os.fstat(file.fileno())  # of the very file that is read
+        if status.st_mode & forbidden:
+            raise UsageError(f"{path}: other users can {complaint} {path}")
+        _require_owner(path, status)
+        return file.read(FILE_MAX)
+
+
+def _require_owner(path: Path, status: os.stat_result) -> None:
+    """Raise `UsageError` if a file is neither ours nor the administrator's, who may use all."""
+    ours = os.geteuid()
+    if ours not in (0, status.st_uid) and status.st_uid != 0:
+        raise UsageError(f"{path}: belongs to another user; copy it, so that it is yours")
+
+
 def is_signed_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
     """Return whether `authority` has issued `certificate`."""
     try:
         certificate.verify_directly_issued_by(authority)
-    except (ValueError, TypeError, InvalidSignature):
+    except (*UNREADABLE, InvalidSignature):
         return False
     return True
 
@@ -181,8 +211,12 @@ def write(path: Path, data: bytes, mode: int) -> None:
         handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
         with os.fdopen(handle, "wb") as file:
             file.write(data)
+            file.flush()
+            os.fsync(handle)
         partial.replace(path)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink()  # it may hold a part of a private key
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
 
 

@@ -17,13 +17,13 @@ authority.key can issue himself anything.
 Roles: master, slave, supervisor (`teleop run`, `stop` and `set`; `--right` limits it to stop, reset
 or set), recorder, viewer, router (`--session all` for the router of all sessions).
 
-After `revoke`, copy authority/revoked.pem into the folder of keys of each machine, and start the
-processes there again; a running session does not read it again.
+After `revoke`, copy authority/revoked.pem into the folder of keys of each machine. Running
+processes read it within seconds and part from the holder.
 """
 
 import argparse
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from cryptography import x509
@@ -37,6 +37,7 @@ from teleop.keys.authority import (
     CERTIFICATE_DAYS,
     REVOKED,
     Authority,
+    is_signed_by,
     load_certificate,
     load_key,
     load_revoked,
@@ -147,6 +148,7 @@ def _issue(args: argparse.Namespace) -> int:
     if taken and not args.force:
         raise UsageError(f"{taken[0]}: exists; --force replaces it")
     _require_same_authority(args.out, authority)
+    _require_shorter(args.days, authority)
     authority.publish(args.out)
     for office, path in paths.items():
         rights = tuple(sorted(set(args.right or RIGHTS))) if office is Office.SUPERVISOR else ()
@@ -163,9 +165,19 @@ def _require_same_authority(folder: Path, authority: Authority) -> None:
         raise UsageError(f"{folder}: has keys of another authority; choose another --out")
 
 
+def _require_shorter(days: float, authority: Authority) -> None:
+    """Raise `UsageError` if certificates would outlive their authority, which ends them."""
+    end = authority.certificate.not_valid_after_utc
+    if datetime.now(UTC) + timedelta(days=days) > end:
+        raise UsageError(
+            f"--days: the authority itself ends on {end:%Y-%m-%d}; choose fewer days, or make a "
+            "new authority"
+        )
+
+
 def _revoke(args: argparse.Namespace) -> int:
     authority = Authority.load(args.folder)
-    serial = _serial(args.which)
+    serial = _serial(args.which, authority)
     if serial in authority.revoked:
         raise UsageError(f"{args.which}: is revoked already")
     authority.revoke(serial).publish(args.folder)
@@ -174,13 +186,19 @@ def _revoke(args: argparse.Namespace) -> int:
     return 0
 
 
-def _serial(which: str) -> int:
+def _serial(which: str, authority: Authority) -> int:
     if Path(which).is_file():
-        return load_certificate(Path(which)).serial_number
+        certificate = load_certificate(Path(which))
+        if not is_signed_by(certificate, authority.certificate):
+            raise UsageError(f"{which}: is of another authority, which alone can revoke it")
+        return certificate.serial_number
     try:
-        return int(which, 16)
+        serial = int(which, 16)
     except ValueError as error:
         raise UsageError(f"{which}: neither a file nor a serial number (hexadecimal)") from error
+    if not 0 < serial < 1 << 159:
+        raise UsageError(f"{which}: not a serial number of a certificate")
+    return serial
 
 
 def _show(args: argparse.Namespace) -> int:

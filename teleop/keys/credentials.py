@@ -17,13 +17,16 @@ from cryptography.x509.oid import NameOID
 from teleop.errors import TeleopError, UsageError
 from teleop.keys.authority import (
     AUTHORITY,
+    UNREADABLE,
     is_signed_by,
     load_certificate,
     load_key,
     load_revoked,
+    require_unshared,
 )
 from teleop.keys.identity import ALL_SESSIONS, Identity, Office
 
+NAME_MAX = 64  # characters of a common name (X.520)
 WARN = timedelta(days=14)  # before a certificate expires
 
 
@@ -41,6 +44,7 @@ class Credentials:
     authority: x509.Certificate
     revoked: frozenset[int] = frozenset()
     lasting: bool = True  # issued by a person, who must issue the next one
+    folder: Path | None = None  # where the list of revoked certificates lies
 
     def identify(self, certificate: x509.Certificate) -> Identity:
         """Return whom a certificate stands for; `CertificateError` if it is not to be believed."""
@@ -81,19 +85,28 @@ def identify(
     CertificateError
         It is of another authority, expired, not yet valid, revoked, or names no role.
     """
-    name = common_name(certificate)
+    try:
+        name = common_name(certificate)
+        start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    except UNREADABLE as error:
+        raise CertificateError("a certificate that cannot be read") from error
     if not is_signed_by(certificate, authority):
         raise CertificateError(f"the certificate {name} is of another authority")
     now = datetime.now(UTC)
-    if now > certificate.not_valid_after_utc:
+    if now > end:
         raise CertificateError(
-            f"the certificate {name} expired on {certificate.not_valid_after_utc:%Y-%m-%d %H:%M} "
+            f"the certificate {name} expired on {end:%Y-%m-%d %H:%M} "
             "UTC; issue a new one with `teleop keys issue`"
         )
-    if now < certificate.not_valid_before_utc:
+    if now < start:
         raise CertificateError(
-            f"the certificate {name} is valid from "
-            f"{certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC on; check the clock"
+            f"the certificate {name} is valid from {start:%Y-%m-%d %H:%M} UTC on; check the clock"
+        )
+    if now > authority.not_valid_after_utc:
+        raise CertificateError(
+            f"the authority of the certificate {name} expired on "
+            f"{authority.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; make a new one with "
+            "`teleop keys init`"
         )
     if certificate.serial_number in revoked:
         raise CertificateError(f"the certificate {name} was revoked")
@@ -104,9 +117,11 @@ def identify(
 
 
 def common_name(certificate: x509.Certificate) -> str:
-    """Return the common name of a certificate."""
+    """Return the common name of a certificate, which anybody may have made, fit for a terminal."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(names[0].value) if names else "without a name"
+    if not names:
+        return "without a name"
+    return "".join(c if c.isprintable() else "?" for c in str(names[0].value))[:NAME_MAX]
 
 
 def stem(office: Office, session: str) -> str:
@@ -125,6 +140,7 @@ def load(folder: Path, session: str, office: Office) -> Credentials:
     """
     if not folder.is_dir():
         raise UsageError(f"link.keys: {folder}: no such folder; see `teleop keys --help`")
+    require_unshared(folder)
     authority = load_certificate(folder / AUTHORITY)
     revoked = load_revoked(folder, authority)
     names = [stem(office, session)]
@@ -149,4 +165,4 @@ def load(folder: Path, session: str, office: Office) -> Credentials:
         raise UsageError(f"{path}: is of a {identity.office}, this process is a {office}")
     if not identity.may_join(session):
         raise UsageError(f"{path}: is of session {identity.session!r}, not {session!r}")
-    return Credentials(identity, certificate, key, authority, revoked)
+    return Credentials(identity, certificate, key, authority, revoked, folder=folder)

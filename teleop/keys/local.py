@@ -6,7 +6,12 @@ Each user has an authority of his own, below `$XDG_STATE_HOME/teleop/keys` (defa
 user of the machine gets nowhere.
 """
 
+import contextlib
+import fcntl
 import os
+import shutil
+import tempfile
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -32,21 +37,16 @@ def local_credentials(session: str, office: Office) -> Credentials:
     identity = Identity(office, session, RIGHTS if office is Office.SUPERVISOR else ())
     certificate, key = authority.issue(identity, LOCAL_DAYS, _EPOCH)
     return Credentials(
-        identity, certificate, key, authority.certificate, authority.revoked, lasting=False
-    )
+        identity, certificate, key, authority.certificate, authority.revoked, lasting=False,
+        folder=local_folder(),
+    )  # fmt: skip
 
 
 def _authority() -> Authority:
     """Return this user's authority, made if there is none that lasts."""
     folder = local_folder()
     try:
-        if (folder / AUTHORITY).is_file():
-            _require_private(folder)
-            authority = Authority.load(folder)
-            left = authority.certificate.not_valid_after_utc - datetime.now(UTC)
-            if left > timedelta(days=LOCAL_DAYS):
-                return authority
-        return _make(folder)
+        return _lasting(folder) or _make(folder)
     except OSError as error:
         raise UsageError(
             f"{folder}: no keys can be kept here: {error.strerror}; set XDG_STATE_HOME to a folder "
@@ -54,33 +54,42 @@ def _authority() -> Authority:
         ) from error
 
 
+def _lasting(folder: Path) -> Authority | None:
+    """Return the authority of a folder; None if there is none, or it expires soon."""
+    if not (folder / AUTHORITY).is_file():
+        return None
+    _require_private(folder)
+    authority = Authority.load(folder)
+    left = authority.certificate.not_valid_after_utc - datetime.now(UTC)
+    return authority if left > timedelta(days=LOCAL_DAYS) else None
+
+
 def _make(folder: Path) -> Authority:
     """Make the authority; of several processes at once the first one wins."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = folder.with_name(f".keys-{os.getpid()}")
-    Authority.create("teleop on this machine", AUTHORITY_LIFE, _EPOCH).save(draft)
-    if folder.exists() and (folder / AUTHORITY).is_file():
-        return _replace_expired(folder, draft)
+    folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    with _lock(folder.parent):
+        if (authority := _lasting(folder)) is not None:  # another process was faster
+            return authority
+        # a new name, which nobody can have taken before
+        draft = Path(tempfile.mkdtemp(prefix=".keys-", dir=folder.parent))
+        Authority.create("teleop on this machine", AUTHORITY_LIFE, _EPOCH).save(draft / "new")
+        if folder.exists():
+            folder.rename(draft / "old")
+        (draft / "new").rename(folder)
+        shutil.rmtree(draft)
+        _require_private(folder)
+        return Authority.load(folder)
+
+
+@contextlib.contextmanager
+def _lock(folder: Path) -> Iterator[None]:
+    """Let one process at a time make an authority in `folder`."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        draft.rename(folder)
-    except OSError:  # another process was faster
-        _remove(draft)
-    _require_private(folder)
-    return Authority.load(folder)
-
-
-def _replace_expired(folder: Path, draft: Path) -> Authority:
-    old = folder.with_name(f".keys-{os.getpid()}-old")
-    folder.rename(old)
-    draft.rename(folder)
-    _remove(old)
-    return Authority.load(folder)
-
-
-def _remove(folder: Path) -> None:
-    for path in folder.iterdir():
-        path.unlink()
-    folder.rmdir()
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def _require_private(folder: Path) -> None:

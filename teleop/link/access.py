@@ -59,8 +59,10 @@ def access_control(sessions: Iterable[str]) -> dict[str, Any]:
         routers = [_name(Office.ROUTER, session), _name(Office.ROUTER, ALL_SESSIONS)]
         allow(f"{session} router", _EVERYTHING, [f"{top}/**", f"{tokens}/**", f"{top}/@impair"],
               routers)  # fmt: skip
+        everybody = [name for office in Office for name in names_of(office, session)]
         allow(f"{session} listen", _LISTENING, [f"{top}/**", f"{tokens}/**"],
-              [name for office in Office for name in names_of(office, session)])  # fmt: skip
+              everybody)  # fmt: skip
+        allow(f"{session} proof", ["declare_queryable", "reply"], [f"{tokens}/prove/**"], everybody)
         for topic in TOPICS:
             publishers = names_of_publishers(topic, session)
             allow(f"{session} {topic.name}", ["put"], [f"{top}/{topic.name}"], publishers)
@@ -69,6 +71,9 @@ def access_control(sessions: Iterable[str]) -> dict[str, Any]:
             if role == Role.SLAVE:
                 keys.append(f"{tokens}/relay/master/**")
             allow(f"{session} token of a {role.name.lower()}", ["liveliness_token"], keys,
+                  names_of(OFFICE_OF[role], session))  # fmt: skip
+            allow(f"{session} challenge of a {role.name.lower()}", ["query"],
+                  [f"{tokens}/prove/{role.name.lower()}/**"],
                   names_of(OFFICE_OF[role], session))  # fmt: skip
         allow(f"{session} impair", ["query"], [f"{top}/@impair"],
               names_of(Office.SUPERVISOR, session))  # fmt: skip

@@ -16,6 +16,7 @@ from teleop.clock import now_ns
 from teleop.errors import TeleopError
 from teleop.keys import Office
 from teleop.link.access import access_control
+from teleop.link.challenge import challenge_key
 from teleop.link.config import LinkConfig
 from teleop.link.network import declare_publisher, open_session
 from teleop.link.presence import root
@@ -115,6 +116,32 @@ class Bank:
         for key in tokens - self._mirrored.keys():
             self._mirrored[key] = None  # before its token arrives here
             self._mirrored[key] = self._liveliness.declare_token(key)
+
+    def pass_challenges_to(self, other: "Bank") -> None:
+        """Pass challenges from this side to the other one, and their answers back.
+
+        They are not delayed, nor lost: what is cut has no tokens that could be challenged.
+        """
+
+        def on_query(query: Any) -> None:
+            def on_reply(reply: Any) -> None:
+                if reply.ok is not None:
+                    query.reply(reply.ok.key_expr, reply.ok.payload)
+
+            other._zenoh.get(
+                query.key_expr,
+                zenoh.handlers.Callback(on_reply, indirect=False),
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=ANSWER_S,
+                payload=query.payload,
+                allowed_destination=self._remote,
+            )
+
+        direct: Any = zenoh.handlers.Callback(on_query, indirect=False)
+        self._challenges: Any = self._zenoh.declare_queryable(
+            challenge_key(self._session, "*", "*"), direct, allowed_origin=self._remote
+        )
 
     def serve(self, answer: Callable[[str], dict[str, Any]]) -> None:
         """Answer requests of `send_request`; a `TeleopError` is raised at the caller."""

@@ -11,7 +11,7 @@ The proof is `key (32 bytes), signature (64 bytes), certificate (X.509, DER)` in
 """
 
 import base64
-import binascii
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,10 +24,14 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from teleop.keys import OFFICE_OF, CertificateError, Credentials, Identity
+from teleop.keys.authority import UNREADABLE
+from teleop.keys.credentials import identify
+from teleop.keys.revocation import RevocationList
 from teleop.link.presence import Token
 from teleop.topics import Role
 
 KEY_BYTES, _SIGNATURE_BYTES = 32, 64
+_CERTIFICATE_AT = KEY_BYTES + _SIGNATURE_BYTES
 PROOF_MAX = 2000  # characters; ours have about 550
 
 
@@ -38,6 +42,7 @@ class Peer(NamedTuple):
     nonce: int
     identity: Identity
     public: bytes  # its X25519 key
+    certificate: x509.Certificate | None = None
 
 
 class PairKeys(NamedTuple):
@@ -65,12 +70,14 @@ class Handshake:
         self._private = X25519PrivateKey.generate()
         self._public = self._private.public_key().public_bytes_raw()
         self._certificate = credentials.certificate.public_bytes(Encoding.DER)
+        self._revoked = RevocationList(credentials)
 
     def prove(self, token: Token) -> Token:
         """Return our token with its proof."""
-        signature = self._credentials.key.sign(_signed(token, self._session, self._public))
+        data = _signed(token, self._session, self._public + self._certificate)
+        signature = self._credentials.key.sign(data)
         raw = self._public + signature + self._certificate
-        return replace(token, proof=base64.urlsafe_b64encode(raw).decode().rstrip("="))
+        return replace(token, proof=_text(raw))
 
     def check(self, token: Token) -> Peer:
         """Return whose token it is; `CertificateError` if it is not to be believed.
@@ -84,10 +91,12 @@ class Handshake:
             raise CertificateError(f"a {name} with a certificate that is too long")
         try:
             raw = base64.urlsafe_b64decode(token.proof + "=" * (-len(token.proof) % 4))
-            certificate = x509.load_der_x509_certificate(raw[KEY_BYTES + _SIGNATURE_BYTES :])
-        except (ValueError, binascii.Error) as error:
+            if _text(raw) != token.proof:  # so that a process has one proof only
+                raise ValueError
+            certificate = x509.load_der_x509_certificate(raw[_CERTIFICATE_AT:])
+        except UNREADABLE as error:
             raise CertificateError(f"a {name} with a certificate that cannot be read") from error
-        identity = self._credentials.identify(certificate)
+        identity = self._identify(certificate)
         if identity.office is not OFFICE_OF[token.role]:
             raise CertificateError(f"a {name} with the certificate {identity.common_name}")
         if not identity.may_join(self._session):
@@ -95,12 +104,36 @@ class Handshake:
                 f"a {name} of session {identity.session!r}: the certificate is "
                 f"{identity.common_name}"
             )
-        public, signature = raw[:KEY_BYTES], raw[KEY_BYTES : KEY_BYTES + _SIGNATURE_BYTES]
-        if not _is_signature(certificate, signature, _signed(token, self._session, public)):
+        public, signature = raw[:KEY_BYTES], raw[KEY_BYTES:_CERTIFICATE_AT]
+        signed = _signed(token, self._session, public + raw[_CERTIFICATE_AT:])
+        if not _is_signature(certificate, signature, signed):
             raise CertificateError(
                 f"a {name} that does not hold the key of its certificate {identity.common_name}"
             )
-        return Peer(token.role, token.nonce, identity, public)
+        return Peer(token.role, token.nonce, identity, public, certificate)
+
+    @property
+    def fault(self) -> str:
+        """Why our own certificate is not believed any more; empty if it is."""
+        return self._fault_of(self._credentials.certificate)
+
+    def fault_of(self, peer: Peer) -> str:
+        """Return why the certificate of a peer is not believed any more; empty if it is."""
+        return "" if peer.certificate is None else self._fault_of(peer.certificate)
+
+    def read_revoked(self, complain: Callable[[str], None]) -> bool:
+        """Read the list of revoked certificates again if it has changed; return whether it grew."""
+        return self._revoked.update(complain)
+
+    def _identify(self, certificate: x509.Certificate) -> Identity:
+        return identify(certificate, self._credentials.authority, self._revoked.serials)
+
+    def _fault_of(self, certificate: x509.Certificate) -> str:
+        try:
+            self._identify(certificate)
+        except CertificateError as error:
+            return str(error)
+        return ""
 
     def pair_keys(self, peer: Peer) -> PairKeys:
         """Return the keys shared with `peer` and nobody else; `CertificateError` if its is bad."""
@@ -114,10 +147,15 @@ class Handshake:
         )
 
 
-def _signed(token: Token, session: str, public: bytes) -> bytes:
-    """Return what the signature covers."""
+def _text(raw: bytes) -> str:
+    """Return a proof as it stands in a token."""
+    return base64.urlsafe_b64encode(raw).decode().rstrip("=")
+
+
+def _signed(token: Token, session: str, shown: bytes) -> bytes:
+    """Return what the signature covers; `shown` is the X25519 key and the certificate."""
     plain = replace(token, relayed=False, proof="").key(session)
-    return b"teleop hello 1\0" + plain.encode() + b"\0" + public
+    return b"teleop hello 1\0" + plain.encode() + b"\0" + shown
 
 
 def _is_signature(certificate: x509.Certificate, signature: bytes, data: bytes) -> bool:

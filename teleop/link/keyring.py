@@ -25,6 +25,7 @@ ADDRESSEES = 8  # at most, of a message
 KEPT = 64  # peers whose messages are still believed after their token has vanished
 
 _NONCE = struct.Struct("<Q")
+_TOPICS = {topic.name: topic for topic in TOPICS}
 
 
 class Verdict(Enum):
@@ -110,6 +111,14 @@ class Keyring:
             if role in topic.addressees:
                 seals = self._seals[topic.name]
                 seals.entries = tuple(e for e in seals.entries if e[0] != addressee)
+
+    def forget(self, role: Role, nonce: int) -> None:
+        """Address a peer no more, and believe nothing of it any more."""
+        self.remove(role, nonce)
+        self._peers.pop((role, nonce), None)
+        for name, senders in self._senders.items():
+            if role in _TOPICS[name].publishers:
+                senders.pop(nonce, None)
 
     def seals(self, topic: Topic[Any]) -> Seals:
         """Return what messages of `topic` are tagged with; it follows the peers."""

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from typing import Any, Self, TypeVar
@@ -14,6 +15,7 @@ from teleop.keys import OFFICE_OF, Identity
 from teleop.link import presence
 from teleop.link.access import access_control
 from teleop.link.config import LinkConfig
+from teleop.link.connection_probe import ConnectionProbe
 from teleop.link.handshake import Handshake
 from teleop.link.inbox import Inbox
 from teleop.link.keyring import Keyring, Seals
@@ -23,7 +25,7 @@ from teleop.link.presence import Stage, Token
 from teleop.link.protection import credentials_of
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.refusals import Refusals
-from teleop.link.roster import Roster
+from teleop.link.roster import DECISION_NS, Roster
 from teleop.messages import LAYOUT, TOPIC_SLOTS, Message
 from teleop.packet import Packet
 from teleop.topics import TOPICS, Role, Topic
@@ -94,27 +96,27 @@ class Link:
         self._subscribers: list[Any] = []
 
     def __enter__(self) -> Self:
-        self._zenoh: Any = self._open()
-        try:
+        with ExitStack() as opening:
+            self._zenoh: Any = self._open()
+            opening.callback(self._zenoh.close)
             relay = self.role == Role.SLAVE and not self.config.routers
             self._roster = Roster(
-                self._zenoh, self.session, self.nonce, relay,
+                self._zenoh, self.session, self._token, relay,
                 self._handshake, self._keyring, self.refusals,
             )  # fmt: skip
+            opening.callback(self._roster.close)
             claim = self._announce()
             if not self._at_once:
                 self._settle()
             self._token = replace(self._token, stage=Stage.HELD)
             self._held = self._announce()
             claim.undeclare()
-        except BaseException:
-            self._zenoh.close()
-            raise
+            opening.enter_context(self._probe())
+            self._closing = opening.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._roster.close()
-        self._zenoh.close()
+        self._closing.close()
 
     @property
     def insecure(self) -> bool:
@@ -249,7 +251,6 @@ class Link:
 
     def check_peers(self) -> None:
         """Raise `PeerError` if this process must leave the session; costs microseconds."""
-        self._roster.refresh()
         why = presence.conflict(self._token, self._roster.others)
         if why is not None:
             raise PeerError(f"session {self.session!r} {why}")
@@ -320,10 +321,12 @@ class Link:
         """Raise `PeerError` if it is our own session's peer that has the endpoint."""
         with open_session(self.credentials, [], endpoints) as session:
             roster = Roster(
-                session, self.session, self.nonce, False, self._handshake,
+                session, self.session, self._token, False, self._handshake,
                 None if self._keyring is None else Keyring(self.role, self.nonce),
             )  # fmt: skip
-            time.sleep(SETTLE_S)
+            begin = now_ns()
+            while self._waits(roster, begin):
+                time.sleep(0.01)
             roster.close()
         if any(t.role == self.role and not t.relayed for t in roster.others):
             name = self.role.name.lower()
@@ -331,6 +334,15 @@ class Link:
                 f"session {self.session!r} has a {name} already, at {endpoints[0]}; stop that one "
                 "first, or choose another session name and other endpoints"
             )
+
+    def _probe(self) -> ConnectionProbe:
+        """Return what watches for ends that answer and do not become connections."""
+
+        def connected() -> list[str]:
+            return [link.dst for link in self._zenoh.info.links()]
+
+        ends = self._endpoints()[1]
+        return ConnectionProbe(ends, self.credentials, self.session, connected, self.refusals.note)
 
     def _on_connection(self, event: zenoh.LinkEvent) -> None:
         """Note a connection of a certificate that has nothing to do here; it is not served."""
@@ -343,7 +355,10 @@ class Link:
             self.refusals.note(f"a connection with the certificate {name}")
 
     def _settle(self) -> None:
-        """Detect peers before claiming a role: at most twice `SETTLE_S`, half of it to connect."""
+        """Detect peers before claiming a role: at most twice `SETTLE_S`, half of it to connect.
+
+        A peer that is there but has not answered yet gets `DECISION_NS` more.
+        """
         begin = now_ns()
         linked = None
         while True:
@@ -352,9 +367,16 @@ class Link:
             info = self._zenoh.info
             if linked is None and (info.peers_zid() or info.routers_zid()):
                 linked = now
-            if now - (begin if linked is None else linked) > SETTLE_S * 1e9:
+            if not self._waits(self._roster, begin if linked is None else linked):
                 return
             time.sleep(0.01)
+
+    def _waits(self, roster: Roster, begin_ns: int) -> bool:
+        """Return whether a start at `begin_ns` goes on detecting peers."""
+        waited_s = (now_ns() - begin_ns) * 1e-9
+        return waited_s <= SETTLE_S or (
+            roster.undecided and waited_s <= SETTLE_S + DECISION_NS * 1e-9
+        )
 
 
 class _Publisher:

@@ -1,6 +1,7 @@
 """Zenoh sessions with explicit endpoints, no discovery and short timeouts."""
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -44,6 +45,8 @@ def open_session(
     TeleopError
         No target of a client answers.
     """
+    if "RUST_LOG" in os.environ:  # else Zenoh prints its errors, among what commands print
+        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
     try:
         zenoh_config = config_of(settings(credentials, listen, connect, access, mode))
         if limits_hz:
@@ -125,6 +128,7 @@ def settings(
             "enable_mtls": True,
             # a certificate names a role, which the other side checks, and no host
             "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
             **credentials.for_tls(),
         }
         if access is not None:

@@ -119,6 +119,7 @@ def zenohd_config(
         flat["transport/link/tls"] = {
             "enable_mtls": True,
             "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
             "root_ca_certificate": str(config.keys / AUTHORITY),
             "listen_certificate": own,
             "listen_private_key": key,

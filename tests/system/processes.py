@@ -61,12 +61,20 @@ class Processes:
             process.wait()
         self._logs.close()
 
-    def start(self, command: str, *arguments: str) -> subprocess.Popen[bytes]:
+    def take_name(self, session: str) -> None:
+        """Be a session of this name from now on, as the certificates of a test say."""
+        self.session = session
+        self.shared += ["--set", f"session={session}"]
+
+    def start(
+        self, command: str, *arguments: str, talkative: bool = False
+    ) -> subprocess.Popen[bytes]:
+        """Start a command; a talkative one prints its events, as without a launcher."""
         process = subprocess.Popen(
             [sys.executable, "-m", "teleop", command, *self.shared, *arguments],
             stdout=self._log(command),
             stderr=subprocess.STDOUT,
-            env=OURS,
+            env=os.environ if talkative else OURS,
         )
         self.running[command] = process
         self._all.append(process)

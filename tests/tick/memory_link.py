@@ -40,6 +40,9 @@ class Session:
             declare_subscriber=lambda *_, **__: nothing, declare_token=lambda _: nothing
         )
 
+    def declare_queryable(self, *_):
+        return SimpleNamespace(undeclare=lambda: None)
+
     def declare_subscriber(self, key, handler):
         self.stores[key] = getattr(handler, "callback", handler)
 
@@ -82,6 +85,9 @@ class MemoryLink(Link):
     def _open(self):
         return Session()
 
+    def _endpoints(self):
+        return [], []
+
     def _settle(self) -> None:
         """Nobody else is there."""
 
@@ -106,8 +112,10 @@ class MemoryLink(Link):
     def meet(self, peers: "list[Link]") -> None:
         """Announce the others of the session to this side."""
         for peer in peers:
-            assert self._roster._believes(peer._token)
-        self._roster.replace(frozenset(peer._token for peer in peers))
+            peer_process = self._roster.examine(peer._token)
+            peer_process.must_answer = False  # nobody carries challenges
+            self._roster._processes[peer._token] = peer_process
+            self._roster._admit(peer_process)
 
     def carry(self, peer: "MemoryLink") -> None:
         """Give `peer` what this side has published since the last time; see `way`."""

@@ -8,8 +8,10 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from teleop.link import Latest, Link, LinkConfig
-from teleop.link.presence import EXCLUSIVE
-from teleop.messages import Command
+from teleop.link.handshake import Handshake
+from teleop.link.keyring import Keyring
+from teleop.link.presence import EXCLUSIVE, Stage, Token
+from teleop.messages import LAYOUT, Command
 from teleop.topics import COMMAND, Role
 
 MS = 1_000_000
@@ -55,6 +57,16 @@ def pump(sender: Link, receiver: Link, count: int = 1) -> Latest[Command]:
 
     wait_until(heard)
     return latest
+
+
+def oldest(link: Link) -> Link:
+    """A link, not open yet, as if its clock were far behind, so that it looks the oldest."""
+    assert link.credentials is not None
+    link.nonce = 1
+    link._token = Token(link.role, LAYOUT, 1, Stage.CLAIM)
+    link._handshake = Handshake(link.credentials, link.session, 1)
+    link._keyring = Keyring(link.role, 1)
+    return link
 
 
 def packed(sequence: int, sender: int = 7, stamp_ns: int = 0) -> bytes:

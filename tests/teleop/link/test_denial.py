@@ -1,20 +1,19 @@
 """What floods cost a side: bounded work, and no memory."""
 
 import gc
-import random
 import tracemalloc
 
 import pytest
 
+from benchmarks import denial
 from teleop.clock import now_ns
 from teleop.keys import Identity, Office
 from teleop.link.handshake import PairKeys, Peer
 from teleop.link.keyring import ENTRY_BYTES, KEPT, Keyring, Verdict
 from teleop.link.listener import LOOKS, Listener
 from teleop.link.rate_limit import RateLimit
-from teleop.link.reception import Latest
 from teleop.link.refusals import KINDS, Refusals
-from teleop.messages import Command, EmergencyStop
+from teleop.messages import EmergencyStop
 from teleop.topics import COMMAND, STOP, Role
 from tests.tick.memory_link import Sample
 
@@ -27,17 +26,6 @@ def ring() -> Keyring:
     keyring = Keyring(Role.SLAVE, 2)
     keyring.add(MASTER, KEYS)
     return keyring
-
-
-def latest_of(keyring: Keyring) -> Latest[Command]:
-    senders = keyring.senders(COMMAND)
-    return Latest(COMMAND, lambda _: 1, senders=senders, addressee=keyring.addressee)
-
-
-def tagged(keyring: Keyring, data: bytes) -> bytes:
-    mac = keyring.senders(COMMAND)[1].copy()
-    mac.update(data)
-    return data + keyring.addressee + mac.digest()
 
 
 def growth_of(flood) -> int:
@@ -54,48 +42,16 @@ def growth_of(flood) -> int:
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("count", [2_000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_random_senders_cost_no_memory(count: int) -> None:
-    keyring, chance = ring(), random.Random(1)  # noqa: S311
-    latest, listener = latest_of(keyring), Listener(lambda *_: 1, keyring)
-    store = listener.store(STOP)
-
-    def flood(n) -> None:
-        for _ in range(n or count):
-            sender = chance.getrandbits(64)
-            latest.take([(Command().pack(sender, 1, 1) + bytes(ENTRY_BYTES), now_ns())])
-            store(Sample(EmergencyStop().pack(sender, 1, 1), bytes(ENTRY_BYTES)))
-            assert not listener.drain()
-
-    assert growth_of(flood) < FLAT
-    assert latest.counts.unknown == count + 1000
-    assert listener.refused(STOP) == count + 1000
-    latest.take([(tagged(keyring, Command().pack(1, 1, now_ns())), now_ns())])
-    assert latest.new
-
-
-@pytest.mark.parametrize("count", [3_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
-def test_mutated_frames_are_counted_and_dropped(count: int) -> None:
-    keyring, chance = ring(), random.Random(2)  # noqa: S311
-    latest = latest_of(keyring)
-    genuine = tagged(keyring, Command(state=1).pack(1, 1, now_ns()))
-    latest.take([(genuine, now_ns())])
-
-    def flood(n) -> None:
-        for _ in range(n or count):
-            frame = bytearray(genuine)
-            for _ in range(chance.randint(1, 4)):
-                frame[chance.randrange(len(frame))] ^= chance.randint(1, 255)
-            del frame[chance.choice((len(frame), chance.randrange(len(frame)))) :]
-            latest.take([(bytes(frame), now_ns())])
-            assert not latest.new
-
-    assert growth_of(flood) < FLAT
-    counts = latest.counts
-    assert counts.received == 1
-    assert counts.rejected + counts.unknown == count + 1000
-    latest.take([(tagged(keyring, Command(state=2).pack(1, 2, now_ns())), now_ns())])
-    assert latest.new
+@pytest.mark.parametrize("kind", ["mutated", "random senders"])
+@pytest.mark.parametrize("count", [10_000, pytest.param(500_000, marks=pytest.mark.slow)])
+def test_floods_are_counted_and_dropped_and_cost_no_memory(kind: str, count: int) -> None:
+    """Of each of two topics so many frames; as `benchmarks/denial.py`."""
+    door = denial.Door()
+    frames = denial.floods(door, min(count, 100_000))[kind]
+    assert (door.accepted, door.dropped) == (2, 0)
+    assert growth_of(lambda n: denial.flood(door, n or count, frames)) < FLAT
+    assert (door.accepted, door.dropped) == (2, 2 * (count + 1000))
+    assert denial.still_opens(door)
 
 
 def test_a_flood_is_looked_at_no_more_than_the_limit_allows() -> None:

@@ -7,10 +7,9 @@ import pytest
 from teleop.errors import PeerError
 from teleop.link import Link, LinkConfig
 from teleop.link import link as link_module
-from teleop.link.presence import Stage, Token
 from teleop.messages import LAYOUT
 from teleop.topics import Role
-from tests.teleop.link.bench import free_config, pump, session, wait_until
+from tests.teleop.link.bench import free_config, oldest, pump, session, wait_until
 
 
 @pytest.mark.usefixtures("true_settling")
@@ -40,9 +39,7 @@ def test_a_second_master_from_another_machine_is_refused_and_the_first_stays(
 ) -> None:
     elsewhere = free_config(slave=config.slave)
     with session(config, Role.SLAVE, Role.MASTER) as (slave, master):
-        late = Link(elsewhere, "test", Role.MASTER)
-        late.nonce = 1  # its clock is far behind, so it looks the oldest
-        late._token = Token(Role.MASTER, LAYOUT, 1, Stage.CLAIM)
+        late = oldest(Link(elsewhere, "test", Role.MASTER))
         with pytest.raises(PeerError, match=r"has a master already"), late:
             pass
         for link in (slave, master):

@@ -77,13 +77,13 @@ def test_forged_and_played_back_messages_move_nothing(
             rogue.put("command", command, tags)  # as it was heard
             rogue.put("state", forged("SlaveState", state, 10**9 + n, ENGAGE[0]), tags)
 
-        def refused() -> bool:
-            at_slave, at_master = slave.latest(COMMAND).counts, master.latest(STATE).counts
-            old = at_slave.repeated + at_slave.out_of_order
-            found = at_slave.forged, at_slave.unknown, old, at_master.unknown
-            return found == (5, 5, 5, 5)
+            def refused(count: int = n + 1) -> bool:  # read at once: an inbox keeps 16 messages
+                at_slave, at_master = slave.latest(COMMAND).counts, master.latest(STATE).counts
+                old = at_slave.repeated + at_slave.out_of_order
+                found = at_slave.forged, at_slave.unknown, old, at_master.unknown
+                return found == (count,) * 4
 
-        wait_until(refused)
+            wait_until(refused)
         goes_on(slave, master)
         with Link(config, "test", Role.VIEWER) as viewer:  # of an earlier run
             old_nonce = viewer.nonce

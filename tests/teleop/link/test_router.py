@@ -14,12 +14,11 @@ from teleop.keys.local import local_credentials
 from teleop.link import Link, LinkConfig, Listener
 from teleop.link.access import access_control
 from teleop.link.network import open_session
-from teleop.link.presence import Stage, Token
 from teleop.link.router import Router
-from teleop.messages import LAYOUT, Command, LoopReport, SlaveState
+from teleop.messages import Command, LoopReport, SlaveState
 from teleop.topics import COMMAND, REPORT, STATE, TOPICS, Role
 from tests.system.processes import free_ports
-from tests.teleop.link.bench import pump, wait_until
+from tests.teleop.link.bench import oldest, pump, wait_until
 
 SERVED = ("a", "b", "room-1", "room-1-left", "room-2")  # one is the beginning of another
 
@@ -97,9 +96,7 @@ def test_nothing_crosses_from_one_session_to_another() -> None:
 @pytest.mark.parametrize("role", [Role.MASTER, Role.SLAVE])
 def test_a_second_one_at_the_router_is_refused_and_the_first_stays(role: Role) -> None:
     with routed() as config, pair(config, "a") as (slave, master):
-        late = Link(config, "a", role)
-        late.nonce = 1  # its clock is far behind, so it looks the oldest
-        late._token = Token(role, LAYOUT, 1, Stage.CLAIM)
+        late = oldest(Link(config, "a", role))
         with pytest.raises(PeerError, match=rf"'a' has a {role.name.lower()} already"), late:
             pass
         for link in (slave, master):

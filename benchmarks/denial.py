@@ -1,0 +1,176 @@
+"""What a flood costs a side: mutated frames and random senders at the door, in this process.
+
+python benchmarks/denial.py [--count 1000000] [--senders 100000]
+
+A genuine command is mutated `--count` times, in 1 to 4 bytes or cut off, and so is a genuine
+emergency stop; as many come from `--senders` different senders. All must be counted and dropped,
+and the memory of the process must stay within 2 MB. The time of a frame contains making it.
+"""
+
+import argparse
+import gc
+import os
+import random
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from teleop.clock import now_ns
+from teleop.keys import Identity, Office
+from teleop.link.handshake import PairKeys, Peer
+from teleop.link.keyring import ENTRY_BYTES, Keyring
+from teleop.link.listener import Listener
+from teleop.link.reception import Latest
+from teleop.messages import Command, EmergencyStop
+from teleop.topics import COMMAND, STOP, Role, Topic
+
+FLAT_MB = 2.0
+WARM = 20_000  # frames before memory is measured, which fill caches
+PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
+MASTER = Peer(Role.MASTER, 1, Identity(Office.MASTER, "test"), bytes(32))
+KEYS = PairKeys(bytes(32), b"\1" * 32)
+
+
+class Payload(bytes):
+    """A payload of Zenoh."""
+
+    to_bytes = bytes.__bytes__
+
+
+class Door:
+    """What receives at a slave: commands as the loop takes them, stops as Zenoh's thread does.
+
+    Attributes
+    ----------
+    accepted : int
+        Messages that were let in, which must be the genuine ones only.
+    """
+
+    def __init__(self) -> None:
+        self.keyring = Keyring(Role.SLAVE, 2)
+        self.keyring.add(MASTER, KEYS)
+        senders = self.keyring.senders(COMMAND)
+        self._latest = Latest(
+            COMMAND, lambda _: 1, senders=senders, addressee=self.keyring.addressee
+        )
+        self._listener = Listener(lambda *_: 1, self.keyring)
+        self._store: Callable[[Any], None] = self._listener.store(STOP)
+        self.accepted = 0
+
+    def tagged(self, topic: Topic[Any], data: bytes) -> bytes:
+        """Return a message of the master with its tag."""
+        senders = self.keyring.senders(topic) or {}
+        mac = senders[MASTER.nonce].copy()
+        mac.update(data)
+        return data + self.keyring.addressee + mac.digest()
+
+    def command(self, frame: bytes) -> None:
+        """Receive a command with its tags."""
+        self._latest.take([(frame, now_ns())])
+        self.accepted += self._latest.new
+
+    def stop(self, frame: bytes) -> None:
+        """Receive an emergency stop with its tags."""
+        size = EmergencyStop.schema.size
+        payload, tags = Payload(frame[:size]), Payload(frame[size:])
+        self._store(SimpleNamespace(payload=payload, attachment=tags))
+        self.accepted += len(self._listener.drain())
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that were counted and not let in."""
+        counts = self._latest.counts
+        return counts.rejected + counts.unknown + self._listener.refused(STOP)
+
+
+def mutated(frame: bytes, chance: random.Random) -> Iterator[bytes]:
+    """Yield frames that differ from `frame` in 1 to 4 bytes, every second one cut off too."""
+    while True:
+        new = bytearray(frame)
+        for _ in range(chance.randint(1, 4)):
+            new[chance.randrange(len(new))] ^= chance.randint(1, 255)
+        del new[chance.choice((len(new), chance.randrange(len(new)))) :]
+        if new != frame:  # two changes of one byte can undo each other
+            yield bytes(new)
+
+
+def of_random_senders(
+    message: Command | EmergencyStop, chance: random.Random, senders: int
+) -> Iterator[bytes]:
+    """Yield messages of different senders, with a checksum that is right, and a tag that is not."""
+    names = [chance.getrandbits(64) for _ in range(senders)]
+    while True:
+        for name in names:
+            yield message.pack(name, 1, now_ns()) + bytes(ENTRY_BYTES)
+
+
+def flood(door: Door, count: int, frames: dict[str, Iterator[bytes]]) -> None:
+    """Send so many frames of each kind."""
+    for topic, source in frames.items():
+        receive = getattr(door, topic)
+        for _ in range(count):
+            receive(next(source))
+
+
+def floods(door: Door, senders: int) -> dict[str, dict[str, Iterator[bytes]]]:
+    """Return the kinds of floods, by topic."""
+    chance = random.Random(2)  # noqa: S311
+    command = door.tagged(COMMAND, Command(state=1).pack(MASTER.nonce, 1, now_ns()))
+    stop = door.tagged(STOP, EmergencyStop().pack(MASTER.nonce, 1, now_ns()))
+    door.command(command)
+    door.stop(stop)
+    return {
+        "mutated": {"command": mutated(command, chance), "stop": mutated(stop, chance)},
+        "random senders": {
+            "command": of_random_senders(Command(), chance, senders),
+            "stop": of_random_senders(EmergencyStop(), chance, senders),
+        },
+    }
+
+
+def still_opens(door: Door) -> bool:
+    """Return whether a genuine command is let in after all that."""
+    before = door.accepted
+    door.command(door.tagged(COMMAND, Command(state=2).pack(MASTER.nonce, 2, now_ns())))
+    return door.accepted == before + 1
+
+
+def resident_mb() -> float:
+    return PAGE_MB * int(Path("/proc/self/statm").read_text().split()[1])
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=1_000_000, help="mutated frames of a topic")
+    parser.add_argument("--senders", type=int, default=100_000, help="random senders of a topic")
+    args = parser.parse_args()
+    door = Door()
+    kinds = floods(door, args.senders)
+    failed = False
+    for name, frames in kinds.items():
+        count = args.count if name == "mutated" else args.senders
+        flood(door, WARM, frames)
+        gc.collect()
+        memory, dropped, accepted = resident_mb(), door.dropped, door.accepted
+        begin = time.perf_counter()
+        flood(door, count, frames)
+        seconds = time.perf_counter() - begin
+        gc.collect()
+        grown = resident_mb() - memory
+        sent = count * len(frames)
+        failed |= door.dropped - dropped != sent or door.accepted != accepted or grown > FLAT_MB
+        print(
+            f"{name:15} {sent} frames: {door.dropped - dropped} dropped, "
+            f"{door.accepted - accepted} accepted, {seconds / sent * 1e6:.1f} us each, "
+            f"memory {grown:+.2f} MB"
+        )
+    failed |= not still_opens(door)
+    print("FAILED" if failed else "a genuine command is still accepted")
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,267 @@
+"""Real processes with keys of `teleop keys`, and certificates that must not take part."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from teleop.app import cli
+from teleop.app.launch.supervisor import wait_for
+from teleop.keys import Identity, Office
+from teleop.keys.authority import REVOKED, Authority
+from teleop.link import Link, Listener
+from teleop.messages import Event, text_of
+from teleop.session import State
+from teleop.topics import EVENT, STATE, Role
+from tests.system.namespaces import Network, require_namespaces
+from tests.system.processes import OURS, START_S, Processes, free_ports
+from tests.teleop.keys.folder import make_keys, put
+
+pytestmark = pytest.mark.slow
+
+SESSION = "theatre-2"
+HELD = "master.device.engage=[[0.5, 300]]", "master.device.engage_period=300"
+TOGETHER = ("master", "slave", "supervisor", "recorder", "viewer")
+DAY_S = 86_400.0
+
+
+def issue(folder: Path, out: str, *roles: str, session: str = SESSION) -> Path:
+    """Keys by the command, of one authority per folder."""
+    home = folder / "authority"
+    if not home.exists():
+        assert cli.main(["keys", "init", str(home)]) == 0
+    words = [word for role in roles for word in ("--role", role)]
+    out_folder = folder / out
+    assert cli.main(
+        ["keys", "issue", str(home), "--session", session, "--out", str(out_folder), *words]
+    ) == 0  # fmt: skip
+    return out_folder
+
+
+def revoke(folder: Path, keys: Path, name: str) -> None:
+    """Revoke a certificate by the command, and bring the list to the keys."""
+    home = folder / "authority"
+    assert cli.main(["keys", "revoke", str(home), str(keys / f"{name}.pem")]) == 0
+    shutil.copy(home / REVOKED, keys / REVOKED)
+
+
+class Heard:
+    """What the processes of a session say."""
+
+    def __init__(self, listener: Listener) -> None:
+        self._listener = listener
+        self.lines: list[tuple[int, str]] = []
+
+    def said(self, role: Role, text: str) -> bool:
+        events = (Event.unpack(item.data) for item in self._listener.drain())
+        self.lines += [(event.role, text_of(event.text)) for event in events]
+        return any(by == role and text in line for by, line in self.lines)
+
+
+@contextmanager
+def watched(session: Processes, keys: Path) -> Iterator[tuple[Link, Heard]]:
+    link_config = replace(session.link_config, keys=keys)
+    with Link(link_config, session.session, Role.LAUNCHER) as link:
+        link.subscribe_latest(STATE)
+        yield link, Heard(link.listen((EVENT,)))
+
+
+def has_let_go(link: Link) -> bool:
+    state = link.latest(STATE).message
+    return state is not None and state.state in (State.HOLDING, State.FAULT)
+
+
+def test_a_revoked_master_is_parted_from_while_it_is_engaged(
+    tmp_path: Path, demo_config: Path
+) -> None:
+    keys = issue(tmp_path, "keys", *TOGETHER)
+    with Processes(tmp_path, demo_config, f"link.keys={keys}", *HELD) as session:
+        session.take_name(SESSION)
+        session.start("slave")
+        session.start("master")
+        with watched(session, keys) as (link, heard):
+            assert wait_for(lambda: session.engaged(link), START_S), session.outputs()
+            revoke(tmp_path, keys, f"{SESSION}.master")
+            assert wait_for(lambda: has_let_go(link), 10.0), session.outputs()
+            revoked = f"the certificate master.{SESSION} was revoked"
+            assert wait_for(lambda: heard.said(Role.SLAVE, f"refused: {revoked}"), 10.0)
+            assert wait_for(lambda: heard.said(Role.MASTER, f"{revoked}; it is ours"), 10.0)
+            assert not wait_for(lambda: session.engaged(link), 3.0)
+        # and it cannot start again
+        code, said = run_one(session, "master")
+        assert code == 2
+        assert revoked in said
+
+
+def test_a_certificate_that_expires_while_it_is_engaged_ends_the_pair(
+    tmp_path: Path, demo_config: Path
+) -> None:
+    authority = Authority.create("test authority", 2)
+    keys = make_keys(tmp_path / "keys", SESSION, authority)
+    with Processes(tmp_path, demo_config, f"link.keys={keys}", *HELD) as session:
+        session.take_name(SESSION)
+        session.start("slave")
+        with watched(session, keys) as (link, heard):
+            assert wait_for(lambda: link.latest(STATE).message is not None, START_S)
+            put(authority, keys, Identity(Office.MASTER, SESSION), 45.0 / DAY_S)
+            session.start("master")
+            assert wait_for(lambda: session.engaged(link), 40.0), session.outputs()
+            assert wait_for(lambda: has_let_go(link), 60.0), session.outputs()
+            expired = f"refused: the certificate master.{SESSION} expired on"
+            assert wait_for(lambda: heard.said(Role.SLAVE, expired), 10.0), heard.lines
+            assert not wait_for(lambda: session.engaged(link), 3.0)
+
+
+def run_one(session: Processes, command: str) -> tuple[int, str]:
+    """A command that ends by itself; its exit code and error lines."""
+    done = subprocess.run(
+        [sys.executable, "-m", "teleop", command, *session.shared],
+        env=OURS, timeout=START_S, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    return done.returncode, done.stderr
+
+
+def test_a_certificate_that_is_not_valid_starts_nothing(tmp_path: Path, demo_config: Path) -> None:
+    authority = Authority.create("test authority", 2)
+    keys = make_keys(tmp_path / "keys", SESSION, authority)
+    now = datetime.now(UTC)
+    with Processes(tmp_path, demo_config, f"link.keys={keys}") as session:
+        session.take_name(SESSION)
+        for identity, days, start, complaint in (
+            (Identity(Office.MASTER, SESSION), -0.5, now - timedelta(days=1), "expired on"),
+            (Identity(Office.MASTER, "other"), 1.0, None, "is of session 'other'"),
+            (Identity(Office.VIEWER, SESSION), 1.0, None, "is of a viewer, this process is a mas"),
+        ):
+            put(authority, keys, identity, days, start, f"{SESSION}.master")
+            code, said = run_one(session, "master")
+            assert code == 2
+            assert complaint in said
+            assert len(said.splitlines()) == 1
+        other = Authority.create("another", 2)
+        put(other, keys, Identity(Office.MASTER, SESSION), name=f"{SESSION}.master")
+        code, said = run_one(session, "master")
+        assert code == 2
+        assert "is of another authority" in said
+
+
+@pytest.mark.parametrize("foreign", ["session", "authority", "insecure"])
+def test_a_master_of_elsewhere_moves_nothing_and_hears_why(
+    tmp_path: Path, demo_config: Path, foreign: str
+) -> None:
+    keys = issue(tmp_path, "keys", *TOGETHER)
+    theirs = SESSION
+    if foreign == "authority":
+        (tmp_path / "elsewhere").mkdir()
+        stranger = f"link.keys={issue(tmp_path / 'elsewhere', 'keys', 'master', 'supervisor')}"
+    elif foreign == "session":
+        theirs = "other"
+        stranger = f"link.keys={issue(tmp_path, 'other-keys', 'master', session=theirs)}"
+    else:
+        stranger = "link.insecure=true"
+    with Processes(tmp_path, demo_config, *HELD) as session:
+        session.take_name(SESSION)
+        shared = list(session.shared)
+        session.shared = [*shared, "--set", f"link.keys={keys}"]
+        session.start("slave")
+        with watched(session, keys) as (link, heard):
+            assert wait_for(lambda: link.latest(STATE).message is not None, START_S)
+            session.shared = [*shared, "--set", stranger]
+            session.take_name(theirs)
+            log = session.start("master", talkative=True)
+            reasons = {
+                "session": f"a connection with the certificate slave.{SESSION}",
+                "authority": f"the certificate slave.{SESSION} is of another authority",
+                "insecure": "it is secure, and this side is not (link.insecure)",
+            }
+            assert wait_for(lambda: reasons[foreign] in session.outputs(), START_S), (
+                session.outputs()
+            )
+            if foreign == "session":  # it got as far as a connection
+                there = "a connection with the certificate master.other"
+                assert wait_for(lambda: heard.said(Role.SLAVE, there), 10.0), heard.lines
+            state = link.latest(STATE).message
+            assert state is not None
+            assert state.state == State.READY
+            assert not link.present(Role.MASTER)
+            assert log.poll() is None
+
+
+def test_a_run_with_keys_of_the_command(tmp_path: Path, demo_config: Path) -> None:
+    keys = issue(tmp_path, "keys", *TOGETHER)
+    ends = [f"127.0.0.1:{port}" for port in free_ports(2)]
+    words = run_words(demo_config, tmp_path, keys, *ends)
+    done = subprocess.run(
+        [*words, "--duration", "4", "--record", str(tmp_path)],
+        env=OURS, timeout=2 * START_S, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "INSECURE" not in done.stdout
+    summary = json.loads((tmp_path / "run.json").read_text())
+    for side in ("master", "slave"):
+        assert summary[side]["ticks_in"]["engaged"] > 1000
+        assert summary[side]["rejected"] == dict.fromkeys(summary[side]["rejected"], 0)
+    # without the certificate of one of its processes: one line, and nothing is left running
+    (keys / f"{SESSION}.slave.pem").unlink()
+    done = subprocess.run(
+        words, env=OURS, timeout=START_S, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert f"no certificate of a slave of session '{SESSION}'" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def run_words(config: Path, folder: Path, keys: Path, master: str, slave: str) -> list[str]:
+    words = [sys.executable, "-m", "teleop", "run", "--config", str(config), "--view", "none"]
+    for text in (
+        f"session={SESSION}", f"link.keys={keys}", f"link.master={master}", f"link.slave={slave}",
+    ):  # fmt: skip
+        words += ["--set", text]
+    return [*words, "--json", str(folder / "run.json")]
+
+
+def test_a_run_is_stopped_from_another_machine_by_who_may_and_by_nobody_else(
+    tmp_path: Path, demo_config: Path
+) -> None:
+    require_namespaces()
+    keys = issue(tmp_path, "rig-keys", *TOGETHER)
+    desk = issue(tmp_path, "desk-keys", "supervisor")
+    wrong = issue(tmp_path, "wrong-keys", "viewer")
+    (tmp_path / "elsewhere").mkdir()
+    strangers = issue(tmp_path / "elsewhere", "keys", "supervisor")
+    with Network(("rig", "desk"), (("rig", "desk"),)) as network:
+        ends = [f"{network.address['rig', 'desk']}:{port}" for port in (7451, 7452)]
+        words = run_words(demo_config, tmp_path, keys, *ends)
+        switch = [word for text in HELD for word in ("--set", text)]
+        network.start("rig", [*words, *switch], tmp_path / "run.log")
+
+        def text() -> str:
+            return (tmp_path / "run.log").read_text()
+
+        def stop(keys: Path, name: str) -> tuple[int, str]:
+            log = tmp_path / f"{name}.log"
+            command = [sys.executable, "-m", "teleop", "stop", "--config", str(demo_config)]
+            for item in (
+                f"session={SESSION}", f"link.keys={keys}",
+                f"link.master={ends[0]}", f"link.slave={ends[1]}",
+            ):  # fmt: skip
+                command += ["--set", item]
+            code = network.start("desk", command, log).wait(60.0)
+            return code, log.read_text()
+
+        assert wait_for(lambda: re.search(r"\[slave\].*ngaged", text()), 2 * START_S), text()
+        for folder, name in ((wrong, "wrong"), (strangers, "stranger")):
+            code, said = stop(folder, name)
+            assert code != 0, said
+            assert len(said.splitlines()) == 1
+        assert "stopped" not in text().lower()
+        code, said = stop(desk, "desk")
+        assert code == 0, said
+        assert wait_for(lambda: "stopped" in text().lower(), 10.0), text()

@@ -1,0 +1,63 @@
+"""Why an endpoint is not connected to, in words."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from teleop.keys import Office
+from teleop.keys import credentials as stored
+from teleop.link import Link, LinkConfig, connection_probe
+from teleop.link.connection_probe import fault_of
+from teleop.topics import Role
+from tests.rogue import Rogue
+from tests.teleop.keys.folder import make_keys
+from tests.teleop.link.bench import free_config, wait_until
+from tests.teleop.link.test_played_back import lines_of, recorded
+
+
+def insecure(config: LinkConfig) -> LinkConfig:
+    return LinkConfig(master=config.master, slave=config.slave, insecure=True)
+
+
+def test_what_is_wrong_with_an_endpoint_is_named(config: LinkConfig, tmp_path: Path) -> None:
+    theirs = stored.load(make_keys(tmp_path, "test"), "test", Office.MASTER)
+    with Link(config, "test", Role.SLAVE) as slave:
+        ours = slave.credentials
+        assert fault_of(config.slave, ours, "test") == ""
+        assert fault_of(config.slave, ours, "other") == "its certificate is slave.test"
+        assert "is of another authority" in fault_of(config.slave, theirs, "test")
+        assert "it is secure, and this side is not" in fault_of(config.slave, None, "test")
+    assert fault_of(config.slave, ours, "test") == ""  # nobody there
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        place = f"127.0.0.1:{other.getsockname()[1]}"
+        assert "no answer in TLS" in fault_of(place, ours, "test")
+        assert fault_of(place, None, "test") == ""
+
+
+def test_neither_a_secure_nor_an_insecure_side_accepts_the_other_and_both_say_so(
+    config: LinkConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection_probe, "EVERY_S", 0.1)
+    for slaves, masters, text in (
+        (config, insecure(config), "it is secure, and this side is not (link.insecure)"),
+        (insecure(config), config, "no answer in TLS"),
+    ):
+        with (
+            Link(slaves, "test", Role.SLAVE) as slave,
+            Link(masters, "test", Role.MASTER) as master,
+        ):
+            wait_until(lines_of(master, f"a connection to {config.slave}: {text}"))
+            assert not slave.present(Role.MASTER)
+            assert not master.present(Role.SLAVE)
+
+
+def test_a_token_of_a_secure_process_is_refused_by_an_insecure_one() -> None:
+    """As through a plaintext router, which a secure process would not connect to."""
+    config = insecure(free_config())
+    with Link(config, "test", Role.SLAVE) as slave, Rogue([config.slave], "test", None) as rogue:
+        rogue.announce_key(recorded(Role.MASTER, 5))
+        wait_until(lines_of(slave, "a master with a certificate: this session is insecure"))
+        assert not slave.present(Role.MASTER)

@@ -1,0 +1,145 @@
+"""Presence tokens of processes that are gone, played back: they count for nothing.
+
+Whoever plays them back has the certificate of a router, which Zenoh lets announce everything.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+
+import pytest
+
+from teleop.keys import OFFICE_OF, Office
+from teleop.keys.local import local_credentials
+from teleop.link import Link, LinkConfig
+from teleop.link import roster as roster_module
+from teleop.link.challenge import CHALLENGE_BYTES, challenge_key
+from teleop.link.handshake import Handshake
+from teleop.link.keyring import ADDRESSEES
+from teleop.link.network import open_session
+from teleop.link.presence import Stage, Token
+from teleop.link.roster import TOKENS
+from teleop.messages import LAYOUT
+from teleop.topics import COMMAND, Role
+from tests.rogue import Rogue
+from tests.teleop.link.bench import pump, session, wait_until
+
+SILENT = "that does not answer: it hangs, or somebody plays its token back"
+
+
+@pytest.fixture
+def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(roster_module, "EVERY_NS", 200_000_000)
+    monkeypatch.setattr(roster_module, "DECISION_NS", 300_000_000)
+
+
+def recorded(role: Role, nonce: int, relayed: bool = False) -> str:
+    """The genuine token of a process of an earlier run."""
+    handshake = Handshake(local_credentials("test", OFFICE_OF[role]), "test", nonce)
+    token = handshake.prove(Token(role, LAYOUT, nonce, Stage.HELD))
+    return token.key("test").replace("/@/", "/@/relay/") if relayed else token.key("test")
+
+
+def rogue_of(config: LinkConfig, count: int) -> Rogue:
+    rogue = Rogue(
+        [config.slave, config.master], "test", local_credentials("test", Office.ROUTER).for_tls()
+    )
+    wait_until(lambda: rogue.connected(count))
+    return rogue
+
+
+def lines_of(link: Link, *texts: str) -> Callable[[], bool]:
+    """Whether lines with all of these texts were said."""
+    lines: list[str] = []
+
+    def said() -> bool:
+        lines.extend(link.refusals.take())
+        return all(any(text in line for line in lines) for text in texts)
+
+    return said
+
+
+@pytest.mark.usefixtures("short_patience")
+def test_recorded_tokens_evict_and_displace_nobody(config: LinkConfig) -> None:
+    with (
+        session(config, Role.SLAVE, Role.MASTER) as (slave, master),
+        rogue_of(config, 2) as rogue,
+    ):
+        pump(master, slave)
+        for n in range(1, ADDRESSEES + 2):  # more than a message has tags
+            for role in (Role.MASTER, Role.SLAVE, Role.REMOTE):
+                rogue.announce_key(recorded(role, n))  # as old as can be
+        rogue.announce_key(recorded(Role.MASTER, 99, relayed=True))
+        for link in (slave, master):
+            wait_until(lines_of(link, *(f"a {name} {SILENT}" for name in ("master", "slave"))))
+            link.check_peers()
+            assert not link.present(Role.REMOTE)
+        assert {token.nonce for token in slave._roster.others} == {master.nonce}
+        assert {token.nonce for token in master._roster.others} == {slave.nonce}
+        pump(master, slave, 3)
+
+
+@pytest.mark.usefixtures("short_patience")
+@pytest.mark.parametrize("count", [2, TOKENS + 6])
+def test_recorded_tokens_keep_nobody_out(config: LinkConfig, count: int) -> None:
+    """They stand before the pair comes, older and newer ones, more than are kept."""
+    with Link(config, "test", Role.SLAVE) as slave, rogue_of(config, 1) as rogue:
+        for n in range(1, count + 1):
+            rogue.announce_key(recorded(Role.MASTER, n + (n % 2) * 2**63))
+        with Link(config, "test", Role.MASTER) as master:
+            pump(master, slave, 3)
+            assert slave.latest(COMMAND).message.sender == master.nonce
+            assert {token.nonce for token in slave._roster.others} == {master.nonce}
+
+
+@pytest.mark.usefixtures("short_patience")
+def test_a_copy_of_a_living_token_outlives_its_process_by_seconds_only(config: LinkConfig) -> None:
+    """Zenoh does not say that a process is gone while somebody else announces the same token."""
+    with Link(config, "test", Role.SLAVE) as slave, ExitStack() as ends:
+        master = Link(config, "test", Role.MASTER)
+        with master:
+            pump(master, slave)
+            rogue = ends.enter_context(rogue_of(config, 2))
+            for key in rogue_tokens(rogue, master):
+                rogue.announce_key(key)
+            time.sleep(0.1)
+        assert slave.present(Role.MASTER)  # its end is masked
+        wait_until(lambda: not slave.present(Role.MASTER))
+        with Link(config, "test", Role.MASTER) as next_one:
+            pump(next_one, slave, 3)
+            next_one.check_peers()
+        assert not slave.present(Role.MASTER, master.nonce)
+
+
+def rogue_tokens(rogue: Rogue, master: Link) -> list[str]:
+    def of_master() -> list[str]:
+        return [key for key in rogue.tokens if f"{master.nonce:016x}/held" in key]
+
+    wait_until(lambda: bool(of_master()))
+    return list(dict.fromkeys(of_master()))
+
+
+def test_a_challenge_is_answered_to_genuine_askers_only(config: LinkConfig) -> None:
+    credentials = local_credentials("test", Office.ROUTER)
+    with (
+        Link(config, "test", Role.SLAVE) as slave,
+        open_session(credentials, [], [config.slave]) as asking,
+    ):
+        genuine = recorded(Role.MASTER, 5)
+        challenge = bytes(CHALLENGE_BYTES)
+
+        def answers(role: str, token: str, subject: int = slave.nonce) -> list[bytes]:
+            payload = challenge + subject.to_bytes(8, "little") + token.encode()
+            key = challenge_key("test", role, slave.nonce)
+            replies = list(asking.get(key, payload=payload, timeout=1.0))
+            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+        wait_until(lambda: bool(answers("master", genuine)))
+        assert answers("master", genuine) == answers("master", genuine)  # of the same challenge
+        assert not answers("viewer", genuine)
+        assert not answers("master", genuine, subject=5)  # it has not proven itself
+        assert not answers("master", genuine[:-3] + "AAA")
+        assert not answers("master", recorded(Role.MASTER, 5).rsplit("/", 1)[0])
+        assert not answers("*", genuine)
+        for junk in ("", "/", "teleop/test/@/master", "\0" * 3000):
+            assert not answers("master", junk)

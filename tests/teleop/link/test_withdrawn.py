@@ -1,0 +1,98 @@
+"""Certificates that expire, or are revoked, while their processes run."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from teleop.keys import Identity, Office
+from teleop.keys.authority import REVOKED, Authority
+from teleop.link import Link, LinkConfig
+from teleop.link import roster as roster_module
+from teleop.messages import Command
+from teleop.topics import COMMAND, Role
+from tests.teleop.keys.folder import make_keys, put
+from tests.teleop.link.bench import pump, session, wait_until
+from tests.teleop.link.test_played_back import lines_of
+
+DAY_S = 86_400.0
+
+
+@pytest.fixture(autouse=True)
+def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(roster_module, "EVERY_NS", 100_000_000)
+
+
+@pytest.fixture
+def authority() -> Authority:
+    return Authority.create("test authority", 2)
+
+
+def with_keys(config: LinkConfig, keys: Path) -> LinkConfig:
+    return LinkConfig(master=config.master, slave=config.slave, keys=keys)
+
+
+def is_parted(slave: Link, master: Link) -> None:
+    """Neither counts the other as present, and no command is believed."""
+    wait_until(lambda: not slave.present(Role.MASTER) and not master.present(Role.SLAVE))
+    before = slave.latest(COMMAND).counts
+    received, unknown = before.received, before.unknown
+
+    def refused() -> bool:
+        master.publish(COMMAND, Command(state=1))
+        return slave.latest(COMMAND).counts.unknown > unknown + 5
+
+    wait_until(refused)
+    assert slave.latest(COMMAND).counts.received == received
+
+
+def test_a_master_that_is_revoked_is_parted_from_within_seconds(
+    tmp_path: Path, config: LinkConfig, authority: Authority
+) -> None:
+    keys = make_keys(tmp_path, authority=authority)
+    with session(with_keys(config, keys), Role.SLAVE, Role.MASTER) as (slave, master):
+        pump(master, slave, 3)
+        assert master.credentials is not None
+        authority.revoke(master.credentials.certificate.serial_number).publish(keys)
+        wait_until(lines_of(slave, "refused: the certificate master.test was revoked"))
+        wait_until(lines_of(master, "the certificate master.test was revoked; it is ours"))
+        is_parted(slave, master)
+
+
+def test_a_list_that_is_not_genuine_takes_nobody_back(
+    tmp_path: Path, config: LinkConfig, authority: Authority
+) -> None:
+    keys = make_keys(tmp_path / "keys", authority=authority)
+    Authority.create("another", 2).publish(tmp_path / "other")
+    empty = (keys / REVOKED).read_bytes()
+    with session(with_keys(config, keys), Role.SLAVE, Role.MASTER) as (slave, master):
+        (keys / REVOKED).write_bytes((tmp_path / "other" / REVOKED).read_bytes())
+        wait_until(lines_of(slave, "not signed by the authority beside it; the earlier one stays"))
+        pump(master, slave, 3)
+        assert master.credentials is not None
+        authority.revoke(master.credentials.certificate.serial_number).publish(keys)
+        wait_until(lines_of(slave, "was revoked"))
+        (keys / REVOKED).write_bytes(empty)  # an older list, genuine
+        with Link(with_keys(config, keys), "test", Role.VIEWER) as viewer:
+            wait_until(lambda: slave._roster.others != frozenset())
+            assert not slave.present(Role.MASTER)
+            assert viewer.nonce
+
+
+def test_a_certificate_that_expires_ends_the_pair(
+    tmp_path: Path, config: LinkConfig, authority: Authority
+) -> None:
+    keys = make_keys(tmp_path, authority=authority)
+    put(authority, keys, Identity(Office.MASTER, "test"), 3.0 / DAY_S)
+    with session(with_keys(config, keys), Role.SLAVE, Role.MASTER) as (slave, master):
+        pump(master, slave, 3)
+        assert master.credentials is not None
+        end = master.credentials.certificate.not_valid_after_utc
+        assert slave.present(Role.MASTER)
+        wait_until(lines_of(slave, "refused: the certificate master.test expired on"))
+        assert datetime.now(UTC) >= end
+        wait_until(lambda: not slave.present(Role.MASTER) and not master.present(Role.SLAVE))
+        pumped = slave.latest(COMMAND).counts.received
+        for _ in range(20):
+            master.publish(COMMAND, Command(state=1))
+        assert slave.latest(COMMAND).counts.received == pumped
