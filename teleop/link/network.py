@@ -1,7 +1,6 @@
 """Zenoh sessions with explicit endpoints, no discovery and short timeouts."""
 
 import json
-import os
 import re
 from typing import Any, Literal
 
@@ -42,8 +41,6 @@ def open_session(
     TeleopError
         No target of a client answers.
     """
-    if "RUST_LOG" in os.environ:  # else Zenoh prints its errors, among what commands print
-        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
     try:
         return zenoh.open(config_of(settings(credentials, listen, connect, access, mode)))
     except zenoh.ZError as error:
