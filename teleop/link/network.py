@@ -1,7 +1,6 @@
 """Zenoh sessions with explicit endpoints, no discovery and short timeouts."""
 
 import json
-import os
 import re
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -45,8 +44,6 @@ def open_session(
     TeleopError
         No target of a client answers.
     """
-    if "RUST_LOG" in os.environ:  # else Zenoh prints its errors, among what commands print
-        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
     try:
         zenoh_config = config_of(settings(credentials, listen, connect, access, mode))
         if limits_hz:

@@ -1,0 +1,52 @@
+"""Whose tokens are believed: each kind of wrong certificate is refused in words."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from teleop.keys import CertificateError, Credentials, Identity, Office
+from teleop.keys.authority import Authority
+from teleop.link.handshake import Handshake
+from teleop.link.presence import Stage, Token
+from teleop.messages import LAYOUT
+from teleop.topics import Role
+
+MASTER, SLAVE = Identity(Office.MASTER, "test"), Identity(Office.SLAVE, "test")
+TOKEN = Token(Role.MASTER, LAYOUT, 7, Stage.HELD)
+NOW = datetime.now(UTC)
+
+
+def of(
+    authority: Authority, identity: Identity, days: float = 1.0, start: datetime | None = None
+) -> Credentials:
+    certificate, key = authority.issue(identity, days, start)
+    return Credentials(identity, certificate, key, authority.certificate, authority.revoked)
+
+
+def token_of(credentials: Credentials) -> Token:
+    return Handshake(credentials, "test", TOKEN.nonce).prove(TOKEN)
+
+
+def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -> None:
+    authority = Authority.create("ours", 2)
+    revoked = of(authority, MASTER)
+    authority = authority.revoke(revoked.certificate.serial_number)
+    slave = Handshake(of(authority, SLAVE), "test", 1)
+    for credentials, complaint in (
+        (of(authority, MASTER, -0.5, NOW - timedelta(days=1)), r"master\.test expired on"),
+        (of(authority, MASTER, 1.0, NOW + timedelta(hours=1)), r"valid from .* check the clock"),
+        (revoked, r"master\.test was revoked"),
+        (of(authority, Identity(Office.VIEWER, "test")), r"master with the certificate viewer\."),
+        (of(authority, Identity(Office.ROUTER, "test")), r"master with the certificate router\."),
+        (of(authority, Identity(Office.MASTER, "other")), r"master of session 'other'"),
+        (of(Authority.create("theirs", 2), MASTER), r"master\.test is of another authority"),
+    ):
+        with pytest.raises(CertificateError, match=complaint):
+            slave.check(token_of(credentials))
+    right = of(authority, MASTER)
+    peer = slave.check(token_of(right))
+    assert (peer.identity, slave.fault, slave.fault_of(peer)) == (MASTER, "", "")
+    master = Handshake(right, "test", 7)
+    ours = slave.pair_keys(slave.check(master.prove(TOKEN)))
+    theirs = master.pair_keys(master.check(slave.prove(Token(Role.SLAVE, LAYOUT, 1, Stage.HELD))))
+    assert (ours.sending, ours.receiving) == (theirs.receiving, theirs.sending)
