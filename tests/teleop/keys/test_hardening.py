@@ -176,6 +176,9 @@ def test_damaged_proofs_are_refused_and_nothing_else(authority: Authority, count
     prove = Handshake(ours, "test", 7).prove
     proof, check = prove(token).proof, Handshake(ours, "test", 8).check
     assert check(prove(token)).identity == MASTER
+    for junk in ("!", "\n", "=", "A", "."):  # which base64 would skip
+        with pytest.raises(CertificateError):
+            check(Token(Role.MASTER, LAYOUT, 7, Stage.HELD, proof=proof[:50] + junk + proof[50:]))
     letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_"
     chance = random.Random(1)  # noqa: S311
     for _ in range(count):
