@@ -46,7 +46,7 @@ class PassivityConfig:
     spring_damping: float = 6.0  # [N s/m] at the hand, of that spring
     discharge_time: float = 0.010  # [s] time constant of using up credit
     return_time: float = 0.05  # [s] time constant of giving back the slave's surplus
-    tip_allowance: float = 0.005  # [J] that a constant load may return before it has taken any
+    tip_allowance: float = 0.020  # [J] that a constant load may return before it has taken any
     stiffness_max: float = 20e3  # [N/m] at the tip, of the predicted contact; 0 = no prediction
     # [m] largest change of the hand's travel per tick; scales with the square above 2.5 ms
     step_tolerance: float = 2e-5

@@ -61,6 +61,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SHARE",
         help="share of messages lost each way, 0 to 1 (default 0)",
     )
+    parser.add_argument(
+        "--encoder",
+        type=float,
+        default=1e6 * default.device.resolution,
+        metavar="UM",
+        help=f"resolution of the device [um] (default {1e6 * default.device.resolution:g})",
+    )
     for name, value, text in (
         ("force", default.force_scale, "force on the hand per force at the tip"),
         ("position", default.position_scale, "tip travel per hand travel"),
@@ -100,6 +107,7 @@ def parse_study(args: argparse.Namespace) -> Study:
         ("round-trips", delays or (), 0.0, ROUND_TRIP_MAX),
         ("jitter", (args.jitter,), 0.0, 100.0),
         ("loss", (args.loss,), 0.0, 0.5),
+        ("encoder", (args.encoder,), 0.0, 1000.0),
         ("force-scale", (args.force_scale,), 0.01, 0.5),
         ("position-scale", (args.position_scale,), 0.05, 2.0),
     ):
@@ -110,6 +118,7 @@ def parse_study(args: argparse.Namespace) -> Study:
         couplings=tuple(dict.fromkeys(args.couplings)),
         jitter=1e-3 * args.jitter,
         loss=args.loss,
+        device=replace(Study().device, resolution=args.encoder / 1e6),
         force_scale=args.force_scale,
         position_scale=args.position_scale,
     )

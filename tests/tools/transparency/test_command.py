@@ -85,9 +85,10 @@ def test_it_writes_a_page_and_numbers(tmp_path, capsys):
 @pytest.mark.usefixtures("measured")
 def test_over_a_bad_network_llewellyn_does_not_apply(tmp_path, capsys):
     words = ["--couplings", "direct", "--jitter", 20, "--loss", 0.1, "--round-trips", 100]
-    assert bench(*words, "--out", tmp_path) == 0
+    assert bench(*words, "--encoder", 50, "--out", tmp_path) == 0
     assert "does not apply" in capsys.readouterr().out
     page = (tmp_path / "transparency.html").read_text()
+    assert "50 µm" in page
     assert "none of these is one" in page
     assert page.count("data:image/png") == 3
 
@@ -102,6 +103,7 @@ def test_over_a_bad_network_llewellyn_does_not_apply(tmp_path, capsys):
         ["--round-trips", "soon"],
         ["--jitter", "500"],
         ["--loss", "1"],
+        ["--encoder", "-1"],
         ["--force-scale", "0"],
         ["--position-scale", "inf"],
         ["--jobs", "0"],

@@ -1,0 +1,146 @@
+"""The picture of docs/transparency.md, Z-width against its bounds: `python -m docs.z_width`.
+
+Draws the stiffest wall that each coupling renders stably without network delay over the damping of
+hand and device, and two bounds of `direct`: that of the sampled device alone, and that of the loop
+through the motor. No clock and fixed seeds: the same numbers on every run, in 5 minutes.
+"""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from estimator.array_types import Array
+from estimator.drawing import STYLE
+from teleop.coupling import Bilateral
+from teleop.parallel import parallel_map, processors
+from teleop.tools.transparency import zwidth
+from teleop.tools.transparency.figures import COLOURS
+from teleop.tools.transparency.hand import DT
+from teleop.tools.transparency.rig import TENDON, Rig, wall
+from teleop.tools.transparency.study import (
+    CONTACT,
+    FRICTION,
+    HANDS,
+    PRETENSION,
+    SPRING,
+    Study,
+)
+from teleop.tools.transparency.system import Network, Teleoperator, rig_model, settings
+
+IMAGE = Path(__file__).parent / "images" / "z-width.svg"
+STUDY = Study()
+SCALES = STUDY.force_scale * STUDY.position_scale
+HAND = HANDS["relaxed"]
+DAMPINGS = (0.5, 2.0, 8.0)  # [N s/m] of the device
+DELAY = 2.0 * DT  # [s] of the simulated loops: command to motor, tension to force
+FAST = 0.001  # [s] lag of a motor without the usual one
+CURVES = (
+    ("direct", Rig.lag),
+    ("direct", FAST),
+    ("passivity", Rig.lag),
+    ("wave", Rig.lag),
+)
+
+
+class Cell(NamedTuple):
+    """A wall to look for."""
+
+    coupling: str
+    lag: float  # [s] of the motor
+    damping: float  # [N s/m] of the device
+
+
+def sampling_bound(damping: float) -> float:
+    """Return 2 b / T [N/m] at the hand (Colgate & Schenkel 1997)."""
+    return 2.0 * damping / DT
+
+
+def loop_bound(damping: float, lag: float) -> float:
+    """Return the stiffness [N/m] at the hand up to which the loop of `direct` is passive.
+
+        K (T/2 + delay + lag (1 + K_tip / tendon)) = b
+
+    The motor also takes up the stretch of the tendon, with its lag: the tip follows by the lag
+    times 1 + K_tip / tendon, K_tip = K / (product of the scales).
+    """
+    a, c = lag / (SCALES * TENDON), DT / 2.0 + DELAY + lag
+    return (math.sqrt(c * c + 4.0 * a * damping) - c) / (2.0 * a)
+
+
+def stiffest(cell: Cell) -> float:
+    """Return the stiffest stable wall [N/m] at the hand; infinite if the cap was stable."""
+    device = replace(STUDY.device, damping=cell.damping)
+
+    def stable(stiffness: float) -> bool:
+        rig = Rig(wall(stiffness, CONTACT), SPRING, PRETENSION)
+        rig.lag = cell.lag
+        system = Teleoperator(
+            Bilateral(coupling=STUDY.coupling(cell.coupling)),
+            rig,
+            Network(),
+            settings(STUDY.force_scale, STUDY.position_scale, Network()),
+            rig_model(FRICTION),
+        )
+        return zwidth.settles(zwidth.push(system, HAND, device, CONTACT / STUDY.position_scale))
+
+    width = zwidth.largest(stable, STUDY.lowest, STUDY.cap, 10.0, 1.1)
+    return math.inf if math.isinf(width.unstable) else SCALES * width.stable
+
+
+def draw(found: dict[Cell, float]) -> Figure:
+    """Draw the stiffest stable walls and both bounds."""
+    figure = Figure(figsize=(6.4, 4.0))
+    axes = figure.subplots()
+    total = np.geomspace(3.0, 13.0, 40)
+    axes.plot(total, [sampling_bound(b) for b in total], color="#888888")
+    axes.annotate("2 b/T", (total[8], sampling_bound(total[8])), (4, -12), **OFFSET)
+    cap, shift = SCALES * STUDY.cap, 1.0
+    for name, lag in CURVES:
+        colour, fast = COLOURS[name], lag == FAST
+        if name == "direct":
+            axes.plot(total, [loop_bound(b, lag) for b in total], "--", color=colour, lw=1.0)
+        b = np.array(DAMPINGS) + HAND.damping
+        y: Array = np.array([found[Cell(name, lag, damping)] for damping in DAMPINGS])
+        capped = np.isinf(y)
+        shift *= 0.93 if capped.any() else 1.0  # so little apart that both show
+        fill = {"color": colour, "markerfacecolor": "white" if fast else colour}
+        axes.plot(b[capped], np.full(capped.sum(), cap * shift), "^", **fill)
+        label = f"{name}, motor {1e3 * lag:g} ms"
+        axes.plot(b[~capped], y[~capped], "o", **fill)
+        axes.plot([], [], "^" if capped.all() else "o", label=label, **fill)
+    axes.plot([], [], "--", color=COLOURS["direct"], lw=1.0, label="b/(T/2 + delay + lag')")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="damping b of hand and device [N s/m]",
+        ylabel="stiffest stable wall at the hand [N/m]",
+        xticks=[3, 5, 8, 12],
+        xticklabels=["3", "5", "8", "12"],
+    )
+    axes.minorticks_off()
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+OFFSET = {"textcoords": "offset points", "color": "#888888"}
+
+
+def main() -> None:
+    """Measure, print and draw."""
+    cells = [Cell(name, lag, b) for name, lag in CURVES for b in DAMPINGS]
+    found = dict(zip(cells, parallel_map(stiffest, cells, processors()), strict=True))
+    for cell, stiffness in found.items():
+        b = cell.damping + HAND.damping
+        bounds = f"2 b/T {sampling_bound(b):.0f}, loop {loop_bound(b, cell.lag):.0f}"
+        print(f"{cell.coupling}, {1e3 * cell.lag:g} ms, b {b:g}: {stiffness:.0f} N/m; {bounds}")
+    with mpl.rc_context({**STYLE, "svg.hashsalt": "z-width", "svg.fonttype": "none"}):
+        draw(found).savefig(IMAGE, metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    main()
