@@ -29,6 +29,7 @@ S = 1_000_000_000  # [ns]
 EVERY_NS = 2 * S  # between two challenges of a process, and two looks at the certificates
 RETRY_NS = S // 20  # after the first challenge without an answer; doubles up to `EVERY_NS`
 MISSED = 3  # challenges in succession without an answer, after which a process counts as gone
+SILENT_NS = 5 * S  # after which a process without an answer is told of; a busy machine is slow
 DECISION_NS = S  # after which a process without an answer is not waited for
 
 
@@ -277,7 +278,7 @@ class Roster:
         if process.present and process.unanswered >= MISSED:
             self._withdraw(process.token)
             process.present, process.since_ns = False, now
-        if not process.present and not process.noted and now - process.since_ns > DECISION_NS:
+        if not process.present and not process.noted and now - process.since_ns > SILENT_NS:
             process.noted = True
             self._refusals.note(
                 f"a {name} that does not answer: it hangs, or somebody plays its token back"

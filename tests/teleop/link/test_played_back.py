@@ -30,7 +30,7 @@ SILENT = "that does not answer: it hangs, or somebody plays its token back"
 @pytest.fixture
 def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(roster_module, "EVERY_NS", 200_000_000)
-    monkeypatch.setattr(roster_module, "DECISION_NS", 300_000_000)
+    monkeypatch.setattr(roster_module, "SILENT_NS", 300_000_000)
 
 
 def recorded(role: Role, nonce: int, relayed: bool = False) -> str:
