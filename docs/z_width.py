@@ -8,7 +8,7 @@ through the motor. No clock and fixed seeds: the same numbers on every run, in 5
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -39,7 +39,7 @@ HAND = HANDS["relaxed"]
 DAMPINGS = (0.5, 2.0, 8.0)  # [N s/m] of the device
 DELAY = 2.0 * DT  # [s] of the simulated loops: command to motor, tension to force
 FAST = 0.001  # [s] lag of a motor without the usual one
-OFFSET = {"textcoords": "offset points", "color": "#888888"}
+OFFSET: dict[str, Any] = {"textcoords": "offset points", "color": "#888888"}
 CURVES = (
     ("direct", Rig.lag),
     ("direct", FAST),
@@ -109,7 +109,7 @@ def draw(found: dict[Cell, float]) -> Figure:
         y: Array = np.array([found[Cell(name, lag, damping)] for damping in DAMPINGS])
         capped = np.isinf(y)
         shift *= 0.93 if capped.any() else 1.0  # so little apart that both show
-        fill = {"color": colour, "markerfacecolor": "white" if fast else colour}
+        fill: dict[str, Any] = {"color": colour, "markerfacecolor": "white" if fast else colour}
         axes.plot(b[capped], np.full(capped.sum(), cap * shift), "^", **fill)
         label = f"{name}, motor {1e3 * lag:g} ms"
         axes.plot(b[~capped], y[~capped], "o", **fill)
