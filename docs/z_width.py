@@ -8,7 +8,7 @@ through the motor. No clock and fixed seeds: the same numbers on every run, in 5
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -39,6 +39,7 @@ HAND = HANDS["relaxed"]
 DAMPINGS = (0.5, 2.0, 8.0)  # [N s/m] of the device
 DELAY = 2.0 * DT  # [s] of the simulated loops: command to motor, tension to force
 FAST = 0.001  # [s] lag of a motor without the usual one
+OFFSET: dict[str, Any] = {"textcoords": "offset points", "color": "#888888"}
 CURVES = (
     ("direct", Rig.lag),
     ("direct", FAST),
@@ -63,12 +64,12 @@ def sampling_bound(damping: float) -> float:
 def loop_bound(damping: float, lag: float) -> float:
     """Return the stiffness [N/m] at the hand up to which the loop of `direct` is passive.
 
-        K (T/2 + delay + lag (1 + K_tip / tendon)) = b
+        K (T/2 + delay + lag (1 + r) + T r) = b,     r = K_tip / tendon
 
-    The motor also takes up the stretch of the tendon, with its lag: the tip follows by the lag
-    times 1 + K_tip / tendon, K_tip = K / (product of the scales).
+    The motor also takes up the stretch of the tendon, a tick and its lag later: the tip follows by
+    the lag times 1 + r and a tick times r, K_tip = K / (product of the scales).
     """
-    a, c = lag / (SCALES * TENDON), DT / 2.0 + DELAY + lag
+    a, c = (lag + DT) / (SCALES * TENDON), DT / 2.0 + DELAY + lag
     return (math.sqrt(c * c + 4.0 * a * damping) - c) / (2.0 * a)
 
 
@@ -108,12 +109,12 @@ def draw(found: dict[Cell, float]) -> Figure:
         y: Array = np.array([found[Cell(name, lag, damping)] for damping in DAMPINGS])
         capped = np.isinf(y)
         shift *= 0.93 if capped.any() else 1.0  # so little apart that both show
-        fill = {"color": colour, "markerfacecolor": "white" if fast else colour}
+        fill: dict[str, Any] = {"color": colour, "markerfacecolor": "white" if fast else colour}
         axes.plot(b[capped], np.full(capped.sum(), cap * shift), "^", **fill)
         label = f"{name}, motor {1e3 * lag:g} ms"
         axes.plot(b[~capped], y[~capped], "o", **fill)
         axes.plot([], [], "^" if capped.all() else "o", label=label, **fill)
-    axes.plot([], [], "--", color=COLOURS["direct"], lw=1.0, label="b/(T/2 + delay + lag')")
+    axes.plot([], [], "--", color=COLOURS["direct"], lw=1.0, label="loop through the motor")
     axes.set(
         xscale="log",
         yscale="log",
@@ -125,9 +126,6 @@ def draw(found: dict[Cell, float]) -> Figure:
     axes.minorticks_off()
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
-
-
-OFFSET = {"textcoords": "offset points", "color": "#888888"}
 
 
 def main() -> None:

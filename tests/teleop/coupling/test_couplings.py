@@ -282,6 +282,15 @@ def test_one_joint_never_leaks_into_another(config, coupled):
             assert not any(told(side)[1][3:])
 
 
+def test_a_load_of_3_n_let_down_by_5_mm_returns_its_energy():
+    """As much as a hand gets ahead over 300 ms; what is not returned is missing in its force."""
+    rules, side = record_of(PassivityConfig()), Side.new()
+    for tick in range(501):
+        at_tip(rules, side, -1e-5 * tick, -0.01, 3.0)
+    assert side.ports[0].put_in == pytest.approx(3.0 * 5e-3)
+    assert side.ports[0].dissipated == pytest.approx(0.0, abs=1e-12)
+
+
 def test_the_signature_tells_any_two_choices_apart():
     choices = [
         Bilateral(),
