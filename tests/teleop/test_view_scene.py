@@ -92,7 +92,7 @@ def test_the_profile_arrives_as_it_was_sent(session, saved):
     for tendon in (0, 1):
         sent = {m.stamp_ns: m.tension for m in session.of(PROFILE) if m.tendon == tendon}
         shown = saved[f"/profile/tendon_{tendon}/tension"]["tension"]
-        assert len(shown) >= 30
+        assert len(shown) >= 20
         for stamp, tension in shown.items():
             np.testing.assert_allclose(tension, sent[stamp], atol=1e-6)
 
@@ -164,7 +164,7 @@ def test_the_plotted_curve_is_the_profile_in_two_pieces_that_meet_at_the_front(s
 def test_the_band_holds_the_interval_of_the_tip(session, saved):
     told = {m.stamp_ns: m for m in session.of(TENDONS)}
     band = saved["/profile/tendon_0/band"]
-    assert len(band["low"]) >= 30
+    assert len(band["low"]) >= 20
     for stamp in band["low"]:
         low, high = np.array(band["low"][stamp]), np.array(band["high"][stamp])
         assert low[-1] >= told[stamp].distal_tension_low[0] - 1e-6
@@ -179,7 +179,7 @@ def test_the_band_holds_the_interval_of_the_tip(session, saved):
 def test_the_tube_has_the_colour_of_its_tension(session, saved):
     sent = {m.stamp_ns: np.array(m.tension) for m in session.of(PROFILE) if m.tendon == 0}
     shown = saved["/scene/tendon_0/tube"]["Capsules3D:colors"]
-    assert len(shown) >= 30
+    assert len(shown) >= 20
     for stamp, colours in shown.items():
         middle = [(a + b) / 2 for a, b in zip(sent[stamp], sent[stamp][1:], strict=False)]
         expected = [int(rgba(np.array([t]), CONFIG.tension_scale_N)[0]) for t in middle]
@@ -208,7 +208,7 @@ def test_the_tube_is_the_sheath(saved, placed):
 def test_the_front_is_marked_where_it_is(session, saved, placed):
     sent = {m.stamp_ns: m for m in session.of(PROFILE) if m.tendon == 1}
     marks = saved["/scene/tendon_1/front"]["Points3D:positions"]
-    assert len(marks) >= 30
+    assert len(marks) >= 20
     whole = np.linspace(0, 0.8, SEGMENTS * PIECES + 1)
     for stamp, (position,) in marks.items():
         there = [np.interp(sent[stamp].front, whole, placed.lines[1][:, k]) for k in range(3)]
@@ -284,7 +284,7 @@ def test_the_interval_reaches_from_its_low_to_its_high_end(session, saved):
 def test_the_arrow_at_the_tip_says_its_newtons(session, saved):
     sent = {m.stamp_ns: m for m in session.of(STATE)}
     words = saved["/scene/joint_0/newtons"]["Points3D:labels"]
-    assert len(words) >= 30
+    assert len(words) >= 20
     for stamp, (text,) in words.items():
         assert float(text.removesuffix(" N")) == pytest.approx(sent[stamp].force[0], abs=0.051)
 

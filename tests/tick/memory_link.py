@@ -101,13 +101,13 @@ class MemoryLink(Link):
 
     def sent(self, topic) -> list[bytes]:
         """What was published on `topic` and not carried over yet."""
-        return self._zenoh.sent[self._key(topic)]
+        return self._zenoh.sent[self._key(topic.name)]
 
     def putting(self, topic):
         """The code of the function that sends messages of `topic`."""
         if topic.name not in self._publishers:
             self._publishers[topic.name] = self._declare(topic)
-        return self._zenoh.puts[self._key(topic)].__code__
+        return self._zenoh.puts[self._key(topic.name)].__code__
 
     def meet(self, peers: "list[Link]") -> None:
         """Announce the others of the session to this side."""
@@ -132,7 +132,7 @@ class MemoryLink(Link):
 
     def _tags(self, key: str, data: bytes) -> bytes:
         """The tags of a message that was altered: as if its sender had sent it so."""
-        (topic,) = (topic for topic in TOPICS if self._key(topic) == key)
+        (topic,) = (topic for topic in TOPICS if self._key(topic.name) == key)
         tags = b""
         for addressee, base in self._keyring.seals(topic).entries:
             mac = base.copy()
