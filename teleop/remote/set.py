@@ -17,7 +17,7 @@ from teleop.options import add_option, add_options
 from teleop.run_config import load_shared
 from teleop.topics import ANSWER, SETTING, Role
 
-PATIENCE_S = 2.0
+PATIENCE_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
