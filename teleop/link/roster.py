@@ -29,7 +29,7 @@ S = 1_000_000_000  # [ns]
 EVERY_NS = 2 * S  # between two challenges of a process, and two looks at the certificates
 RETRY_NS = S // 20  # after the first challenge without an answer; doubles up to `EVERY_NS`
 MISSED = 3  # challenges in succession without an answer, after which a process counts as gone
-SILENT_NS = 5 * S  # after which a process without an answer is told of; a busy machine is slow
+SILENT_NS = 5 * S  # without an answer, after which a line says so; long, for a loaded machine
 DECISION_NS = S  # after which a process without an answer is not waited for
 
 
