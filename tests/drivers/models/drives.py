@@ -6,6 +6,7 @@ the consumer of our heartbeat, and a plant.
 
 import threading
 import time
+from contextlib import suppress
 
 import can
 from durand import Node, Record, Variable
@@ -39,7 +40,9 @@ class Subscriptions(NetworkABC):
         self.callbacks.pop(cob_id, None)
 
     def send(self, cob_id, msg) -> None:
-        self._bus.send(can.Message(arbitration_id=cob_id, data=msg, is_extended_id=False))
+        message = can.Message(arbitration_id=cob_id, data=msg, is_extended_id=False)
+        with suppress(can.CanOperationError):  # a cable that is cut carries nothing
+            self._bus.send(message)
 
 
 class Drive:
@@ -196,7 +199,7 @@ class Drives:
         while not self.ended:
             if self.unplug:
                 self.bus.port.unplug()
-            message = self.bus.recv(max(0.0, min(ROUND_S, due_s - time.monotonic())))
+            message = self._receive(max(0.0, min(ROUND_S, due_s - time.monotonic())))
             now = time.monotonic()
             if message is not None and not self.silent:
                 for drive in self.drives:
@@ -211,6 +214,13 @@ class Drives:
             while last_s < now and not self.silent:  # it never ends a run beyond one heartbeat
                 self._scheduler.run(min(SLICE_S, now - last_s))
                 last_s += SLICE_S
+
+    def _receive(self, wait_s: float) -> can.Message | None:
+        try:
+            return self.bus.recv(wait_s)
+        except can.CanOperationError:  # the interface is down; the drives themselves go on
+            time.sleep(wait_s)
+            return None
 
     def start(self) -> threading.Thread:
         thread = threading.Thread(target=self.serve, daemon=True)
