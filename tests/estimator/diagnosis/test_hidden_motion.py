@@ -33,7 +33,10 @@ def excess(record):
     return [found[channel].mean for channel in (TENSION, "distal_tension")]
 
 
-@pytest.mark.parametrize(("bench", "rate"), [("blocked", 100.0), ("spring", 50.0)])
+@pytest.mark.parametrize(
+    ("bench", "rate"),
+    [("blocked", 100.0), pytest.param("spring", 50.0, marks=pytest.mark.slow)],
+)
 def test_with_the_motion_beneath_the_noise_the_plain_law_leaves_noise_alone(bench, rate):
     made = make_grid(1, bench, duration=60.0, rate=rate, travel_noise=5e-6)
     before, after = before_and_after(made.time, made.channels)
@@ -49,7 +52,13 @@ def test_a_travel_without_noise_hides_nothing():
     assert after is before
 
 
-@pytest.mark.parametrize("effect", ["friction_step", "viscous_friction", "creep"])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "friction_step",
+        *(pytest.param(effect, marks=pytest.mark.slow) for effect in ("viscous_friction", "creep")),
+    ],
+)
 def test_what_is_wrong_with_a_bench_is_not_taken_for_motion(effect):
     made = hidden.make(63, effect, bench="spring", duration=40.0, rate=100.0, travel_noise=5e-7)
     before, after = before_and_after(made.time, made.channels)
