@@ -65,9 +65,13 @@ def run(config: RosDeviceConfig, pipe: int) -> None:
 
 def write(pipe: int, stream: CommandStream) -> None:
     """Write the state of the commands."""
-    now = time.monotonic_ns()
     record = CommandRecord(
-        now, stream.received_ns, stream.number, stream.engage, stream.fault, stream.values
+        written_ns=time.monotonic_ns(),
+        received_ns=stream.received_ns,
+        number=stream.number,
+        engagement=stream.engagements if stream.engage else 0,
+        fault=stream.fault,
+        values=stream.values,
     )
     with suppress(BlockingIOError):  # the loop is held up: it reads the older ones first
         os.write(pipe, record.pack())

@@ -14,6 +14,7 @@ from teleop.ros import cdr
 from teleop.ros.standard import JointState, StringStamped, TwistStamped
 
 _WINDOW_NS = 100_000_000  # [ns] over which messages are counted
+_BUNCH_S = 0.02  # [s] of motion that may arrive at once: one period at 50 Hz, the slowest stream
 _DRIFT = 1000  # inverse of the largest drift between the clocks of sender and receiver
 _ENABLE, _DISABLE = ("enable", "resume"), ("disable", "pause")
 
@@ -43,6 +44,8 @@ class CommandStream:
         When they were received; 0 = never.
     number : int
         Count of accepted commands.
+    engagements : int
+        How often the switch was closed.
     """
 
     config: RosDeviceConfig
@@ -51,30 +54,23 @@ class CommandStream:
     values: tuple[float, ...] = ()
     received_ns: int = 0
     number: int = 0
+    engagements: int = 0
+    _allowed_m: float = 0.0  # [m] by which the next command may differ
     _publisher: bytes = b""
     _least_ns: int = 0  # least delay of the publisher, with the offset of the clocks
     _window_ns: int = 0
     _count: int = 0
 
     def servo(self, samples: list[Sample]) -> None:
-        """Take the commands since the last call, oldest first; only the newest moves anything."""
+        """Take the commands since the last call, oldest first, as far as they are good."""
         if not samples:
             return
-        newest = samples[-1]
-        self._count_messages(len(samples), newest.received_ns)
-        if self.fault:
-            return
-        try:
-            values = self._decode(newest.data)
-        except cdr.CdrError as error:
-            self._fail(f"invalid message: {error}")
-            return
-        wrong = self._wrong_sender(samples) or self._wrong_values(values, newest.received_ns)
-        if wrong:
-            self._fail(wrong)
-            return
-        self.values, self.received_ns = values, newest.received_ns
-        self.number += 1
+        self._count_messages(len(samples), samples[-1].received_ns)
+        for sample in samples:
+            self.step(sample.received_ns)  # the silence before it
+            if self.fault:
+                return
+            self._accept(sample)
 
     def state_command(self, data: bytes, now_ns: int) -> None:
         """Take a command of state at `now_ns` [ns]."""
@@ -93,6 +89,7 @@ class CommandStream:
             if self._is_silent(now_ns):
                 self._fail("enabled without it; stream it first, then disable, then enable")
             else:
+                self.engagements += not self.engage
                 self.engage = True
 
     def step(self, now_ns: int) -> None:
@@ -101,6 +98,20 @@ class CommandStream:
             self._fail(f"silent for {self.config.timeout:g} s")
         if not self.engage and self._is_silent(now_ns):
             self._publisher, self._least_ns = b"", 0  # another node may begin
+
+    def _accept(self, sample: Sample) -> None:
+        """Take a command, or fail."""
+        try:
+            values = self._decode(sample.data)
+        except cdr.CdrError as error:
+            self._fail(f"invalid message: {error}")
+            return
+        wrong = self._wrong_sender(sample) or self._wrong_values(values, sample.received_ns)
+        if wrong:
+            self._fail(wrong)
+            return
+        self.values, self.received_ns = values, sample.received_ns
+        self.number += 1
 
     def _is_silent(self, now_ns: int) -> bool:
         return now_ns - self.received_ns > self.config.timeout * 1e9 or not self.received_ns
@@ -122,10 +133,10 @@ class CommandStream:
         linear = cdr.decode(TwistStamped, data).twist.linear
         return (linear.x, linear.y, linear.z)[: self.config.axes]
 
-    def _wrong_sender(self, samples: list[Sample]) -> str:
-        """Return what is wrong with origin and delay of the samples; empty if nothing is."""
-        late_s = self._lateness_ns(samples[-1]) * 1e-9
-        if any(sample.publisher != self._publisher for sample in samples):
+    def _wrong_sender(self, sample: Sample) -> str:
+        """Return what is wrong with origin and delay of a sample; empty if nothing is."""
+        late_s = self._lateness_ns(sample) * 1e-9
+        if sample.publisher != self._publisher:
             return "from two nodes at the same time"
         if late_s > self.config.timeout:
             return f"{late_s:.3f} s late (timeout {self.config.timeout:g} s)"
@@ -154,10 +165,23 @@ class CommandStream:
             return ""
         if max(map(abs, values)) > config.position_max:
             return f"beyond {config.position_max:g} m"
-        if self.values and not self._is_silent(now_ns):
-            # not faster over the time since the last one, but a period at least: messages bunch
-            passed_s = max((now_ns - self.received_ns) * 1e-9, 0.01)
-            moved = max(abs(a - b) for a, b in zip(values, self.values, strict=True))
-            if moved > config.speed_max * passed_s:
-                return f"jump of {moved:.3g} m in {passed_s:.3g} s, faster than speed_max"
+        return self._wrong_motion(values, now_ns)
+
+    def _wrong_motion(self, values: tuple[float, ...], now_ns: int) -> str:
+        """Return what is wrong with positions after the last ones; empty if nothing is.
+
+        What may be moved grows with time at `speed_max`; what was not moved is kept for the length
+        of a bunch, as messages that were sent one by one can arrive together.
+        """
+        speed_max = self.config.speed_max
+        if not self.values or self._is_silent(now_ns):  # a stream begins
+            self._allowed_m = speed_max * _BUNCH_S
+            return ""
+        passed_s = (now_ns - self.received_ns) * 1e-9
+        most_m = speed_max * max(passed_s, _BUNCH_S)
+        self._allowed_m = min(self._allowed_m + speed_max * passed_s, most_m)
+        moved_m = max(abs(a - b) for a, b in zip(values, self.values, strict=True))
+        if moved_m > self._allowed_m:
+            return f"jump of {moved_m:.3g} m in {passed_s:.3g} s, faster than speed_max"
+        self._allowed_m -= moved_m
         return ""

@@ -38,11 +38,15 @@ def command(stream, word, at_ms):
 def engaged(**config):
     """A stream of 100 Hz at 0.01 m that was enabled; the last command came at 90 ms."""
     stream = CommandStream(RosDeviceConfig(**config))
-    data = twist(0.01) if config.get("command") == "servo_cv" else joints(0.01)
+    data = joints(*(0.01,) * stream.config.axes)
+    if config.get("command") == "servo_cv":
+        data = twist(0.01)
     for k in range(10):
         stream.servo([sample(data, 10 * k)])
     command(stream, "enable", 91)
-    assert (stream.engage, stream.fault, stream.values) == (True, "", (0.01,))
+    assert (stream.engage, stream.fault, stream.values) == (
+        True, "", (0.01,) * stream.config.axes,
+    )  # fmt: skip
     return stream
 
 
@@ -72,6 +76,8 @@ def test_nothing_engages_without_enable_or_without_a_stream():
         ([sample(joints(0.01), 100), sample(joints(0.01), 100, OTHER)], "two nodes"),
         ([sample(joints(0.01), 190, late_ms=150)], "0.150 s late"),
         ([sample(joints(0.01), 100)] * 300, "flood of more than 2000 messages per second"),
+        ([sample(joints(0.01), 100 + k) for k in (0, 101)], "silent for 0.1 s"),
+        ([sample(joints(x), 100) for x in (math.nan, 0.01)], "joint 1 is not finite"),
     ],
 )
 def test_whatever_is_wrong_is_a_fault_with_a_name_until_disabled(samples, words):
@@ -91,6 +97,46 @@ def test_whatever_is_wrong_is_a_fault_with_a_name_until_disabled(samples, words)
     assert not stream.engage
     command(stream, "enable", 411)
     assert stream.engage
+
+
+@pytest.mark.parametrize(
+    ("joint", "value", "words"),
+    [
+        (8, math.nan, "joint 8 is not finite"),
+        (5, -math.inf, "joint 5 is not finite"),
+        (8, -1.5, "beyond 1 m"),
+        (8, 0.1, "jump of 0.09 m"),
+    ],
+)
+def test_one_wrong_joint_of_eight_is_a_fault(joint, value, words):
+    stream = engaged(axes=8)
+    positions = [0.01] * 8
+    positions[joint - 1] = value
+    stream.servo([sample(joints(*positions), 100)])
+    assert words in stream.fault
+    assert (stream.engage, stream.values) == (False, ())
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 9])
+def test_eight_joints_are_all_or_none(count):
+    stream = engaged(axes=8)
+    stream.servo([sample(joints(*(0.01,) * count), 100)])
+    assert f"{count} joints, must be 8" in stream.fault
+
+
+@pytest.mark.parametrize(
+    ("period_ms", "bunch", "speed", "is_fault"),
+    [(10, 1, 0.45, False), (2, 1, 0.45, False), (2, 1, 0.75, True), (10, 1, 0.75, True),
+     (20, 2, 0.3, False), (40, 4, 0.1, False), (20, 2, 0.75, True)],
+)  # fmt: skip
+def test_the_speed_is_limited_at_any_rate(period_ms, bunch, speed, is_fault):
+    """Of `bunch` messages for each period, one millisecond apart on arrival."""
+    stream = engaged()
+    for k in range(100):
+        at_ms = 100 + period_ms * (k // bunch) + k % bunch
+        moved = 0.01 + speed * 1e-3 * period_ms * k / bunch
+        stream.servo([sample(joints(moved), at_ms, late_ms=0)])
+    assert ("faster than speed_max" in stream.fault) == is_fault, stream.fault
 
 
 def test_silence_is_a_fault_while_enabled_only():
@@ -148,7 +194,7 @@ def test_no_bytes_move_anything(datas, encapsulated):
 
 
 def test_a_record_comes_back_from_its_bytes():
-    record = CommandRecord(5, 4, 3, True, "é" * 200, (0.5, -0.25))
+    record = CommandRecord(5, 4, 3, 2, "é" * 200, (0.5, -0.25))
     back = CommandRecord.unpack(record.pack(), 2)
     assert len(record.pack()) == SIZE <= 512  # PIPE_BUF of POSIX: written whole
     assert back == record._replace(fault="é" * 80)

@@ -1,0 +1,82 @@
+"""The motion of a hand that follows the commands of a ROS node. Pure: time is an argument.
+
+Between two positions it moves linearly, within the time that lay between them, so that a node of
+100 Hz moves the tip without steps. While the switch is open it is where the newest command is.
+
+A loop reads the newest record only, so it may miss that the switch was open in between: one read
+with an open switch lies between two engagements, at the new position.
+"""
+
+from master.device import Axes, HandState
+from master.devices.ros.config import RosDeviceConfig
+from master.devices.ros.record import CommandRecord
+
+_LONGEST_STEP_S = 0.01  # [s] of a velocity integrated over one tick
+
+
+class CommandMotion:
+    """State of the motion; see the module's text.
+
+    Parameters
+    ----------
+    config : RosDeviceConfig
+    """
+
+    def __init__(self, config: RosDeviceConfig) -> None:
+        self._config = config
+        self._record = CommandRecord()
+        self._position: Axes = (0.0,) * config.axes
+        self._velocity: Axes = (0.0,) * config.axes
+        self._from: Axes = self._position
+        self._begin_s, self._span_s, self._time_s = 0.0, 0.0, 0.0
+
+    def step(self, record: CommandRecord, is_fresh: bool, time_s: float) -> HandState:
+        """Return the hand at `time_s` [s], by the newest record of the commands.
+
+        Parameters
+        ----------
+        record : CommandRecord
+        is_fresh : bool
+            Whether its command came within the timeout.
+        time_s : float
+            [s] never decreasing.
+        """
+        before, self._record = self._record, record
+        dt, self._time_s = max(0.0, time_s - self._time_s), time_s
+        engaged = 0 < record.engagement == before.engagement
+        if self._config.command == "servo_cv":
+            self._integrate(record.values if engaged and is_fresh else (), dt)
+        elif record.values:
+            if not engaged:
+                self._span_s = 0.0
+            elif record.number != before.number:
+                passed_s = (record.received_ns - before.received_ns) * 1e-9
+                self._from, self._begin_s, self._span_s = self._position, time_s, passed_s
+            self._move(record.values, time_s)
+        else:
+            self.rest()
+        return HandState(self._position, self._velocity, engaged)
+
+    def rest(self) -> HandState:
+        """Return the hand where it is, at rest and with an open switch."""
+        self._velocity = (0.0,) * len(self._position)
+        return HandState(self._position, self._velocity, engage=False)
+
+    def _move(self, target: Axes, time_s: float) -> None:
+        """Move to a position, `_span_s` after `_begin_s`."""
+        share = (time_s - self._begin_s) / self._span_s if self._span_s > 0.0 else 1.0
+        if share >= 1.0:
+            self._position = target
+            self.rest()
+            return
+        pairs = tuple(zip(self._from, target, strict=True))
+        self._position = tuple(a + (b - a) * share for a, b in pairs)
+        self._velocity = tuple((b - a) / self._span_s for a, b in pairs)
+
+    def _integrate(self, velocity: Axes, dt: float) -> None:
+        """Move at a commanded velocity; not at all without one."""
+        self._velocity = velocity or (0.0,) * len(self._position)
+        step = min(dt, _LONGEST_STEP_S)
+        self._position = tuple(
+            x + v * step for x, v in zip(self._position, self._velocity, strict=True)
+        )
