@@ -35,7 +35,7 @@ from teleop.view.status import NO_DATA, Banner, LinkCounts, LinkQuality, banner,
 from teleop.view.stroke_text import STROKE, fitted_height, text_strips, text_width
 
 _NUMBER_HZ, _BAR_HZ = 4.0, 10.0  # a number that changes more often cannot be read
-_AGAIN_NS = 10_000_000_000  # [ns] after which a banner is repeated, as old data are dropped
+_AGAIN_NS = 2_000_000_000  # [ns] after which a banner is repeated, for pages opened later
 _MARGIN = 0.4
 
 

@@ -48,8 +48,9 @@ class Scene:
     stream : RecordingStream
     lay_out : callable
         Called with the tendons of each joint when they become known or change.
-    all_layouts : bool
-        Also send what the layout does not show, as a file may be looked at in another one.
+    everything : bool
+        Also send what the layout does not show, for a file: it may be opened in another layout, or
+        read by Rerun's tools.
     """
 
     def __init__(
@@ -57,18 +58,19 @@ class Scene:
         config: ViewConfig,
         stream: rr.RecordingStream,
         lay_out: Callable[[Mapping[int, list[int]]], None] = lambda _: None,
-        all_layouts: bool = True,
+        everything: bool = True,
     ) -> None:
         self._config = config
         self._lay_out = lay_out
-        self._spatial = all_layouts or config.layout != "surgeon"
-        self._plotted = all_layouts or config.layout == "experiment"
+        self._everything = everything
+        self._spatial = everything or config.layout != "surgeon"
+        self._plotted = everything or config.layout == "experiment"
         self._sender = Sender(stream)
         self._sheaths = Sheaths(config)
         self._thinned = Thinning()
         self._tubes = Tubes(config, self._sender, self._sheaths)
         self._levers = Levers(config, self._sender, self._sheaths, self._thinned)
-        self._profiles = ProfileView(config, self._sender, self._sheaths)
+        self._profiles = ProfileView(config, self._sender, self._sheaths, values=everything)
         self._loops = LoopView(config, self._sender)
         self._plots = Plots(config, self._sender, self._sheaths, self._thinned)
         self._lanes = StateLanes(self._sender)
@@ -94,19 +96,23 @@ class Scene:
         return shown
 
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw the curves over time, and send T(x) as numbers; returns the number of rows shown."""
+        """Draw the curves over time and the loops, and send T(x); returns the number of rows shown.
+
+        Both grow, so each block adds to what is there.
+        """
         if not self._plotted:
             return 0
-        for tendon, rows in self._profile_rows(batches):
+        if TENDONS in batches:
+            self._loops.draw(self._thinned(batches[TENDONS], self._config.rate_hz.loop))
+        for tendon, rows in self._profile_rows(batches) if self._everything else ():
             self._profiles.send_values(tendon, rows)
         return self._plots.draw(batches)
 
     def _draw_plots(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw T(x), the hysteresis loops, the states and the log; returns the number of rows."""
+        """Draw T(x), the states and the log; returns the number of log lines."""
         shown = 0
         if TENDONS in batches:
             self._profiles.add(batches[TENDONS])
-            self._loops.draw(self._thinned(batches[TENDONS], self._config.rate_hz.loop))
         for tendon, rows in self._profile_rows(batches):
             self._profiles.draw(tendon, rows)
         for role, topic in ((Role.MASTER, HAND), (Role.SLAVE, STATE)):

@@ -191,7 +191,7 @@ def test_a_page_is_sent_only_what_its_layout_shows_and_a_file_everything(tmp_pat
     for whole in (False, True):
         path = tmp_path / f"{whole}.rrd"
         with Sink("rrd", config, "test", path, live=False) as sink:
-            scene = Scene(config, sink.stream, sink.lay_out, all_layouts=whole)
+            scene = Scene(config, sink.stream, sink.lay_out, everything=whole)
             scene.send(decode(Session(1.0).messages))
         sent.append({entity.split("/")[1] for entity in read(path)} - {"__properties"})
     page, file = sent
