@@ -4,9 +4,10 @@
   python benchmarks/view.py FILE.mcap [MINUTES]    the second part, with a recording; 60 minutes
   python benchmarks/view.py CONFIG.yaml [SECONDS]  processor time and memory of a live view
 
-First one session runs while a viewer is, in turn, absent, there, stopped (SIGSTOP) and just killed,
-several times over; a recorder beside it tells the period of both loops and the way from command
-to force in each state. The states take turns in one run, so all meet the same machine.
+First one session runs while a viewer is, in turn, absent, there, opened and reloaded in a headless
+Chromium (drawn by software, on the same processors, at the lowest priority), stopped (SIGSTOP) and
+just killed, several times over; a recorder beside it tells the period of both loops and the way
+from command to force in each state. The states take turns in one run, so all meet the same machine.
 
 Then an hour of messages, ten seconds of that run again and again with stamps of their own, goes
 through the view as fast as it can: memory of both its processes and of a page in a headless
@@ -71,7 +72,10 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
     shared = ["--config", str(CONFIG), "--set", "session=view-benchmark"]
     for side in ("master", "slave"):
         shared += ["--set", f"link.{side}=127.0.0.1:{free_port(0)}"]
-    spans: Spans = {"off": [], "on": [], "stopped": [], "killed": []}
+    looked = [] if browser.program() is None else ["opened", "reloaded"]
+    spans: Spans = {state: [] for state in ("off", "on", *looked, "stopped", "killed")}
+    ports = {name: free_port(0) for name in ("web_port", "grpc_port")}
+    places = [word for name, port in ports.items() for word in ("--set", f"view.{name}={port}")]
 
     with ExitStack() as stack:
 
@@ -84,8 +88,8 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
             stack.callback(end, process)
             return process
 
-        def measured(state: str) -> None:
-            time.sleep(SETTLE_S)
+        def measured(state: str, settle_s: float = SETTLE_S) -> None:
+            time.sleep(settle_s)
             begin = now_ns()
             time.sleep(seconds)
             spans[state].append((begin, now_ns()))
@@ -96,15 +100,26 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
         wait_until_engaged(shared[3::2])
         for _ in range(rounds):
             measured("off")
-            viewer = start("view", "--view", "web")
+            viewer = start("view", "--view", "web", *places)
             time.sleep(SETTLE_S)
             measured("on")
+            if looked:
+                look(f"http://127.0.0.1:{ports['web_port']}/?renderer=webgl", measured)
             viewer.send_signal(signal.SIGSTOP)
             measured("stopped")
             viewer.kill()
             measured("killed")
     (path,) = folder.glob("*.mcap")
     return path, spans
+
+
+def look(address: str, measured: Callable[[str, float], None]) -> None:
+    """Open the page and load it again; each is measured from its first moment on."""
+    with browser.Browser() as page:
+        os.setpriority(os.PRIO_PGRP, page.pid, 19)
+        for state in ("opened", "reloaded"):
+            page.open(address)
+            measured(state, 0.0)
 
 
 def wait_until_engaged(overrides: list[str], file: Path = CONFIG) -> None:

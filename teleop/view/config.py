@@ -45,7 +45,7 @@ class ViewConfig:
     layout: Layout = "experiment"
     rate_hz: ViewRates = field(default_factory=ViewRates)
     drain_hz: float = 8.0  # [Hz] rate of reading the link and updating the scene
-    curves_hz: float = 4.0  # [Hz] rate of extending the curves: 0.2 ms for each curve
+    curves_hz: float = 4.0  # [Hz] rate of extending curves and loops: 0.2 ms for each curve
     processor_share: float = 0.25  # of a processor; both are slower where they would take more
     file_period_s: float = 1.0  # [s] of data per block when only a file is written
     tension_scale_N: float = 20.0  # [N] the bright end of the colour scale  # noqa: N815

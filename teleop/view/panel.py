@@ -7,9 +7,11 @@ the smallest words 11 mm.
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from teleop.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
@@ -33,7 +35,7 @@ from teleop.view.status import NO_DATA, Banner, LinkCounts, LinkQuality, banner,
 from teleop.view.stroke_text import STROKE, fitted_height, text_strips, text_width
 
 _NUMBER_HZ, _BAR_HZ = 4.0, 10.0  # a number that changes more often cannot be read
-_AGAIN_NS = 10_000_000_000  # [ns] after which a banner is repeated, as old data are dropped
+_AGAIN_NS = 2_000_000_000  # [ns] after which a banner is repeated, for pages opened later
 _MARGIN = 0.4
 
 
@@ -52,7 +54,7 @@ class Panel:
         self._jitter_ms: float | None = None
         self._allowed: dict[Role, str] = {}  # what the link allows, where that is not all
         self._limit_N = math.nan
-        self._framed: tuple[int, float] | None = None  # joints and limit of the frames drawn
+        self._framed: tuple[float, list[bool]] | None = None  # limit, and which are two-way
         self.newest_ns = 0
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> None:
@@ -104,8 +106,9 @@ class Panel:
         background = STATES.get(now.state, STATES["off"])
         ink = 0x000000FF if _bright(background) else 0xFFFFFFFF
         middle = (top + bottom) / 2
-        lines, radius = filled(BANNER)
-        self._strips("panel/banner/area", stamp_ns, lines, background, radius)
+        # one broad line, whose round ends lie beyond the view's edges
+        line = np.array([[-WIDE, middle], [2 * WIDE, middle]])
+        self._drawing("panel/banner/area", stamp_ns, [line], background, (bottom - top) / 2)
         state_top = top + 0.35 if now.reason else middle - STATE_HEIGHT / 2
         self._centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
         reason_top = state_top + STATE_HEIGHT + 0.3
@@ -119,23 +122,37 @@ class Panel:
         limit = self._limit_N if known else self._scale_N
         places = force_rows(joints)
         two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
-        if self._framed != (joints, limit):
-            self._framed = joints, limit
+        if self._framed != (limit, two_way):
+            self._framed = limit, two_way
             for joint, place in enumerate(places):
                 self._frame(joint, joints, place, limit, known, two_way[joint])
         bars, numbers = thinned(rows, _BAR_HZ), thinned(rows, _NUMBER_HZ)
         for joint, place in enumerate(places):
-            for row in bars:
-                share = float(row["force"][joint]) / limit
-                lines, radius = filled(place.bar(share, two_way[joint]))
-                path = f"panel/joint_{joint}/bar"
-                self._strips(path, int(row["stamp_ns"]), lines, force_colour(share), radius)
-            for row in numbers:
-                text = number_text(float(row["force"][joint]))
-                left = place.number_right - text_width(text, place.number_height)
-                strips = text_strips(text, left, place.number_top, place.number_height)
-                path, radius = f"panel/joint_{joint}/number", STROKE * place.number_height
-                self._strips(path, int(row["stamp_ns"]), strips, PLAIN, radius)
+            self._bar(joint, place, bars, bars["force"][:, joint] / limit, two_way[joint])
+            self._number(joint, place, numbers, numbers["force"][:, joint])
+
+    def _bar(self, joint: int, place: ForceRow, rows: Rows, shares: Array, two_way: bool) -> None:
+        """Draw a force, as shares of its limit, at the stamps of `rows`."""
+        boxes = [filled(place.bar(float(share), two_way)) for share in shares]
+        strips = [lines for lines, _ in boxes]
+        inks = [force_colour(float(share)) for share in shares]
+        self._strips(f"panel/joint_{joint}/bar", rows["stamp_ns"], strips, inks, boxes[0][1])
+
+    def _number(self, joint: int, place: ForceRow, rows: Rows, forces: Array) -> None:
+        """Write a force [N] at the stamps of `rows`."""
+        texts = [number_text(float(force)) for force in forces]
+        strips = [
+            text_strips(
+                text,
+                place.number_right - text_width(text, place.number_height),
+                place.number_top,
+                place.number_height,
+            )
+            for text in texts
+        ]
+        radius = STROKE * place.number_height
+        inks = [PLAIN] * len(rows)
+        self._strips(f"panel/joint_{joint}/number", rows["stamp_ns"], strips, inks, radius)
 
     def _frame(
         self, joint: int, joints: int, place: ForceRow, limit: float, known: bool, two_way: bool
@@ -190,28 +207,39 @@ class Panel:
         text = "   ".join(parts)
         height = fitted_height(text, WIDE - 2 * _MARGIN, LINK_HEIGHT)
         strips = text_strips(text, _MARGIN, LINK_TOP, height)
-        self._strips("panel/link", stamp_ns, strips, quality_colour(quality.word), STROKE * height)
+        self._drawing("panel/link", stamp_ns, strips, quality_colour(quality.word), STROKE * height)
 
     def _centred(
         self, path: str, stamp_ns: int, text: str, top: float, height: float, colour: int
     ) -> None:
         height = fitted_height(text, WIDE - 2 * _MARGIN, height)
         strips = text_strips(text, (WIDE - text_width(text, height)) / 2, top, height)
-        self._strips(path, stamp_ns, strips, colour, STROKE * height)
+        self._drawing(path, stamp_ns, strips, colour, STROKE * height)
+
+    def _drawing(
+        self, path: str, stamp_ns: int, strips: list[Array], colour: int, radius: float
+    ) -> None:
+        """Draw strips from one instant on."""
+        self._strips(path, np.array([stamp_ns], np.int64), [strips], [colour], radius)
 
     def _strips(
-        self, path: str, stamp_ns: int, strips: Sequence[Array], colour: int, radius: float
+        self,
+        path: str,
+        stamps_ns: NDArray[np.int64],
+        drawings: Sequence[list[Array]],
+        inks: Sequence[int],
+        radius: float,
     ) -> None:
-        """Draw strips in place of those drawn before under this path; none clears them."""
+        """Draw one drawing of strips at each stamp, in place of the one before; none clears it."""
         order = 0.0 if path.endswith(("area", "bar")) else 1.0
         self._sender.once(path, rr.LineStrips2D.from_fields(draw_order=order))
+        counts = [len(strips) for strips in drawings]
         columns = rr.LineStrips2D.columns(
-            strips=list(strips),
-            colors=np.full(len(strips), colour, np.uint32),
-            radii=np.full(len(strips), radius),
+            strips=list(chain.from_iterable(drawings)),
+            colors=np.repeat(np.array(inks, np.uint32), counts),
+            radii=np.full(sum(counts), radius),
         )
-        stamps = np.array([stamp_ns], np.int64)
-        self._sender.columns_at(path, stamps, columns.partition([len(strips)]))
+        self._sender.columns_at(path, stamps_ns, columns.partition(counts))
 
 
 def number_text(force: float) -> str:

@@ -22,9 +22,12 @@ _SCALE_STEPS = 64
 
 
 class ProfileView:
-    """Draws T(x) of each tendon, under `profile/tendon_<i>`."""
+    """Draws T(x) of each tendon, under `profile/tendon_<i>`; with `values` sends its band too."""
 
-    def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
+    def __init__(
+        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, values: bool = True
+    ) -> None:
+        self._values = values
         self._config = config
         self._sender = sender
         self._sheaths = sheaths
@@ -94,7 +97,6 @@ class ProfileView:
             return
         path = f"profile/tendon_{tendon}/band"
         low, high = tension_band(self._sheaths.friction[tendon], rows["tension"][:, 0], *ends)
-        values = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
         style = rr.LineStrips2D.from_fields(
             colors=_BANDS[self._side(tendon)],
             radii=0.9 * WIDTH / (PROFILE_POINTS - 1),  # more than half: no gaps
@@ -112,8 +114,11 @@ class ProfileView:
         )
         bars[:, 1::2] = bars[:, 1::2, ::-1]
         strips = rr.LineStrips2D.columns(strips=list(bars.reshape(-1, 2 * PROFILE_POINTS, 2)))
-        drawn = strips.partition(known.astype(int))
-        self._sender.columns(path, rows, [*drawn, *values.partition([PROFILE_POINTS] * len(rows))])
+        columns = [*strips.partition(known.astype(int))]
+        if self._values:
+            values = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
+            columns += values.partition([PROFILE_POINTS] * len(rows))
+        self._sender.columns(path, rows, columns)
 
     def _ends(self, tendon: int, rows: Rows) -> tuple[Array, Array] | None:
         """Return the interval of T_out at each profile; NaN without one near it."""

@@ -17,7 +17,7 @@ panel/banner, joint_<j>, link           state, force and link in large letters
 ======================================= ========================================================
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import rerun as rr
 
@@ -48,6 +48,9 @@ class Scene:
     stream : RecordingStream
     lay_out : callable
         Called with the tendons of each joint when they become known or change.
+    everything : bool
+        Also send what the layout does not show, for a file: it may be opened in another layout, or
+        read by Rerun's tools.
     """
 
     def __init__(
@@ -55,15 +58,19 @@ class Scene:
         config: ViewConfig,
         stream: rr.RecordingStream,
         lay_out: Callable[[Mapping[int, list[int]]], None] = lambda _: None,
+        everything: bool = True,
     ) -> None:
         self._config = config
         self._lay_out = lay_out
+        self._everything = everything
+        self._spatial = everything or config.layout != "surgeon"
+        self._plotted = everything or config.layout == "experiment"
         self._sender = Sender(stream)
         self._sheaths = Sheaths(config)
         self._thinned = Thinning()
         self._tubes = Tubes(config, self._sender, self._sheaths)
         self._levers = Levers(config, self._sender, self._sheaths, self._thinned)
-        self._profiles = ProfileView(config, self._sender, self._sheaths)
+        self._profiles = ProfileView(config, self._sender, self._sheaths, values=everything)
         self._loops = LoopView(config, self._sender)
         self._plots = Plots(config, self._sender, self._sheaths, self._thinned)
         self._lanes = StateLanes(self._sender)
@@ -78,16 +85,36 @@ class Scene:
         shown = 0
         if SHEATH in batches:
             shown += self._learn(batches[SHEATH])
+        if self._plotted:
+            shown += self._draw_plots(batches)
+        if self._spatial:
+            for tendon, rows in self._profile_rows(batches):
+                self._tubes.draw(tendon, rows)
+                shown += len(rows)
+            self._levers.draw(batches)
+        self._panel.draw(batches)
+        return shown
+
+    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
+        """Draw the curves over time and the loops, and send T(x); returns the number of rows shown.
+
+        Both grow, so each block adds to what is there.
+        """
+        if not self._plotted:
+            return 0
+        if TENDONS in batches:
+            self._loops.draw(self._thinned(batches[TENDONS], self._config.rate_hz.loop))
+        for tendon, rows in self._profile_rows(batches) if self._everything else ():
+            self._profiles.send_values(tendon, rows)
+        return self._plots.draw(batches)
+
+    def _draw_plots(self, batches: Mapping[AnyTopic, Rows]) -> int:
+        """Draw T(x), the states and the log; returns the number of log lines."""
+        shown = 0
         if TENDONS in batches:
             self._profiles.add(batches[TENDONS])
-            self._loops.draw(self._thinned(batches[TENDONS], self._config.rate_hz.loop))
-        for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
-            kept = self._thinned(rows, self._config.rate_hz.profile)
-            self._profiles.draw(tendon, kept)
-            self._tubes.draw(tendon, kept)
-            shown += len(kept)
-        self._levers.draw(batches)
-        self._panel.draw(batches)
+        for tendon, rows in self._profile_rows(batches):
+            self._profiles.draw(tendon, rows)
         for role, topic in ((Role.MASTER, HAND), (Role.SLAVE, STATE)):
             if topic in batches:
                 self._lanes.draw(role, batches[topic])
@@ -97,12 +124,10 @@ class Scene:
                 shown += len(batches[topic])
         return shown
 
-    def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
-        """Draw the curves over time, and send T(x) as numbers; returns the number of rows shown."""
+    def _profile_rows(self, batches: Mapping[AnyTopic, Rows]) -> Iterator[tuple[int, Rows]]:
+        """Yield each tendon with its tension profiles, at the rate of the display."""
         for tendon, rows in split(batches[PROFILE], "tendon").items() if PROFILE in batches else ():
-            kept = self._thinned(rows, self._config.rate_hz.profile)
-            self._profiles.send_values(tendon, kept)
-        return self._plots.draw(batches)
+            yield tendon, self._thinned(rows, self._config.rate_hz.profile)
 
     def stretch(self, factor: float) -> None:
         """Draw fewer rows, by this factor, where the periods of drawing are stretched by it."""
@@ -117,10 +142,15 @@ class Scene:
         if not self._sheaths.learn(rows):
             return 0
         self._sender.restyle()
+        if self._spatial:
+            self._place()
+        joints = {joint: self._sheaths.tendons_of(joint) for joint in self._sheaths.joints}
+        self._lay_out(joints)
+        return len(joints)
+
+    def _place(self) -> None:
+        """Draw what stands still in the scene."""
         self._tubes.place()
         self._levers.place()
         if self._sheaths.stage is not None:
             draw_stage(self._sender, self._config, self._sheaths.stage)
-        joints = {joint: self._sheaths.tendons_of(joint) for joint in self._sheaths.joints}
-        self._lay_out(joints)
-        return len(joints)

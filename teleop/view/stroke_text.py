@@ -33,10 +33,12 @@ _UNKNOWN = "00 40 46 06 00"
 
 
 def _parse(glyph: str) -> list[Array]:
-    return [
+    """Return the glyph's straight pieces: the ends of a strip are round, its corners are not."""
+    strokes = [
         np.array([[float(digit) for digit in point] for point in stroke.split()])
         for stroke in glyph.split(",")
     ]
+    return [stroke[k : k + 2] for stroke in strokes for k in range(len(stroke) - 1)]
 
 
 _STROKES = {letter: _parse(glyph) for letter, glyph in _GLYPHS.items()}

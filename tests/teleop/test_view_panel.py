@@ -1,6 +1,7 @@
 """The panel: large letters, the state of a session, the force with its limit, the link."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from teleop.messages import MAX_JOINTS, Command, Hand, LoopReport, SlaveState, padded
 from teleop.session import Reason, State
-from teleop.topics import COMMAND, HAND, REPORT, STATE, Role
+from teleop.topics import COMMAND, HAND, REPORT, SHEATH, STATE, Role
 from teleop.view.batch import decode
 from teleop.view.colours import STATES
 from teleop.view.config import ViewConfig
@@ -167,6 +168,35 @@ def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
     points = np.array(strips).reshape(-1, 2)
     assert points[:, 0].max() == pytest.approx(right, abs=0.1)
     assert points[:, 0].min() == pytest.approx(left, abs=0.1)
+
+
+def test_a_force_both_ways_has_a_mark_at_zero_also_where_the_sheaths_come_later(tmp_path):
+    session = Session(0.05)
+    path = tmp_path / "panel.rrd"
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        for topics in ((STATE, COMMAND), (SHEATH,), (STATE,)):
+            scene.send(decode([message for message in session.messages if message[0] in topics]))
+    (frame,) = read(path)["/panel/joint_0/frame"]["LineStrips2D:strips"].values()
+    assert len(frame) == len(force_rows(1)[0].frame(two_way=True))
+
+
+@pytest.mark.parametrize(
+    ("layout", "shown"),
+    [("surgeon", {"panel"}), ("presentation", {"panel", "scene"})],
+)
+def test_a_page_is_sent_only_what_its_layout_shows_and_a_file_everything(tmp_path, layout, shown):
+    config = replace(SURGEON, layout=layout)
+    sent = []
+    for whole in (False, True):
+        path = tmp_path / f"{whole}.rrd"
+        with Sink("rrd", config, "test", path, live=False) as sink:
+            scene = Scene(config, sink.stream, sink.lay_out, everything=whole)
+            scene.send(decode(Session(1.0).messages))
+        sent.append({entity.split("/")[1] for entity in read(path)} - {"__properties"})
+    page, file = sent
+    assert page == shown
+    assert {"panel", "scene", "profile", "loop", "tension", "force", "state", "log"} <= file
 
 
 # axes
