@@ -2,11 +2,11 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.diagnosis import equal_causes, experiments, rivals
+from estimator.diagnosis import carrying_over, equal_causes, experiments, rivals
 from estimator.diagnosis.baseline import again, baseline
 from estimator.diagnosis.dataset import (
     Dataset,
@@ -16,18 +16,18 @@ from estimator.diagnosis.dataset import (
     dataset_of,
     mean_noise,
     rescaled,
+    simulated,
     tolerance,
     whole,
     with_records,
 )
 from estimator.diagnosis.detection_limit import detection_limits
+from estimator.diagnosis.driver_noise import as_driven
 from estimator.diagnosis.fit import improved
 from estimator.diagnosis.folds import fitnesses, two_folds
 from estimator.diagnosis.free_friction import wanders
-from estimator.diagnosis.hidden_motion import with_hidden_motion
 from estimator.diagnosis.intervals import Named, parameters
 from estimator.diagnosis.law_choice import Choice, applicable, choose_law, choose_loads
-from estimator.diagnosis.model import Simulated, simulate
 from estimator.diagnosis.outcome import (
     Diagnosis,
     Gain,
@@ -36,14 +36,13 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
-from estimator.diagnosis.prediction import as_driven, left_out, predicted
+from estimator.diagnosis.prediction import as_fitted, left_out, predicted
 from estimator.diagnosis.progress import Report, part, quiet
 from estimator.diagnosis.record import (
     Record,
     RecordError,
     in_full,
     in_short_blocks,
-    with_driver_noise,
 )
 from estimator.diagnosis.record_units import in_record_units
 from estimator.diagnosis.residual_dependence import structure
@@ -112,20 +111,11 @@ def diagnose(
         raise RecordError("the records have different channels: give those of one dataset")
     if len({(record.units, record.loop) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different units: give those of one dataset")
-    dataset = dataset_of([in_full(record) for record in records] if fit_all else records)
+    prepared = [in_full(record) for record in records] if fit_all else list(records)
+    dataset = dataset_of(prepared)
     report("fitting the base law", 0.0)
     plain = baseline(dataset)
-    before = dataset.records
-    noisy = [with_driver_noise(record, simulated_by(plain, dataset, record)) for record in before]
-    if any(new is not old for new, old in zip(noisy, before, strict=True)):
-        dataset = dataset_of(noisy)
-        plain = again(dataset, plain)
-        moved = [
-            with_hidden_motion(record, dataset.base, plain.model.shared, own)
-            for record, own in zip(noisy, plain.model.own, strict=True)
-        ]
-        dataset = dataset_of(moved)
-        plain = again(dataset, plain)
+    dataset, plain = as_driven(dataset, contexts_without(dataset, plain), plain, again)
     law = Choice(dataset, plain, ())
     if records[0].loop or not _is_noise(dataset, errors(dataset, plain)):
         report("choosing the base law", 0.0)
@@ -133,12 +123,14 @@ def diagnose(
     loads = choose_loads(law.dataset, law.fit)
     dataset, plain = loads.dataset, loads.fit
     if not fit_all and _brief(dataset, plain):
+        prepared = [in_short_blocks(one) for one in prepared]
         dataset = with_records(dataset, [in_short_blocks(one) for one in dataset.records])
         plain = again(dataset, plain)
     plain = again(rescaled(dataset, plain), plain)  # weighed as its rivals will be
     usable = applicable(effects, records[0], dataset.base)
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
+    found: list[Candidate] = []
     for begin, end in itertools.pairwise(SEARCHES):
         if _is_noise(dataset, errors(dataset, fit)) or (steps and _is_all(dataset, fit, plain)):
             break
@@ -160,19 +152,52 @@ def diagnose(
             )
             steps, fit = [*steps, *two], two[-1].fit if two else fit
             break
-        steps.append(step)
-        fit = step.fit
+        dataset, plain, fit = _driven_anew(dataset, prepared, plain, step.fit)
+        steps.append(step._replace(fit=fit))
     report("fitting again and testing", SEARCHES[-1])
+    steps, fit = _explaining(dataset, steps, fit)
     steps, fit = _needed(dataset, steps, fit)
     steps, fit = _distinct(dataset, plain, steps, fit)
-    if cause:
-        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause)
+    offer = None
+    if (
+        found
+        and found[0].fit.names[:-1] == fit.names
+        and not _is_noise(dataset, errors(dataset, fit))
+    ):
+        offer = carrying_over.offered(dataset, plain, fit, found, _tolerated(dataset))
+    if offer is not None and cause == offer.effect.name:
+        steps = [*steps, Step(offer.effect, (), _ranking(dataset, plain, fit, found), offer.fit)]
+        fit, offer = offer.fit, None
+    elif cause:
+        others = () if offer is None else (offer.effect.name,)
+        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause, others)
     outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
     if leave_one_file_out:
         report("leaving one file out", 1.0)
         others = left_out(dataset, outcome.baseline, outcome.extended)
         outcome = outcome._replace(left_out=others)
-    return in_record_units(outcome._replace(laws=law, loads=loads))
+    return in_record_units(outcome._replace(laws=law, loads=loads, offer=offer))
+
+
+def _driven_anew(
+    dataset: Dataset, prepared: Sequence[Record], plain: Fit, fit: Fit
+) -> tuple[Dataset, Fit, Fit]:
+    """Return a dataset with what a model with another cause makes of its driver's noise.
+
+    And the plain law and the model, fitted to it.
+    """
+    about = contexts(dataset, plain)
+
+    def refitted(other: Dataset, model: Fit) -> Fit:
+        return improved(rescaled(other, model), about, model.model, LAST)
+
+    as_measured = with_records(dataset, prepared)
+    begun = simulated(as_measured, about, fit.model)
+    driven, fit_anew = as_driven(as_measured, about, begun, refitted)
+    if driven is as_measured:
+        return dataset, plain, fit
+    plain = again(driven, plain)
+    return driven, again(rescaled(driven, plain), plain), fit_anew
 
 
 def _by_two(
@@ -200,6 +225,20 @@ def _by_two(
     if second is None or not _within(dataset, errors(dataset, second.fit), SETTINGS.further):
         return []
     return [Step(lead.effect, (), _ranking(dataset, plain, fit, list(found)), lead.fit), second]
+
+
+def _explaining(dataset: Dataset, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
+    """Return the causes without last ones that explain little of what those before them leave.
+
+    Where a cause is modelled a little wrongly, another can imitate a part of what that leaves.
+    """
+    while len(steps) > 1:
+        left = left_of(errors(dataset, steps[-1].fit), errors(dataset, steps[-2].fit))
+        if left <= SETTINGS.further_left:
+            break
+        steps = steps[:-1]
+        fit = steps[-1].fit
+    return steps, fit
 
 
 def _needed(dataset: Dataset, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
@@ -242,26 +281,16 @@ def _without(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
 
 
 def _matters(dataset: Dataset, fit: Fit, without: Fit, effect: Effect) -> float:
-    """Return ln of how much more probable held-out data are with an effect, parameters paid for."""
-    return log_likelihood_ratio(errors(dataset, fit), errors(dataset, without)) - _bic_penalty(
-        dataset, effect
+    """Return what an effect scores beside all others of a model."""
+    found = log_likelihood_ratio(
+        errors(dataset, fit), errors(dataset, without), _tolerated(dataset)
     )
+    return found - _bic_penalty(dataset, effect)
 
 
 def _bic_penalty(dataset: Dataset, effect: Effect) -> float:
     samples = sum(len(record.time) for record in dataset.records)
     return 0.5 * len(effect.parameters) * math.log(samples)
-
-
-def simulated_by(fit: Fit, dataset: Dataset, record: Record) -> Callable[[Record], Simulated]:
-    """Return a function that simulates a record of the dataset again with another drive."""
-    k = next(i for i, other in enumerate(dataset.records) if other is record)
-    about = contexts_without(dataset, fit)[k]
-
-    def again_by(other: Record) -> Simulated:
-        return simulate(other, about, dataset.base, fit.model.shared, fit.model.own[k], ())
-
-    return again_by
 
 
 def _brief(dataset: Dataset, plain: Fit) -> bool:
@@ -299,8 +328,22 @@ def _within(dataset: Dataset, found: dict[str, Errors], times: float) -> bool:
     return all(math.sqrt(one.mean) < times * floor[c] for c, one in found.items())
 
 
+def _tolerated(dataset: Dataset) -> dict[str, float]:
+    """Return the mean square of each channel that noise and the simulation's own error make."""
+    return {channel: floor**2 for channel, floor in tolerance(dataset).items()}
+
+
 def _score(dataset: Dataset, base: dict[str, Errors], one: Candidate) -> float:
-    """Return ln of how much more probable held-out data are, parameters paid for."""
+    """Return ln of how much more probable held-out data are, parameters paid for.
+
+    Errors that are tolerated need no cause: what makes them smaller scores nothing.
+    """
+    found = log_likelihood_ratio(one.held_out, base, _tolerated(dataset))
+    return found - _bic_penalty(dataset, one.effect)
+
+
+def _fine_score(dataset: Dataset, base: dict[str, Errors], one: Candidate) -> float:
+    """Return the same of all errors, however small: it tells causes apart that score alike."""
     return log_likelihood_ratio(one.held_out, base) - _bic_penalty(dataset, one.effect)
 
 
@@ -313,23 +356,29 @@ def _step(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> Ste
     best = _simplest(dataset, plain, base, order)
     if (
         _score(dataset, base, best) < SETTINGS.margin
-        or gain_of(best.held_out, base) < SETTINGS.gain_min
+        or gain_of(best.held_out, base, _tolerated(dataset)) < SETTINGS.gain_min
         or surely_better(best.held_out, base) < SETTINGS.confidence
     ):
         return None
     most = left_of(best.held_out, errors(dataset, plain))
     rivals: list[str] = []
     for other in order:
-        if other.effect.name in (best.effect.name, *rivals) or len(rivals) == SETTINGS.rivals_max:
+        if other.effect.is_same_cause(best.effect) or len(rivals) == SETTINGS.rivals_max:
             continue
-        behind = _score(dataset, base, best) - _score(dataset, base, other)
+        name = equal_causes.rival_name(other.effect, best.effect)
+        if name in rivals:
+            continue
+        behind = max(
+            score(dataset, base, best) - score(dataset, base, other)
+            for score in (_score, _fine_score)
+        )
         more = left_of(other.held_out, errors(dataset, plain)) - most
         unsure = (
             surely_better(best.held_out, other.held_out) < SETTINGS.confidence
             and more < SETTINGS.unsure_left
         )
         if behind < SETTINGS.alike or more < SETTINGS.alike_left or unsure:
-            rivals.append(other.effect.name)
+            rivals.append(name)
     return Step(best.effect, tuple(rivals), _ranking(dataset, plain, fit, found), best.fit)
 
 
@@ -340,13 +389,16 @@ def _simplest(
 
     One with more can imitate another: an antagonist of hardly any friction is joint friction.
     """
-    best, at_first = order[0], errors(dataset, plain)
+    at_first = errors(dataset, plain)
+    ahead = _score(dataset, base, order[0]) - SETTINGS.alike
+    near = [one for one in order if _score(dataset, base, one) > ahead]
+    best = max(near, key=lambda one: _fine_score(dataset, base, one))
     most = left_of(best.held_out, at_first) + SETTINGS.alike_left
-    least = _score(dataset, base, best) - SETTINGS.alike
+    least = _fine_score(dataset, base, best) - SETTINGS.alike
     alike = [
         one
-        for one in order
-        if _score(dataset, base, one) > least and left_of(one.held_out, at_first) < most
+        for one in near
+        if _fine_score(dataset, base, one) > least and left_of(one.held_out, at_first) < most
     ]
     return min(alike, key=lambda one: len(one.effect.parameters))
 
@@ -403,8 +455,8 @@ def _outcome(
         one.name: Number(one.value, one.low, one.high, one.parameter.unit, one.at_bound)
         for one in parameters(full, contexts(dataset, plain), last)
     }
-    known = as_driven(dataset, validate, first_law)
-    further = predicted(dataset, first_law, last if steps else first_law, known)
+    extended = last if steps else first_law
+    further = predicted(dataset, first_law, extended, as_fitted(dataset, validate, extended))
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
     simple = simple_models(dataset)
     return Diagnosis(
@@ -414,7 +466,7 @@ def _outcome(
         parameters=numbers,
         dataset=dataset,
         baseline=first_law,
-        extended=last if steps else first_law,
+        extended=extended,
         before=fitnesses(folds, 0, further),
         after=fitnesses(folds, 1, further),
         gain={
@@ -434,6 +486,6 @@ def _outcome(
         experiments=experiments.settling(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
         fit_all=all(record.train.all() for record in dataset.records),
-        rivals=rivals.fitted(dataset, plain, last, equal_causes.equals(steps, usable)),
+        rivals=rivals.fitted(dataset, plain, last, equal_causes.equals(dataset, steps, usable)),
         validation=further,
     )

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 
+from estimator.diagnosis.carrying_over import Offer
 from estimator.diagnosis.dataset import tolerance
 from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.model import TIP
@@ -15,6 +16,7 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
+from estimator.diagnosis.rivals import Rival
 from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.simple_models import LUGRE
 from estimator.effects import CATALOGUE, Effect
@@ -286,6 +288,8 @@ def next_steps(found: Diagnosis) -> list[str]:
             f"Record the motor's {motor}: without it {', '.join(rough)} "
             f"hold for an L/EA of {quantity(assumed, units.name('m/N'))} only."
         )
+    if found.offer is not None:
+        steps.append(_carries_over(found, found.offer))
     if found.verdict is Verdict.UNEXPLAINED and _unsure(found):
         steps.append(
             "Record for longer, with swings of several depths and speeds, so that a cause can be "
@@ -297,6 +301,19 @@ def next_steps(found: Diagnosis) -> list[str]:
             "beyond it; a cause that the catalogue lacks is an effect to add to it."
         )
     return steps or ["Use the model as it is."]
+
+
+def _carries_over(found: Diagnosis, offer: Offer) -> str:
+    """Return that a model with an effect that is not named carries over better, and what to do."""
+    channel = max(offer.rmse, key=lambda c: (offer.without[c] - offer.rmse[c]) / found.noise[c])
+    unit = found.units.of(channel)
+    rmse, without = (quantity(of[channel], unit, 3) for of in (offer.rmse, offer.without))
+    return (
+        f"For other motions than those of these data try --cause {offer.effect.name}: held-out "
+        f"blocks do not need it, but with it one half of a record predicts the "
+        f"{found.units.word(channel)} of the other within {rmse}, without it within {without}. "
+        "Another record, given with --validate, decides."
+    )
 
 
 def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:
@@ -392,12 +409,21 @@ def _cause(found: Diagnosis, step: Step) -> str:
     )
     first = f"{step.effect.cause} ({step.effect.label}: {sizes})"
     rivals = [
-        f"{effect.cause} ({name})"
-        for name in step.rivals
-        if name not in found.causes
-        for effect in _named(name)[:1]
+        f"{one.effect.cause} ({one.effect.label}: {_sizes(found, one)})"
+        for one in found.rivals
+        if one.replaces == step.effect.name
     ]
     return " or ".join([first, *rivals])
+
+
+def _sizes(found: Diagnosis, rival: Rival) -> str:
+    """Return the parameters of a rival in its own model."""
+    units = found.units
+    values = next(v for effect, v in rival.fit.model.effects if effect is rival.effect)
+    return ", ".join(
+        f"{p.name} {quantity(units.size(p.unit) * value, units.name(p.unit), 3)}"
+        for p, value in zip(rival.effect.parameters, values, strict=True)
+    )
 
 
 def _with_lengths(found: Diagnosis) -> list[str]:
@@ -419,7 +445,7 @@ def _unsure(found: Diagnosis) -> list[str]:
 
 
 def _named(name: str) -> list[Effect]:
-    return [effect for effect in CATALOGUE if effect.name == name]
+    return [effect for effect in CATALOGUE if name in (effect.name, effect.label)]
 
 
 def _gain(found: Diagnosis) -> str:

@@ -71,9 +71,13 @@ class Settings:
     unsure_left: float = 0.1  # of it, where the bootstrap does not prefer one
     rivals_max: int = 2  # that are reported beside the cause
 
+    # when a further effect is offered (carrying_over.py)
+    carried_gain: float = 0.1  # by which it lowers the error of halves that were not fitted
+
     # when to look no further (engine.py)
     left_min: float = 0.01  # of the first error beyond noise
     further: float = 2.5  # rms residual over tolerance
+    further_left: float = 0.5  # of what a cause leaves, left by one more
     brief: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
 
     # what a part of the samples tells (fit.py)
