@@ -1,13 +1,13 @@
 """The diagnosis: from records to a verdict, with its gain."""
 
 import itertools
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from estimator.diagnosis import carrying_over, equal_causes, experiments, rivals
 from estimator.diagnosis.baseline import again, baseline
+from estimator.diagnosis.carrying_over import Offer
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -17,16 +17,25 @@ from estimator.diagnosis.dataset import (
     mean_noise,
     rescaled,
     simulated,
-    tolerance,
     whole,
     with_records,
 )
+from estimator.diagnosis.decision import (
+    is_all,
+    is_noise,
+    is_within,
+    next_step,
+    ranking,
+    score_beside,
+    tolerated,
+)
 from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.driver_noise import as_driven
+from estimator.diagnosis.elimination import distinct, explaining, fit_without, needed
 from estimator.diagnosis.fit import improved
 from estimator.diagnosis.folds import fitnesses, two_folds
 from estimator.diagnosis.free_friction import wanders
-from estimator.diagnosis.intervals import Named, parameters
+from estimator.diagnosis.intervals import parameters
 from estimator.diagnosis.law_choice import Choice, applicable, choose_law, choose_loads
 from estimator.diagnosis.outcome import (
     Diagnosis,
@@ -47,14 +56,10 @@ from estimator.diagnosis.record import (
 from estimator.diagnosis.record_units import in_record_units
 from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (
-    Errors,
     bootstrapped_gain,
     errors,
-    gain_of,
     joined,
     left_of,
-    log_likelihood_ratio,
-    surely_better,
 )
 from estimator.diagnosis.search import Candidate, candidates
 from estimator.diagnosis.settings import SETTINGS
@@ -117,7 +122,7 @@ def diagnose(
     plain = baseline(dataset)
     dataset, plain = as_driven(dataset, contexts_without(dataset, plain), plain, again)
     law = Choice(dataset, plain, ())
-    if records[0].loop or not _is_noise(dataset, errors(dataset, plain)):
+    if records[0].loop or not is_noise(dataset, errors(dataset, plain)):
         report("choosing the base law", 0.0)
         law = choose_law(dataset, plain)
     loads = choose_loads(law.dataset, law.fit)
@@ -130,22 +135,20 @@ def diagnose(
     usable = applicable(effects, records[0], dataset.base)
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
-    found: list[Candidate] = []
+    found = list[Candidate]()
     for begin, end in itertools.pairwise(SEARCHES):
-        if _is_noise(dataset, errors(dataset, fit)) or (steps and _is_all(dataset, fit, plain)):
+        if is_noise(dataset, errors(dataset, fit)) or (steps and is_all(dataset, fit, plain)):
             break
         rest = [effect for effect in usable if effect.name not in fit.names]
         searching = part(report, begin, end)
         found = candidates(dataset, fit, rest, searching, workers)
-        step = _step(dataset, plain, fit, found)
+        step = next_step(dataset, plain, fit, found)
         if step is not None and not steps:
-            without = _without(dataset, step.fit, step.effect)
-            if (
-                _matters(dataset, step.fit, without, step.effect) < SETTINGS.margin
-            ):  # the previous fit was a local minimum
-                plain = fit = without
+            alone = fit_without(dataset, step.fit, step.effect)
+            if score_beside(dataset, step.fit, alone, step.effect) < SETTINGS.margin:
+                plain = fit = alone  # the previous fit was a local minimum
                 continue
-        first = first or _ranking(dataset, plain, fit, found)
+        first = first or ranking(dataset, plain, fit, found)
         if step is None:
             two = _by_two(
                 dataset, plain, fit, found, rest, part(report, end, SEARCHES[-1]), workers
@@ -155,22 +158,16 @@ def diagnose(
         dataset, plain, fit = _driven_anew(dataset, prepared, plain, step.fit)
         steps.append(step._replace(fit=fit))
     report("fitting again and testing", SEARCHES[-1])
-    steps, fit = _explaining(dataset, steps, fit)
-    steps, fit = _needed(dataset, steps, fit)
-    steps, fit = _distinct(dataset, plain, steps, fit)
-    offer = None
-    if (
-        found
-        and found[0].fit.names[:-1] == fit.names
-        and not _is_noise(dataset, errors(dataset, fit))
-    ):
-        offer = carrying_over.offered(dataset, plain, fit, found, _tolerated(dataset))
+    steps, fit = explaining(dataset, steps, fit)
+    steps, fit = needed(dataset, steps, fit)
+    steps, fit = distinct(dataset, plain, steps, fit)
+    offer = _offer(dataset, plain, fit, found)
     if offer is not None and cause == offer.effect.name:
-        steps = [*steps, Step(offer.effect, (), _ranking(dataset, plain, fit, found), offer.fit)]
+        steps = [*steps, Step(offer.effect, (), ranking(dataset, plain, fit, found), offer.fit)]
         fit, offer = offer.fit, None
     elif cause:
-        others = () if offer is None else (offer.effect.name,)
-        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause, others)
+        also = () if offer is None else (offer.effect.name,)
+        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause, also)
     outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
     if leave_one_file_out:
         report("leaving one file out", 1.0)
@@ -200,6 +197,13 @@ def _driven_anew(
     return driven, again(rescaled(driven, plain), plain), fit_anew
 
 
+def _offer(dataset: Dataset, plain: Fit, fit: Fit, found: Sequence[Candidate]) -> Offer | None:
+    """Return an effect that is not named and lets the model carry over, of the last search."""
+    if not found or found[0].fit.names[:-1] != fit.names or is_noise(dataset, errors(dataset, fit)):
+        return None
+    return carrying_over.offered(dataset, plain, fit, found, tolerated(dataset))
+
+
 def _by_two(
     dataset: Dataset,
     plain: Fit,
@@ -221,76 +225,10 @@ def _by_two(
     lead = ahead[0]
     rest = [effect for effect in rest if effect.name != lead.effect.name]
     more = candidates(dataset, lead.fit, rest, report, workers)
-    second = _step(dataset, plain, lead.fit, more)
-    if second is None or not _within(dataset, errors(dataset, second.fit), SETTINGS.further):
+    second = next_step(dataset, plain, lead.fit, more)
+    if second is None or not is_within(dataset, errors(dataset, second.fit), SETTINGS.further):
         return []
-    return [Step(lead.effect, (), _ranking(dataset, plain, fit, list(found)), lead.fit), second]
-
-
-def _explaining(dataset: Dataset, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
-    """Return the causes without last ones that explain little of what those before them leave.
-
-    Where a cause is modelled a little wrongly, another can imitate a part of what that leaves.
-    """
-    while len(steps) > 1:
-        left = left_of(errors(dataset, steps[-1].fit), errors(dataset, steps[-2].fit))
-        if left <= SETTINGS.further_left:
-            break
-        steps = steps[:-1]
-        fit = steps[-1].fit
-    return steps, fit
-
-
-def _needed(dataset: Dataset, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
-    """Return the causes without those that later ones have made needless, and the fit of them."""
-    for step in steps[:-1] if len(steps) > 1 else ():
-        without = _without(dataset, fit, step.effect)
-        if _matters(dataset, fit, without, step.effect) < SETTINGS.margin:
-            steps = [one for one in steps if one is not step]
-            fit = without
-    return steps, fit
-
-
-def _distinct(dataset: Dataset, plain: Fit, steps: list[Step], fit: Fit) -> tuple[list[Step], Fit]:
-    """Return the causes without those whose size may be none, and the fit of them."""
-    while steps:
-        full = rescaled(whole(dataset), fit)
-        last = improved(full, contexts(dataset, plain), fit.model, LAST)
-        found = {one.name: one for one in parameters(full, contexts(dataset, plain), last)}
-
-        def is_distinct(step: Step, found: dict[str, Named] = found) -> bool:
-            sizes = [p for p in step.effect.parameters if p.neutral is not None and not p.jumps]
-            named = [found[f"{step.effect.name}.{p.name}"] for p in sizes]
-            if len(named) > 1:  # which trade against each other, as a sine and a cosine
-                return any(one.is_significant for one in named)
-            return not named or named[0].excludes_neutral
-
-        needless = [step for step in steps if not is_distinct(step)]
-        if not needless:
-            break
-        steps = [step for step in steps if step is not needless[-1]]
-        fit = _without(dataset, fit, needless[-1].effect)
-    return steps, fit
-
-
-def _without(dataset: Dataset, fit: Fit, effect: Effect) -> Fit:
-    """Return a model without one of its effects, fitted from where it was with it."""
-    rest = tuple(one for one in fit.model.effects if one[0].name != effect.name)
-    model = fit.model._replace(effects=rest)
-    return improved(rescaled(dataset, fit), contexts(dataset, fit), model, LAST)
-
-
-def _matters(dataset: Dataset, fit: Fit, without: Fit, effect: Effect) -> float:
-    """Return what an effect scores beside all others of a model."""
-    found = log_likelihood_ratio(
-        errors(dataset, fit), errors(dataset, without), _tolerated(dataset)
-    )
-    return found - _bic_penalty(dataset, effect)
-
-
-def _bic_penalty(dataset: Dataset, effect: Effect) -> float:
-    samples = sum(len(record.time) for record in dataset.records)
-    return 0.5 * len(effect.parameters) * math.log(samples)
+    return [Step(lead.effect, (), ranking(dataset, plain, fit, list(found)), lead.fit), second]
 
 
 def _brief(dataset: Dataset, plain: Fit) -> bool:
@@ -310,121 +248,6 @@ def _brief(dataset: Dataset, plain: Fit) -> bool:
     return most > SETTINGS.brief * total
 
 
-def _is_all(dataset: Dataset, fit: Fit, plain: Fit) -> bool:
-    """Return whether too little is left for another cause to be told from model error."""
-    found = errors(dataset, fit)
-    if left_of(found, errors(dataset, plain)) < SETTINGS.left_min:
-        return True
-    return _within(dataset, found, SETTINGS.further)
-
-
-def _is_noise(dataset: Dataset, found: dict[str, Errors]) -> bool:
-    """Return whether errors are what noise makes, and a simulation's own error."""
-    return _within(dataset, found, SETTINGS.noise_ratio)
-
-
-def _within(dataset: Dataset, found: dict[str, Errors], times: float) -> bool:
-    floor = tolerance(dataset)
-    return all(math.sqrt(one.mean) < times * floor[c] for c, one in found.items())
-
-
-def _tolerated(dataset: Dataset) -> dict[str, float]:
-    """Return the mean square of each channel that noise and the simulation's own error make."""
-    return {channel: floor**2 for channel, floor in tolerance(dataset).items()}
-
-
-def _score(dataset: Dataset, base: dict[str, Errors], one: Candidate) -> float:
-    """Return ln of how much more probable held-out data are, parameters paid for.
-
-    Errors that are tolerated need no cause: what makes them smaller scores nothing.
-    """
-    found = log_likelihood_ratio(one.held_out, base, _tolerated(dataset))
-    return found - _bic_penalty(dataset, one.effect)
-
-
-def _fine_score(dataset: Dataset, base: dict[str, Errors], one: Candidate) -> float:
-    """Return the same of all errors, however small: it tells causes apart that score alike."""
-    return log_likelihood_ratio(one.held_out, base) - _bic_penalty(dataset, one.effect)
-
-
-def _step(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> Step | None:
-    """Return the cause that explains most, with those that cannot be told from it, if any does."""
-    base = errors(dataset, fit)
-    order = sorted(found, key=lambda one: -_score(dataset, base, one))
-    if not order:
-        return None
-    best = _simplest(dataset, plain, base, order)
-    if (
-        _score(dataset, base, best) < SETTINGS.margin
-        or gain_of(best.held_out, base, _tolerated(dataset)) < SETTINGS.gain_min
-        or surely_better(best.held_out, base) < SETTINGS.confidence
-    ):
-        return None
-    most = left_of(best.held_out, errors(dataset, plain))
-    rivals: list[str] = []
-    for other in order:
-        if other.effect.is_same_cause(best.effect) or len(rivals) == SETTINGS.rivals_max:
-            continue
-        name = equal_causes.rival_name(other.effect, best.effect)
-        if name in rivals:
-            continue
-        behind = max(
-            score(dataset, base, best) - score(dataset, base, other)
-            for score in (_score, _fine_score)
-        )
-        more = left_of(other.held_out, errors(dataset, plain)) - most
-        unsure = (
-            surely_better(best.held_out, other.held_out) < SETTINGS.confidence
-            and more < SETTINGS.unsure_left
-        )
-        if behind < SETTINGS.alike or more < SETTINGS.alike_left or unsure:
-            rivals.append(name)
-    return Step(best.effect, tuple(rivals), _ranking(dataset, plain, fit, found), best.fit)
-
-
-def _simplest(
-    dataset: Dataset, plain: Fit, base: dict[str, Errors], order: list[Candidate]
-) -> Candidate:
-    """Return of the best causes, which are as good as each other, that of the fewest parameters.
-
-    One with more can imitate another: an antagonist of hardly any friction is joint friction.
-    """
-    at_first = errors(dataset, plain)
-    ahead = _score(dataset, base, order[0]) - SETTINGS.alike
-    near = [one for one in order if _score(dataset, base, one) > ahead]
-    best = max(near, key=lambda one: _fine_score(dataset, base, one))
-    most = left_of(best.held_out, at_first) + SETTINGS.alike_left
-    least = _fine_score(dataset, base, best) - SETTINGS.alike
-    alike = [
-        one
-        for one in near
-        if _fine_score(dataset, base, one) > least and left_of(one.held_out, at_first) < most
-    ]
-    return min(alike, key=lambda one: len(one.effect.parameters))
-
-
-def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
-    base, at_first = errors(dataset, fit), errors(dataset, plain)
-    size = dataset.records[0].units.size
-    ranked = [
-        Ranked(
-            one.effect.name,
-            one.effect.label,
-            _score(dataset, base, one),
-            {c: e.rmse for c, e in one.held_out.items()},
-            left_of(one.held_out, at_first),
-            {
-                p.name: size(p.unit) * value
-                for p, value in zip(
-                    one.effect.parameters, one.fit.model.effects[-1][1], strict=True
-                )
-            },
-        )
-        for one in found
-    ]
-    return tuple(sorted(ranked, key=lambda one: -one.score))
-
-
 def _outcome(
     dataset: Dataset,
     plain: Fit,
@@ -442,10 +265,10 @@ def _outcome(
     folds = two_folds(dataset, plain, last)
     before, after = (joined([errors(one.dataset, one.fits[k]) for one in folds]) for k in (0, 1))
     left = left_of(after, before)
-    astray = not _is_noise(dataset, after) and wanders(dataset, fit)
+    astray = not is_noise(dataset, after) and wanders(dataset, fit)
     if not steps:
-        verdict = Verdict.CLEAN if _is_noise(dataset, before) else Verdict.UNEXPLAINED
-    elif astray or (left > SETTINGS.explained and not _is_noise(dataset, after)):
+        verdict = Verdict.CLEAN if is_noise(dataset, before) else Verdict.UNEXPLAINED
+    elif astray or (left > SETTINGS.explained and not is_noise(dataset, after)):
         verdict = Verdict.UNEXPLAINED
     elif any(step.rivals for step in steps):
         verdict = Verdict.AMBIGUOUS
