@@ -19,7 +19,11 @@ Refit = Callable[[Dataset, Fit], Fit]
 
 
 def as_driven(
-    dataset: Dataset, about: Sequence[EffectContext], fit: Fit, refit: Refit
+    dataset: Dataset,
+    about: Sequence[EffectContext],
+    fit: Fit,
+    refit: Refit,
+    first: Refit | None = None,
 ) -> tuple[Dataset, Fit]:
     """Return a dataset with the noise and the hidden motion of its driver, and the model refitted.
 
@@ -33,6 +37,8 @@ def as_driven(
         The model.
     refit : callable
         Fits the model again, to a dataset of the same records.
+    first : callable, optional
+        The same while hidden motion is not in the records yet; `refit` by default.
     """
     noisy = [
         with_driver_noise(record, simulator)
@@ -41,7 +47,7 @@ def as_driven(
     if all(new is old for new, old in zip(noisy, dataset.records, strict=True)):
         return dataset, fit
     dataset = with_records(dataset, noisy)
-    fit = refit(dataset, fit)
+    fit = (first or refit)(dataset, fit)
     fit = simulated(dataset, about, fit.model)
     moved = [
         with_hidden_motion(record, _housing(dataset, about[k], fit, k))

@@ -188,9 +188,13 @@ def _driven_anew(
     def refitted(other: Dataset, model: Fit) -> Fit:
         return improved(rescaled(other, model), about, model.model, LAST)
 
+    def by_most(other: Dataset, model: Fit) -> Fit:
+        """Return the fit without what a motion that is still hidden would draw it to."""
+        return improved(rescaled(other, model), about, model.model, LAST, robust=True)
+
     as_measured = with_records(dataset, prepared)
     begun = simulated(as_measured, about, fit.model)
-    driven, fit_anew = as_driven(as_measured, about, begun, refitted)
+    driven, fit_anew = as_driven(as_measured, about, begun, refitted, by_most)
     if driven is as_measured:
         return dataset, plain, fit
     plain = again(driven, plain)
