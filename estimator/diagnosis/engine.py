@@ -5,9 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimator.diagnosis import carrying_over, equal_causes, experiments, rivals
+from estimator.diagnosis import equal_causes, experiments, rivals
 from estimator.diagnosis.baseline import again, baseline
-from estimator.diagnosis.carrying_over import Offer
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -27,7 +26,6 @@ from estimator.diagnosis.decision import (
     next_step,
     ranking,
     score_beside,
-    tolerated,
 )
 from estimator.diagnosis.detection_limit import detection_limits
 from estimator.diagnosis.driver_noise import as_driven
@@ -135,7 +133,6 @@ def diagnose(
     usable = applicable(effects, records[0], dataset.base)
     fit, steps = plain, list[Step]()
     first: tuple[Ranked, ...] = ()
-    found = list[Candidate]()
     for begin, end in itertools.pairwise(SEARCHES):
         if is_noise(dataset, errors(dataset, fit)) or (steps and is_all(dataset, fit, plain)):
             break
@@ -161,19 +158,14 @@ def diagnose(
     steps, fit = explaining(dataset, steps, fit)
     steps, fit = needed(dataset, steps, fit)
     steps, fit = distinct(dataset, plain, steps, fit)
-    offer = _offer(dataset, plain, fit, found)
-    if offer is not None and cause == offer.effect.name:
-        steps = [*steps, Step(offer.effect, (), ranking(dataset, plain, fit, found), offer.fit)]
-        fit, offer = offer.fit, None
-    elif cause:
-        also = () if offer is None else (offer.effect.name,)
-        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause, also)
+    if cause:
+        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause)
     outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
     if leave_one_file_out:
         report("leaving one file out", 1.0)
         others = left_out(dataset, outcome.baseline, outcome.extended)
         outcome = outcome._replace(left_out=others)
-    return in_record_units(outcome._replace(laws=law, loads=loads, offer=offer))
+    return in_record_units(outcome._replace(laws=law, loads=loads))
 
 
 def _driven_anew(
@@ -199,13 +191,6 @@ def _driven_anew(
         return dataset, plain, fit
     plain = again(driven, plain)
     return driven, again(rescaled(driven, plain), plain), fit_anew
-
-
-def _offer(dataset: Dataset, plain: Fit, fit: Fit, found: Sequence[Candidate]) -> Offer | None:
-    """Return an effect that is not named and lets the model carry over, of the last search."""
-    if not found or found[0].fit.names[:-1] != fit.names or is_noise(dataset, errors(dataset, fit)):
-        return None
-    return carrying_over.offered(dataset, plain, fit, found, tolerated(dataset))
 
 
 def _by_two(

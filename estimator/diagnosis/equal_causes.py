@@ -16,20 +16,19 @@ def with_cause(
     fit: Fit,
     usable: Sequence[Effect],
     cause: str,
-    others: Sequence[str] = (),
 ) -> tuple[list[Step], Fit]:
     """Return the causes with one of equally good ones in the place of the first of them.
 
     Raises
     ------
     CauseError
-        If `cause` is none of them; the message names them, and `others` that may be asked for.
+        If `cause` is none of them; the message names them.
     """
     if cause in [step.effect.name for step in steps]:
         return steps, fit
     known = {one.name: one for one in equals(dataset, steps, usable)}
     if cause not in known:
-        raise _not_equal(cause, [*(step.effect.name for step in steps), *known, *others])
+        raise _not_equal(cause, [*(step.effect.name for step in steps), *known])
     chosen = known[cause]
     fit = improved(
         rescaled(dataset, fit), contexts(dataset, plain), replaced(fit.model, chosen), ROUNDS

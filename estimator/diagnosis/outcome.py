@@ -3,7 +3,6 @@
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
-from estimator.diagnosis.carrying_over import Offer
 from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.force import FileForce, RivalForce
 from estimator.diagnosis.law_choice import Choice
@@ -119,7 +118,6 @@ class Diagnosis(NamedTuple):
     troubles: tuple[Trouble, ...]
     fit_all: bool = False  # no sample was held out: all errors are of fitted samples
     rivals: tuple[Rival, ...] = ()  # models with one of the equally good causes
-    offer: Offer | None = None  # a further effect, with which the model carries over better
     validation: tuple[Predicted, ...] = ()  # records that were not fitted
     left_out: tuple[Predicted, ...] = ()  # each record, by the fit of the others
     forces: tuple[FileForce, ...] = ()  # error of the force that the loop would estimate

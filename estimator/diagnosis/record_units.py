@@ -24,11 +24,6 @@ def in_record_units(found: Diagnosis) -> Diagnosis:
         laws=_choice(found.laws, units),
         loads=_choice(found.loads, units),
         simple_models=tuple(_simple(one, units) for one in found.simple_models),
-        offer=None
-        if found.offer is None
-        else found.offer._replace(
-            without=_errors(found.offer.without, units), rmse=_errors(found.offer.rmse, units)
-        ),
         detection_limits={
             name: one._replace(size=one.size * units.size(one.unit), unit=units.name(one.unit))
             for name, one in found.detection_limits.items()

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterable, Sequence
 
-from estimator.diagnosis.carrying_over import Offer
 from estimator.diagnosis.dataset import tolerance
 from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.model import TIP
@@ -288,8 +287,6 @@ def next_steps(found: Diagnosis) -> list[str]:
             f"Record the motor's {motor}: without it {', '.join(rough)} "
             f"hold for an L/EA of {quantity(assumed, units.name('m/N'))} only."
         )
-    if found.offer is not None:
-        steps.append(_carries_over(found, found.offer))
     if found.verdict is Verdict.UNEXPLAINED and _unsure(found):
         steps.append(
             "Record for longer, with swings of several depths and speeds, so that a cause can be "
@@ -301,19 +298,6 @@ def next_steps(found: Diagnosis) -> list[str]:
             "beyond it; a cause that the catalogue lacks is an effect to add to it."
         )
     return steps or ["Use the model as it is."]
-
-
-def _carries_over(found: Diagnosis, offer: Offer) -> str:
-    """Return that a model with an effect that is not named carries over better, and what to do."""
-    channel = max(offer.rmse, key=lambda c: (offer.without[c] - offer.rmse[c]) / found.noise[c])
-    unit = found.units.of(channel)
-    rmse, without = (quantity(of[channel], unit, 3) for of in (offer.rmse, offer.without))
-    return (
-        f"For other motions than those of these data try --cause {offer.effect.name}: held-out "
-        f"blocks do not need it, but with it one half of a record predicts the "
-        f"{found.units.word(channel)} of the other within {rmse}, without it within {without}. "
-        "Another record, given with --validate, decides."
-    )
 
 
 def remarks(found: Diagnosis, files: Sequence[str]) -> list[str]:

@@ -71,9 +71,6 @@ class Settings:
     unsure_left: float = 0.1  # of it, where the bootstrap does not prefer one
     rivals_max: int = 2  # that are reported beside the cause
 
-    # when a further effect is offered (carrying_over.py)
-    carried_gain: float = 0.1  # by which it lowers the error of halves that were not fitted
-
     # when to look no further (engine.py)
     left_min: float = 0.01  # of the first error beyond noise
     further: float = 2.5  # rms residual over tolerance
