@@ -17,10 +17,16 @@ def with_cause(
     usable: Sequence[Effect],
     cause: str,
 ) -> tuple[list[Step], Fit]:
-    """Return the causes with one of equally good ones in the place of the first of them."""
+    """Return the causes with one of equally good ones in the place of the first of them.
+
+    Raises
+    ------
+    CauseError
+        If `cause` is none of them; the message names them.
+    """
     if cause in [step.effect.name for step in steps]:
         return steps, fit
-    known = {one.effect.name: one for one in equals(steps, usable)}
+    known = {one.name: one for one in equals(dataset, steps, usable)}
     if cause not in known:
         raise _not_equal(cause, [*(step.effect.name for step in steps), *known])
     chosen = known[cause]
@@ -30,7 +36,10 @@ def with_cause(
     return [
         Step(
             chosen.effect,
-            (step.effect.name, *(name for name in step.rivals if name != cause)),
+            (
+                rival_name(step.effect, chosen.effect),
+                *(name for name in step.rivals if name != cause),
+            ),
             step.ranking,
             fit,
         )
@@ -47,15 +56,22 @@ def _not_equal(cause: str, names: Sequence[str]) -> CauseError:
     return CauseError(f"{cause}: does not explain these data equally well; choose from {listed}")
 
 
-def equals(steps: Sequence[Step], usable: Sequence[Effect]) -> list[Equal]:
+def rival_name(rival: Effect, cause: Effect) -> str:
+    """Return what a rival of a cause is called: with its variant if that is the difference."""
+    return rival.label if rival.name == cause.name else rival.name
+
+
+def equals(dataset: Dataset, steps: Sequence[Step], usable: Sequence[Effect]) -> list[Equal]:
     """Return the effects that explain as much as the causes, each in its best variant."""
     effects = {effect.label: effect for effect in usable}
+    size = dataset.records[0].units.size
     causes = [step.effect.name for step in steps]
     found = []
     for step in steps:
         for name in step.rivals:
-            ranked = next(one for one in step.ranking if one.name == name)
+            ranked = next(one for one in step.ranking if name in (one.name, one.label))
             if name not in causes:
-                values = tuple(ranked.values.values())
-                found.append(Equal(step.effect.name, effects[ranked.label], values))
+                effect = effects[ranked.label]
+                values = tuple(ranked.values[p.name] / size(p.unit) for p in effect.parameters)
+                found.append(Equal(name, step.effect.name, effect, values))
     return found
