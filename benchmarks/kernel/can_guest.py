@@ -3,10 +3,17 @@
 The driver is the project's own, in its own process; the drives are `tests/drivers/models/drives.py`
 in another, on the CANopen stack durand. Between them is the kernel's own CAN, on a virtual
 interface.
+
+An emulated processor takes 1.6 s to start Python with the libraries of either. So the drives serve
+all checks, as on a bench, and the driver's process is a fork of this one, which has imported what
+it needs; only the first one of each number of drives is started as the slave does it.
 """
 
+import json
 import os
 import signal
+import socket
+import subprocess
 import time
 import traceback
 from collections.abc import Callable
@@ -17,10 +24,12 @@ from benchmarks.kernel import vcan
 from benchmarks.kernel.init import run
 from benchmarks.kernel.judge import WrongError
 from benchmarks.rigs.bench import BUS, Model
-from slave.drivers import configs
+from slave.drivers import configs, connection, worker
+from slave.drivers.cia402 import driver  # noqa: F401 - so that forks have it
 from slave.drivers.cia402.config import BusConfig, Cia402Config
-from slave.drivers.connection import Connection
+from slave.drivers.connection import Connection, start_process
 from slave.drivers.driver import Channels, DriverFault
+from teleop.config import as_tree
 
 CHANNEL = "vcan0"
 RATE_HZ = 50.0  # of an emulated processor
@@ -29,6 +38,7 @@ COUNTS = (1, 4)  # drives
 STOP_MAX_S = 0.050
 WAIT_S = 10.0
 STILL_S = 0.3
+FOLLOW_S = 2.0
 STEP = 50.0  # [counts]
 
 Figures = dict[str, str]
@@ -44,18 +54,59 @@ def main() -> None:
 def _try_all(say: Callable[..., None]) -> None:
     vcan.create(CHANNEL)
     for drives in COUNTS:
-        for check in CHECKS:
-            name = f"can, {drives} drives"
+        connection.start_process = start_process
+        left = list(CHECKS)
+        while left:  # after a failure with drives that know nothing of it
+            with Model("cia402", drives, "springs", realtime=False) as model:
+                bench = Bench(model, drives)
+                while left and _passes(left.pop(0), bench, say):
+                    connection.start_process = Fork
+
+
+def _passes(check: "Callable[[Bench], Figures]", bench: "Bench", say: Callable[..., None]) -> bool:
+    name = f"can, {len(bench.numbers)} drives"
+    try:
+        figures = check(bench)
+    except (WrongError, DriverFault) as error:
+        say(device=name, check=check.__name__, trouble=str(error))
+    except Exception as error:  # whatever it is, the other trials still run
+        traceback.print_exc()
+        say(device=name, check=check.__name__, trouble=repr(error))
+    else:
+        say(device=name, check=check.__name__, figures=figures)
+        return True
+    return False
+
+
+class Fork:
+    """The process of a driver, as `start_process` starts one, without the start of Python."""
+
+    def __init__(
+        self, end: socket.socket, config: configs.DriverConfig, channels: Channels
+    ) -> None:
+        number = end.fileno()
+        self.pid = os.fork()
+        if self.pid == 0:
+            os.closerange(3, number)
+            os.closerange(number + 1, os.sysconf("SC_OPEN_MAX"))
+            words = [as_tree(config), list(channels.motors), list(channels.cells)]
             try:
-                with Model("cia402", drives, "springs", realtime=False) as model:
-                    figures = check(Bench(model, drives))
-            except (WrongError, DriverFault) as error:
-                say(device=name, check=check.__name__, trouble=str(error))
-            except Exception as error:  # whatever it is, the other trials still run
+                os._exit(worker.main([str(number), *map(json.dumps, words)]))
+            finally:
                 traceback.print_exc()
-                say(device=name, check=check.__name__, trouble=repr(error))
-            else:
-                say(device=name, check=check.__name__, figures=figures)
+                os._exit(1)
+
+    def wait(self, timeout_s: float = WAIT_S) -> None:
+        """Wait until it has ended; `subprocess.TimeoutExpired`."""
+        until_s = time.monotonic() + timeout_s
+        while os.waitpid(self.pid, os.WNOHANG) == (0, 0):
+            if time.monotonic() > until_s:
+                raise subprocess.TimeoutExpired("fork", timeout_s)
+            time.sleep(0.002)
+
+    def kill(self) -> None:
+        """End it."""
+        os.kill(self.pid, signal.SIGKILL)
 
 
 class Bench:
@@ -115,7 +166,7 @@ class Bench:
         """Wait until no drive follows; return the time that took, which must be short."""
         self.until(None, lambda: not any(self.model.order()["moving"]), "the drives do not stop")
         took_s = self.model.order()["stopped_s"] - since_s
-        if took_s > STOP_MAX_S:
+        if not 0.0 <= took_s <= STOP_MAX_S:
             raise WrongError(f"stopped only after {took_s * 1e3:.0f} ms")
         return f"{took_s * 1e3:.0f} ms"
 
@@ -158,7 +209,7 @@ def follow(bench: Bench) -> Figures:
             goal,
         )
         began_s = time.monotonic()
-        rate_hz = bench.hold(connection, goal, 3.0) / (time.monotonic() - began_s)
+        rate_hz = bench.hold(connection, goal, FOLLOW_S) / (time.monotonic() - began_s)
     finally:
         connection.close()
     if rate_hz < RATE_MIN * RATE_HZ:
@@ -230,6 +281,8 @@ def silent(bench: Bench) -> Figures:
         said = bench.fails(connection, "silent")
     finally:
         connection.close()
+        bench.model.order("plug")
+    bench.engages_anew()
     return {"fault": said}
 
 

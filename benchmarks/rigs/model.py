@@ -30,7 +30,8 @@ from tests.drivers.models.line import PseudoPort
 from tests.drivers.models.plant import Springs, Tendons
 from tests.drivers.models.servos import ERROR, TORQUE, Servos
 
-EMULATED_ROUND_S = 0.002
+LOOK_S = 0.001  # [s] between two looks at whether motors move
+EMULATED_ROUND_S, EMULATED_LOOK_S = 0.004, 0.002
 FOLDER = Path(tempfile.mkdtemp(prefix="rig-model-"))
 
 
@@ -133,7 +134,7 @@ class Cia402:
 
 
 class Off:
-    """When the last motor that moved has been stopped.
+    """Which motors move, and when the last one that moved has been stopped.
 
     Attributes
     ----------
@@ -141,17 +142,23 @@ class Off:
         On the monotonic clock.
     """
 
-    def __init__(self, model) -> None:
-        self.at_s, self._model = 0.0, model
+    def __init__(self, model, look_s: float) -> None:
+        self.at_s, self._model, self._look_s = 0.0, model, look_s
+        self._moved, self._lock = False, threading.Lock()
+
+    def look(self) -> list[bool]:
+        """Return which motors move; if none does any more, `at_s` is set already."""
+        with self._lock:
+            moving = self._model.moving()
+            if self._moved and not any(moving):
+                self.at_s = time.monotonic()
+            self._moved = any(moving)
+            return moving
 
     def watch(self) -> None:
-        moved = False
         while True:
-            moves = any(self._model.moving())
-            if moved and not moves:
-                self.at_s = time.monotonic()
-            moved = moves
-            time.sleep(0.001)
+            self.look()
+            time.sleep(self._look_s)
 
 
 MODELS = {"microcontroller": Microcontroller, "dynamixel": Dynamixel, "cia402": Cia402}
@@ -174,7 +181,7 @@ def main(driver: str, count: str, kind: str, *ordinary: str) -> None:
     gc.disable()  # a collection takes longer than a watchdog waits
     for thread in threads:
         thread.start()
-    off = Off(model)
+    off = Off(model, EMULATED_LOOK_S if ordinary else LOOK_S)
     threading.Thread(target=off.watch, daemon=True).start()
     print(json.dumps(model.buses), flush=True)
     for line in sys.stdin:
@@ -184,7 +191,7 @@ def main(driver: str, count: str, kind: str, *ordinary: str) -> None:
         elif order in ("unplug", "plug"):
             model.connect(order == "plug")
         state = {
-            "moving": model.moving(),
+            "moving": off.look(),
             "position": np.asarray(plant.position, float).tolist(),
             "stopped_s": off.at_s,
             "cpu_s": time.process_time(),

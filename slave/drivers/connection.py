@@ -41,7 +41,7 @@ class Connection:
         self.counts: dict[str, int | float] = {}
         self._place = config.type
         self._end, other = packets.pair()
-        self._process = _start(other, config, channels)
+        self._process = start_process(other, config, channels)
         other.close()
         try:
             self._await_ready()
@@ -124,9 +124,10 @@ class Connection:
             raise DriverFault(f"{self._place}: the driver's process has ended")
 
 
-def _start(
+def start_process(
     end: socket.socket, config: DriverConfig, channels: Channels
 ) -> "subprocess.Popen[bytes]":
+    """Start the process of a driver, which serves this end of a pair."""
     words = [as_tree(config), list(channels.motors), list(channels.cells)]
     number = end.fileno()
     return subprocess.Popen(

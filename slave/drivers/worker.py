@@ -8,6 +8,7 @@ long as it runs, seconds in the analysis of a calibration, and the motors' watch
 
 import contextlib
 import math
+import os
 import signal
 import socket
 import sys
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 from slave.drivers import packets
 from slave.drivers.configs import DriverConfig, open_driver
 from slave.drivers.driver import Channels, Counts, Driver, DriverFault, Reading
+from slave.drivers.parent import Parent
 from teleop.clock import quiet_garbage
 from teleop.config import load
 from teleop.errors import TeleopError
@@ -42,13 +44,14 @@ def main(words: Sequence[str]) -> int:
     """Serve the driver described by the words of the command; return the exit code."""
     number, driver, motors, cells = words
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal: the slave ends this process
+    slave = Parent(os.getppid())
     end = socket.socket(fileno=int(number))
     try:
         texts = [f"driver={driver}", f"motors={motors}", f"cells={cells}"]
         config = load(None, WorkerConfig, None, texts)
         opened = open_driver(config.driver, Channels(config.motors, config.cells))
         with quiet_garbage():  # a collection takes longer than a cycle
-            serve(opened, end)
+            serve(opened, end, slave)
     except (DriverFault, TeleopError) as error:
         _send(end, packets.pack_fault(str(error)))
         return 1
@@ -57,8 +60,8 @@ def main(words: Sequence[str]) -> int:
     return 0
 
 
-def serve(driver: Driver, end: socket.socket) -> None:
-    """Run a driver until the slave's end is closed or the driver fails.
+def serve(driver: Driver, end: socket.socket, slave: Parent) -> None:
+    """Run a driver until the slave or its end of the socket is gone, or the driver fails.
 
     A fault is sent as the last packet; the motors are then stopped already.
     """
@@ -66,7 +69,7 @@ def serve(driver: Driver, end: socket.socket) -> None:
     try:
         driver.start()
         _send(end, packets.READY)
-        _run(driver, end)
+        _run(driver, end, slave)
     except DriverFault as error:
         fault = str(error)
     except Exception as error:
@@ -79,14 +82,14 @@ def serve(driver: Driver, end: socket.socket) -> None:
             _send(end, packets.pack_fault(fault))
 
 
-def _run(driver: Driver, end: socket.socket) -> None:
+def _run(driver: Driver, end: socket.socket, slave: Parent) -> None:
     target: Counts | None = None
     ordered_s = 0.0  # when the target came
     waiting: deque[Reading] = deque(maxlen=KEPT)
     due_s = counts_s = time.monotonic()
     while True:
         orders = packets.receive_orders(end)
-        if orders.ended:
+        if orders.ended or (orders.target is None and slave.ends()):
             return
         if orders.stop:
             target = None

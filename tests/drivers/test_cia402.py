@@ -185,6 +185,22 @@ def test_a_fault_is_named_and_stays_until_the_operator_resets_it(drives):
         assert drives.drives[1].state == DISABLED
 
 
+@pytest.mark.parametrize(
+    ("happens", "said"),
+    [
+        (lambda drive: drive.network.send(0x702, b"\0"), "drive 2 has restarted"),  # boot-up
+        (lambda drive: drive._enter(DISABLED), "drive 2 has left operation by itself"),
+    ],
+)
+def test_a_drive_that_stops_by_itself_is_a_fault_and_is_not_enabled_again(drives, happens, said):
+    with opened_on(drives) as rig:
+        start = engage(rig, moving(drives))
+        happens(drives.drives[1])
+        with pytest.raises(RigFault, match=said):
+            read_for(rig, 5.0, start)
+    assert not any(drive.state == ENABLED for drive in drives.drives)
+
+
 def test_a_motor_that_does_not_follow_is_stopped_by_its_drive(drives):
     with opened_on(drives, following_error=50) as rig:
         start = engage(rig, moving(drives))

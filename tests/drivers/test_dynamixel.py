@@ -44,6 +44,20 @@ def moving(servos):
     return lambda: all(s.moving and s.table[WATCHDOG] for s in servos.servos.values())
 
 
+def seen_to_move(servos):
+    """Return a list that tells, after each write to a servo from now on, whether it moves."""
+    seen = []
+    for servo in servos.servos.values():
+
+        def write(address, data, servo=servo, take=servo.write):
+            error = take(address, data)
+            seen.append(servo.moving)
+            return error
+
+        servo.write = write
+    return seen
+
+
 def torque(servos):
     return [servo.moving for servo in servos.servos.values()]
 
@@ -88,9 +102,12 @@ def test_a_killed_driver_leaves_the_servos_to_their_watchdogs(servos):
         os.kill(rig.buses[0].pid, signal.SIGKILL)
         assert wait_until(lambda: all(s.table[WATCHDOG] == 255 for s in servos.servos.values()))
     goals = [servo.get(GOAL, 4, signed=True) for servo in servos.servos.values()]
+    moved = seen_to_move(servos)
     with opened_on(servos) as rig:
         read_some(rig)
         assert torque(servos) == [False, False]
+        assert len(moved) > 20
+        assert not any(moved)
         assert [servo.get(GOAL, 4, signed=True) for servo in servos.servos.values()] == goals
 
 

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from slave.bring_up import command
+from slave.drivers.driver import Channels, DriverFault
+from slave.drivers.microcontroller import frames
+from slave.drivers.microcontroller.driver import MicrocontrollerDriver
 from slave.rig import RigFault
 from tests.drivers.bench import (
     engage,
@@ -25,6 +28,7 @@ from tests.drivers.models.board import (
     ENABLED,
     WATCHDOG,
     Board,
+    Firmware,
     compile_firmware,
 )
 from tests.drivers.models.plant import METRES, NEWTONS, ZERO
@@ -69,6 +73,8 @@ def test_samples_come_once_and_in_order_and_motors_follow(board):
 
 def test_nothing_is_enabled_before_the_first_target(board):
     with opened_on(board) as rig:
+        with pytest.raises(RigFault, match="no position of every motor is known"):
+            rig.write(np.zeros(2))
         read_some(rig)
         assert not board.flags & ENABLED
         with pytest.raises(RigFault, match="first target of tendon 2"):
@@ -126,6 +132,26 @@ def test_a_failure_is_named_and_the_motors_stop(board, cause, said):
         with pytest.raises(RigFault, match=said):
             read_for(rig, 5.0, [0.0, 0.0])
         assert board.ended or wait_until(lambda: not board.flags & ENABLED)
+
+
+def test_a_board_that_restarts_is_a_fault_and_moves_nothing(board, library):
+    with opened_on(board) as rig:
+        start = engage(rig, moving(board))
+        board.firmware = Firmware(library, motors=2, cells=2)
+        with pytest.raises(RigFault, match=r"stopped the motors by itself|silent for"):
+            read_for(rig, 5.0, start)
+        assert not board.flags & ENABLED
+
+
+def test_a_board_with_another_watchdog_than_asked_for_is_refused(board, monkeypatch):
+    parse = frames.parse_info
+    monkeypatch.setattr(frames, "parse_info", lambda body: parse(body)._replace(watchdog_ms=500))
+    driver = MicrocontrollerDriver(microcontroller(board.port.name), Channels((1,), (1,)))
+    try:
+        with pytest.raises(DriverFault, match="watchdog is 500 ms, 40 ms was asked for"):
+            driver.start()
+    finally:
+        driver.close()
 
 
 @pytest.mark.slow

@@ -1,11 +1,15 @@
-"""The process of a driver, without a bus: what it does with a slave that hangs."""
+"""The process of a driver, without a bus: what it does with a slave that hangs or is killed."""
 
+import os
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
 
 from slave.drivers import packets, worker
+from slave.drivers.parent import Parent
 
 
 class Motors:
@@ -40,7 +44,7 @@ def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch):
     ours, theirs = packets.pair()
     with ours, theirs:
         ours.send(packets.pack_target(np.array([5.0])))
-        worker.serve(motors, theirs)  # it would run until `ours` is closed
+        worker.serve(motors, theirs, Parent(os.getpid()))  # it would run until `ours` is closed
         assert motors.targets[-1] == [5.0]
         assert motors.closed_s is not None
         told = []
@@ -48,6 +52,45 @@ def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch):
             told.append(packet)
     assert told[-1][:1] == packets.FAULT
     assert b"the slave has given no target" in told[-1]
+
+
+@pytest.fixture
+def large():
+    """A process of 200 MB, which take a while to be released; its end of a socket, and ours."""
+    ours, theirs = packets.pair()
+    code = "import time; held = b'x' * 200_000_000; print(flush=True); time.sleep(100)"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], pass_fds=[theirs.fileno()], stdout=subprocess.PIPE
+    )
+    theirs.close()
+    process.stdout.readline()
+    with ours, process:
+        yield process, ours
+        process.kill()
+
+
+def test_the_end_of_a_killed_process_is_seen_before_its_files_are_closed(large):
+    process, ours = large
+    parent = Parent(process.pid)
+    assert not parent.ends()
+    process.kill()
+    seen = closed = False
+    while not closed:
+        closed = packets.receive(ours) == b""  # looked at first: both may have come in between
+        seen = seen or parent.ends()
+    assert seen
+    process.wait()
+    assert parent.ends()
+
+
+def test_motors_of_a_slave_that_ends_are_stopped_while_its_socket_is_still_open(large):
+    process, _ = large
+    process.kill()
+    motors = Motors()
+    ours, theirs = packets.pair()
+    with ours, theirs:
+        worker.serve(motors, theirs, Parent(process.pid))
+    assert motors.closed_s is not None
 
 
 @pytest.mark.parametrize(

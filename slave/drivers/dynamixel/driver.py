@@ -118,8 +118,8 @@ class DynamixelDriver:
                 "remove the cause, then `teleop rig reset`"
             )
         moves = number in self._channels.motors
+        self._put(number, registers.TORQUE_ENABLE, 0)  # before the watchdog lets an old goal go on
         self._put(number, registers.BUS_WATCHDOG, 0)  # clears one that has triggered
-        self._put(number, registers.TORQUE_ENABLE, 0)
         self._put(number, registers.RETURN_DELAY, 0)
         for k, address in enumerate(registers.indirect_addresses()):
             entry = Register("Indirect Address", registers.INDIRECT_ADDRESS + 2 * k, 2)
