@@ -26,7 +26,7 @@ def test_a_session_is_in_the_graph_while_it_runs(tmp_path):
         heard = Heard(other)
         settings = (
             "session=ros-run", "ros.start=true", f"ros.router={endpoint}", "ros.prefix=/lab",
-            f"link.master=127.0.0.1:{master}", f"link.slave=tcp/127.0.0.1:{slave}",
+            f"link.master=127.0.0.1:{master}", f"link.slave=127.0.0.1:{slave}",
         )  # fmt: skip
         words = [f"--set={setting}" for setting in settings]
         config = str(ROOT / "configs" / "demo.yaml")
