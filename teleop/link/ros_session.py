@@ -78,11 +78,6 @@ class RosSession:
         self._liveliness: Any = self._zenoh.liveliness()
         self._declared: list[Any] = []
 
-    @property
-    def connected(self) -> bool:
-        """Whether the router is there."""
-        return bool(self._zenoh.info.routers_zid())
-
     def declare_token(self, key: str) -> None:
         """Keep a liveliness token until the session is closed."""
         self._declared.append(self._liveliness.declare_token(key))

@@ -37,11 +37,6 @@ class RosNode:
     def __exit__(self, *_: object) -> None:
         self._session.close()
 
-    @property
-    def connected(self) -> bool:
-        """Whether the router is there."""
-        return self._session.connected
-
     def advertise(self, topic: str, cls: type[Any], qos: Qos) -> "RosPublisher":
         """Return a publisher of a topic."""
         key = graph.topic_key(self._node.domain, topic, cls)

@@ -70,11 +70,6 @@ class Output:
     qos: Qos = LIVE
     convert: Callable[[Any, Naming], Iterator[Sample]] | None = None
 
-    @property
-    def unchanged(self) -> bool:
-        """Whether the bytes of the link are passed on."""
-        return self.type is self.source.message
-
     def topic(self, prefix: str) -> str:
         """Return the full name of the topic."""
         return full_name(self.name, prefix)

@@ -26,7 +26,7 @@ SECOND = 0xE5D86BFF  # the estimate of a joint's other tendon, in T(x)
 BODY, ENVIRONMENT = 0xD8D8D8FF, 0xB4654ACC
 
 # index into teleop.messages.PHASE_NAMES: slack, virgin, pull, pull to release, release, ...
-PHASES = (0x9A9A9AFF, 0xF0F0F0FF, 0xD55E00FF, 0xF0E442FF, 0x0072B2FF, 0x4FD1C5FF)
+PHASES = (0x9A9A9AFF, 0xF0F0F0FF, 0xD55E00FF, 0xF0E442FF, 0x4A90FFFF, 0x4FD1C5FF)
 # a session's states by name
 STATES = {
     "off": 0x808080FF,

@@ -161,7 +161,7 @@ class Panel:
         name = "force at the tip" + (f", joint {joint + 1}" if joints > 1 else "")
         words = text_strips(name, _MARGIN, place.name_top, place.name_height)
         end = f"limit {limit:.0f} N" if known else f"scale {limit:.0f} N"
-        unit = place.number_right + 0.25 * place.number_height
+        unit = place.number_right + place.unit_gap * place.number_height
         unit_top = place.number_top + 0.5 * place.number_height
         unit_strips = text_strips("N", unit, unit_top, 0.5 * place.number_height)
         left = place.bar_right - text_width(end, place.name_height)

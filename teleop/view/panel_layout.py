@@ -25,7 +25,8 @@ class ForceRow:
     number_height: float
     bar_half: float  # half its height
 
-    number_right = _NUMBER_RIGHT  # the unit follows it
+    number_right = _NUMBER_RIGHT
+    unit_gap = 0.35  # from there to the unit, of the number's height
     bar_right = _BAR_RIGHT
 
     @property
@@ -69,7 +70,7 @@ def force_rows(joints: int) -> list[ForceRow]:
     top, bottom = _FORCES
     pitch = (bottom - top) / joints
     name = min(0.4, 0.24 * pitch)
-    number = min(1.3, 0.5 * pitch)
+    number = min(1.3, 0.42 * pitch)
     block = 1.8 * name + number
     return [
         ForceRow(begin, name, begin + 1.8 * name, number, 0.5 * number)

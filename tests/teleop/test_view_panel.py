@@ -86,13 +86,15 @@ def test_the_link_is_as_good_as_its_worse_way():
 
 @pytest.mark.parametrize("joints", range(1, MAX_JOINTS + 1))
 def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
+    """Nor do their strokes, with a gap of a stroke's width between them."""
     rows = force_rows(joints)
     edges = [BANNER[3]]
     for row in rows:
-        assert row.name_top >= edges[-1]
+        name_ink, number_ink = STROKE * row.name_height, STROKE * row.number_height
+        assert row.name_top - name_ink > edges[-1] + 2 * name_ink
         _, top, _, bottom = row.bar(1.0, two_way=False)
-        assert row.name_top + row.name_height < top
-        edges.append(max(bottom, row.number_top + row.number_height))
+        assert row.name_top + row.name_height + name_ink < min(top, row.number_top - number_ink)
+        edges.append(max(bottom, row.number_top + row.number_height + number_ink))
     assert edges[-1] < 8.9 < TALL
 
 
@@ -101,7 +103,7 @@ def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
 def test_every_force_fits_between_the_edge_and_its_unit(force, joints):
     for row in force_rows(joints):
         assert row.number_right - text_width(number_text(force), row.number_height) > 0.2
-        unit_right = row.number_right + (0.25 + 0.5 * 4 / 6 + STROKE) * row.number_height
+        unit_right = row.number_right + (row.unit_gap + 0.5 * 4 / 6 + STROKE) * row.number_height
         assert unit_right < row.bar(0.0, two_way=False)[0]
 
 
