@@ -121,6 +121,24 @@ def test_servos_are_stopped_where_they_are_when_the_slave_ends(servos):
     assert wait_until(lambda: all(s.table[WATCHDOG] == 255 for s in servos.servos.values()))
 
 
+def test_no_servo_ever_has_torque_without_its_watchdog(servos):
+    unguarded = []
+    for servo in servos.servos.values():
+
+        def write(address, data, servo=servo, take=servo.write):
+            error = take(address, data)
+            unguarded.append(servo.moving and not servo.table[WATCHDOG])
+            return error
+
+        servo.write = write
+    with opened_on(servos) as rig:
+        engage(rig, moving(servos))
+        rig.emergency_stop()
+        assert wait_until(lambda: torque(servos) == [False, False])
+        engage(rig, moving(servos), read_some(rig)[-1].proximal_displacement)
+    assert not any(unguarded)
+
+
 def test_an_emergency_stop_is_torque_off_until_the_next_target(servos):
     with opened_on(servos) as rig:
         start = engage(rig, moving(servos))

@@ -86,7 +86,7 @@ class DynamixelDriver:
         if self._port.ser is None:
             return
         with contextlib.suppress(serial.SerialException, termios.error, OSError):
-            if self._enabled:
+            if self._enabled or self._wanted_s < math.inf:  # or about to be
                 self._send(registers.GOAL_POSITION, self._positions)
                 self._send(registers.BUS_WATCHDOG, [1] * len(self._positions))
         with contextlib.suppress(serial.SerialException, OSError):
@@ -187,7 +187,8 @@ class DynamixelDriver:
     def _enable(self, motors: Status, now: float) -> None:
         """Take the next step to enabled motors; each is seen to be done before the next one.
 
-        Goals to where the motors are, torque on, watchdog on.
+        Goals to where the motors are, watchdog on, torque on: a servo never has torque that its
+        watchdog would not stop.
         """
         self._wanted_s = min(self._wanted_s, now)
         if now - self._wanted_s > ENABLE_S:
@@ -198,10 +199,10 @@ class DynamixelDriver:
             self._send(registers.BUS_WATCHDOG, [0] * len(motors))
         elif np.any(off & strayed):
             self._send(registers.GOAL_POSITION, motors["position"].tolist())
-        elif np.any(off):
-            self._send(registers.TORQUE_ENABLE, [1] * len(motors))
         elif np.any(motors["watchdog"] != self._watchdog):
             self._send(registers.BUS_WATCHDOG, [self._watchdog] * len(motors))
+        elif np.any(off):
+            self._send(registers.TORQUE_ENABLE, [1] * len(motors))
         else:
             self._enabled, self._wanted_s = True, math.inf
 
