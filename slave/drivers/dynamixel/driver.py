@@ -187,7 +187,7 @@ class DynamixelDriver:
     def _enable(self, motors: Status, now: float) -> None:
         """Take the next step to enabled motors; each is seen to be done before the next one.
 
-        Goals to where the motors are, watchdog on, torque on: no servo is ever free to move that its
+        Goals to where the motors are, watchdog on, torque on: a servo never has torque that its
         watchdog would not stop.
         """
         self._wanted_s = min(self._wanted_s, now)
