@@ -170,9 +170,7 @@ def test_a_setting_changes_while_it_runs_and_nothing_jumps(tmp_path, demo_config
         command = command[np.searchsorted(command["stamp_ns"], hand["stamp_ns"]) - 1]
         assert (command["state"] == State.ENGAGED).all()
         next_tick = (np.diff(command["sequence"]) == 1) & (np.diff(hand["sequence"]) == 1)
-        tip, moved = (
-            np.abs(np.diff(row["position"][:, 0]))[next_tick] for row in (command, hand)
-        )
+        tip, moved = (np.abs(np.diff(row["position"][:, 0]))[next_tick] for row in (command, hand))
         # the tip follows the hand by one scale or the other in every tick, whatever its length
         assert np.isclose(tip / 0.25, moved, rtol=0.0, atol=1e-9)[:100].all()
         assert np.isclose(tip / 0.1, moved, rtol=0.0, atol=1e-9)[-100:].all()

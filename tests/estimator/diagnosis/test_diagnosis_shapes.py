@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.dataset import Model, contexts_without, dataset_of, simulated
-from estimator.diagnosis.engine import _simplest
+from estimator.diagnosis.decision import _simplest
 from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.record import prepare
 from estimator.diagnosis.score import errors
@@ -56,8 +56,8 @@ def test_of_causes_that_are_as_good_as_each_other_the_simplest_is_named(bench):
         model = PLAIN._replace(effects=((effect, values),))
         return Candidate(effect, fit._replace(model=model), held_out, 0.0)
 
-    bent = candidate(ANTAGONIST_TENSION, (4.8, 0.06, 1e6), 2.0)
-    plain = candidate(JOINT_FRICTION, (0.3,), 2.0)
-    worse = candidate(JOINT_FRICTION, (0.3,), 1.2)
+    bent = candidate(ANTAGONIST_TENSION, (4.8, 0.06, 1e6), 100.0)
+    plain = candidate(JOINT_FRICTION, (0.3,), 100.0)
+    worse = candidate(JOINT_FRICTION, (0.3,), 15.0)  # scores as much, and leaves more
     assert _simplest(bench, fit, base, [bent, plain]) is plain
     assert _simplest(bench, fit, base, [bent, worse]) is bent
