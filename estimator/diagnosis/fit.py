@@ -189,6 +189,8 @@ def _descended(
 ) -> Fit:
     from scipy.optimize import least_squares  # here: the control processes import this module
 
+    if not free.any():
+        return simulated(dataset, about, start)
     low, high = layout.bounds()
     at_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
 

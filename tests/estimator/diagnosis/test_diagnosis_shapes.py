@@ -7,6 +7,7 @@ import pytest
 
 from estimator.diagnosis.dataset import Model, contexts_without, dataset_of, simulated
 from estimator.diagnosis.decision import _simplest
+from estimator.diagnosis.fit import _descended
 from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.record import prepare
 from estimator.diagnosis.score import errors
@@ -61,3 +62,9 @@ def test_of_causes_that_are_as_good_as_each_other_the_simplest_is_named(bench):
     worse = candidate(JOINT_FRICTION, (0.3,), 15.0)  # scores as much, and leaves more
     assert _simplest(bench, fit, base, [bent, plain]) is plain
     assert _simplest(bench, fit, base, [bent, worse]) is bent
+
+
+def test_a_fit_of_no_parameter_leaves_the_model_as_it_is(bench):
+    layout = Layout(bench, PLAIN)
+    nothing = np.zeros(len(layout.names), bool)
+    assert _descended(bench, [None], layout, PLAIN, 2, nothing).model == PLAIN
