@@ -1,9 +1,13 @@
-"""The examples that start a session of their own."""
+"""The examples that start a session of their own; `.ci/run` runs them from the wheel as well."""
 
 import re
 
+import pytest
+
 from tests.examples.test_examples import run
 from tests.system.test_run import run as run_session
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_session_from_python_reads_the_force(tmp_path):

@@ -111,7 +111,13 @@ def test_nobody_there_is_told_and_no_success(tmp_path, demo_config):
     assert len(text.splitlines()) == 1
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "how",
+    [
+        signal.SIGKILL,
+        *(pytest.param(how, marks=pytest.mark.slow) for how in (signal.SIGSTOP, signal.SIGTERM)),
+    ],
+)
 def test_the_end_of_a_watch_stops_both_sides(tmp_path, demo_config, how):
     with Processes(tmp_path, demo_config, *HELD) as session:
         session.start_all()
