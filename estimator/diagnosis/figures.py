@@ -210,7 +210,7 @@ def ranking(found: Diagnosis) -> Figure:
     bars = axes.barh(
         range(len(shown)),
         [ranked.score for ranked in shown],
-        color=[colours.get(one.label, colours.get(one.name, OTHER)) for one in shown],
+        color=[colours.get(ranked.name, OTHER) for ranked in shown],
     )
     axes.bar_label(bars, fmt="%.0f", padding=3, fontsize=8)
     axes.set_yticks(range(len(shown)), [ranked.label for ranked in shown])

@@ -2,7 +2,7 @@
 
 Just behind a turn the tension changes with the root of the travel: where the motor goes back by
 less than the noise, the travel looks at rest while the tension falls or rises by many times its own
-noise. There the tension tells the motion better. So, in a simulation by a fitted model, it drives
+noise. There the tension tells the motion better. So, in a simulation by the plain law, it drives
 the few samples in which the travel-driven one leaves the measured tension, if the motion that this
 asks for lies within the noise of the travel. Otherwise something else is wrong and nothing changes.
 """
@@ -15,24 +15,17 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.drive import rate, tension_drive
+from estimator.diagnosis.model import Base, plain_physics
 from estimator.diagnosis.record import Record, Trouble
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
-from estimator.lumped.lumped_model import Drivable, Physics
+from estimator.lumped.lumped_model import Drivable
 
 Mask = NDArray[np.bool_]
 
 AGREES = 3  # neighbouring samples in which the tension agrees again: the end of a stretch
 BEFORE = 4  # samples before the tension is seen off, in which the motion may have begun
 WHAT = "samples excluded, in which the motor moved within the noise of its travel"
-
-
-class Housing(NamedTuple):
-    """The tendon of a fitted model, and how its sensors at the housing are off, shape (n,)."""
-
-    physics: Physics
-    travel_error: Array  # [m] reading less travel, which is zero where the tendon begins to pull
-    tension_error: Array  # [N] reading less tension
 
 
 class _Stretch(NamedTuple):
@@ -43,7 +36,9 @@ class _Stretch(NamedTuple):
     travel: Array  # shape (end - begin,)
 
 
-def with_hidden_motion(record: Record, housing: Housing) -> Record:
+def with_hidden_motion(
+    record: Record, base: Base, shared: tuple[float, ...], own: tuple[float, ...]
+) -> Record:
     """Return a record whose drive has the motion that its travel hides.
 
     Where the tension was taken to find it, it is not compared any more.
@@ -52,17 +47,20 @@ def with_hidden_motion(record: Record, housing: Housing) -> Record:
     ----------
     record : Record
         Of which `sigma` tells what the noise of the travel makes of the tension.
-    housing : Housing
-        The model, fitted to the record.
+    base : Base
+        The base law.
+    shared, own : tuple of float
+        Its numbers, fitted to the record.
     """
     sigma = record.noise[PROXIMAL_DISPLACEMENT] if record.driver == PROXIMAL_DISPLACEMENT else 0.0
     if record.loop or not sigma > 0.0:
         return record
-    drive, driven = record.drive - housing.travel_error, np.zeros(len(record.time), dtype=np.bool_)
+    physics = plain_physics(record, base, base.values(shared, own))
+    drive, driven = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
     for noise in (record.sigma[PROXIMAL_TENSION], record.noise[PROXIMAL_TENSION]):
-        tendon = Drivable(housing.physics, record.time, record.speed, float(drive[0]))
+        tendon = Drivable(physics, record.time)
         position, off_by = 0, np.full(len(drive), noise)
-        while (found := _next(record, housing, tendon, drive, position, off_by)) is not None:
+        while (found := _next(record, tendon, drive, position, off_by, sigma, own[0])) is not None:
             begin, end, travel = found
             resumed = _resumed(drive, end, float(travel[-1]))
             drive[begin:end] = travel
@@ -75,10 +73,9 @@ def with_hidden_motion(record: Record, housing: Housing) -> Record:
         return record
     good = record.good | {PROXIMAL_TENSION: record.good[PROXIMAL_TENSION] & ~driven}
     first = record.start + float(record.time[int(np.argmax(driven))])
-    drive = drive + housing.travel_error
     return replace(
         record,
-        drive=drive,
+        drive=drive + own[0],
         speed=rate(record.time, drive),
         good=good,
         troubles=(*record.troubles, Trouble(WHAT, PROXIMAL_TENSION, int(driven.sum()), first)),
@@ -87,16 +84,15 @@ def with_hidden_motion(record: Record, housing: Housing) -> Record:
 
 def _next(
     record: Record,
-    housing: Housing,
     tendon: Drivable,
     drive: Array,
     position: int,
     noise: Array,
+    sigma: float,
+    taut: float,
 ) -> _Stretch | None:
     """Return the first stretch from `position` on in which the travel hides a motion."""
-    measured = record.signals[PROXIMAL_TENSION] - housing.tension_error
-    measured_travel = record.signals[PROXIMAL_DISPLACEMENT] - housing.travel_error
-    sigma = record.noise[PROXIMAL_DISPLACEMENT]
+    measured = record.signals[PROXIMAL_TENSION]
     good = record.good[PROXIMAL_TENSION]
     while position < len(drive):
         off = np.abs(tendon.by_travel(drive, position) - measured[position:]) / noise[position:]
@@ -112,7 +108,7 @@ def _next(
         begin = max(first - BEFORE, position, 1)
         tension = tension_drive(measured[begin:end], record.noise[PROXIMAL_TENSION]).signal
         travel, compliance = tendon.by_tension(drive, begin, tension)
-        off = measured_travel[begin:end] - travel
+        off = record.signals[PROXIMAL_DISPLACEMENT][begin:end] - taut - travel
         if _is_within(off, sigma, SETTINGS.accuracy * float(np.ptp(drive))):
             noise_of_tension = compliance * record.noise[PROXIMAL_TENSION]
             share = sigma**2 / (sigma**2 + noise_of_tension**2)

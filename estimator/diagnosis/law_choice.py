@@ -10,7 +10,7 @@ from estimator.diagnosis.dataset import Dataset, Fit, Model, contexts_without, c
 from estimator.diagnosis.fit import improved, own_start
 from estimator.diagnosis.model import MASS, PRETENSION, TIP, Base, Loads
 from estimator.diagnosis.record import Record
-from estimator.diagnosis.score import errors, left_of, log_likelihood_ratio
+from estimator.diagnosis.score import errors, log_likelihood_ratio
 from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.transmission_law import CONTAINED, FORCE, FRICTION, WIDTH, Law
 from estimator.effects.effect import Effect
@@ -72,8 +72,8 @@ def choose_law(dataset: Dataset, plain: Fit) -> Choice:
     """Return the base law that held-out samples speak for; `plain` is the fitted capstan law.
 
     Of a loop, the one of highest score; of those as good, the one of fewest parameters. A tendon
-    stays with the capstan law and its effects, unless friction that no load changes explains most
-    of what that leaves, and tension adds nothing to it.
+    stays with the capstan law and its effects, unless friction that no load changes is better alone
+    and tension adds nothing to it.
     """
     alone = with_base(dataset, Law.INDEPENDENT)
     tried = [(dataset, plain), (alone, baseline(alone))]
@@ -85,9 +85,7 @@ def choose_law(dataset: Dataset, plain: Fit) -> Choice:
         chosen = next(i for i, one in enumerate(scores) if best - one.score < SETTINGS.alike)
     else:
         far = independent - capstan > SETTINGS.margin
-        left = left_of(errors(*tried[1]), errors(*tried[0]))
-        explains = left < SETTINGS.explained
-        chosen = int(far and explains and best - independent < SETTINGS.alike)
+        chosen = int(far and best - independent < SETTINGS.alike)
     return Choice(*tried[chosen], scores)
 
 

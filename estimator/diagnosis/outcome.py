@@ -59,8 +59,7 @@ class Step(NamedTuple):
     """One cause found on top of those before it."""
 
     effect: Effect
-    rivals: tuple[str, ...]  # that these channels do not tell from it: names, or the labels of
-    # the same error of another sensor
+    rivals: tuple[str, ...]  # names that these channels do not tell from it
     ranking: tuple[Ranked, ...]
     fit: Fit  # all causes so far, fitted to all samples
 

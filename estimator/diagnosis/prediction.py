@@ -1,6 +1,6 @@
 """Records that a model was not fitted to, predicted by it: validation, and leave-one-file-out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +15,10 @@ from estimator.diagnosis.dataset import (
     whole,
     with_records,
 )
-from estimator.diagnosis.driver_noise import as_driven
 from estimator.diagnosis.fit import improved, own_only
-from estimator.diagnosis.model import Simulated
-from estimator.diagnosis.record import Record
+from estimator.diagnosis.hidden_motion import with_hidden_motion
+from estimator.diagnosis.model import Simulated, simulate
+from estimator.diagnosis.record import Record, with_driver_noise
 
 ROUNDS = 12  # of a fit to the other files
 
@@ -86,17 +86,29 @@ def predicted(
     )
 
 
-def as_fitted(fitted: Dataset, records: Sequence[Record], fit: Fit) -> tuple[Record, ...]:
+def as_driven(fitted: Dataset, records: Sequence[Record], plain: Fit) -> tuple[Record, ...]:
     """Return records that were not fitted with what the noise of their drive does, as fitted ones.
 
-    `fit` is a model, fitted to a dataset of other records.
+    `plain` is the plain law, fitted to a dataset of other records.
     """
     if not records:
         return ()
     dataset = whole(with_records(fitted, records))
-    begun = own_only(dataset, fit)
-    driven, _ = as_driven(dataset, contexts_without(dataset, begun), begun, own_only)
-    return driven.records
+    fit = own_only(dataset, plain)
+    about = contexts_without(dataset, fit)
+
+    def again(k: int) -> Callable[[Record], Simulated]:
+        own = fit.model.own[k]
+        return lambda other: simulate(other, about[k], dataset.base, fit.model.shared, own, ())
+
+    noisy = [with_driver_noise(record, again(k)) for k, record in enumerate(records)]
+    if all(new is old for new, old in zip(noisy, records, strict=True)):
+        return tuple(records)
+    own = own_only(whole(with_records(fitted, noisy)), plain).model.own
+    return tuple(
+        with_hidden_motion(record, fitted.base, plain.model.shared, one)
+        for record, one in zip(noisy, own, strict=True)
+    )
 
 
 def left_out(dataset: Dataset, plain: Fit, fit: Fit) -> tuple[Predicted, ...]:

@@ -15,7 +15,6 @@ from estimator.diagnosis.outcome import (
     Step,
     Verdict,
 )
-from estimator.diagnosis.rivals import Rival
 from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.simple_models import LUGRE
 from estimator.effects import CATALOGUE, Effect
@@ -393,21 +392,12 @@ def _cause(found: Diagnosis, step: Step) -> str:
     )
     first = f"{step.effect.cause} ({step.effect.label}: {sizes})"
     rivals = [
-        f"{one.effect.cause} ({one.effect.label}: {_sizes(found, one)})"
-        for one in found.rivals
-        if one.replaces == step.effect.name
+        f"{effect.cause} ({name})"
+        for name in step.rivals
+        if name not in found.causes
+        for effect in _named(name)[:1]
     ]
     return " or ".join([first, *rivals])
-
-
-def _sizes(found: Diagnosis, rival: Rival) -> str:
-    """Return the parameters of a rival in its own model."""
-    units = found.units
-    values = next(v for effect, v in rival.fit.model.effects if effect is rival.effect)
-    return ", ".join(
-        f"{p.name} {quantity(units.size(p.unit) * value, units.name(p.unit), 3)}"
-        for p, value in zip(rival.effect.parameters, values, strict=True)
-    )
 
 
 def _with_lengths(found: Diagnosis) -> list[str]:
@@ -429,7 +419,7 @@ def _unsure(found: Diagnosis) -> list[str]:
 
 
 def _named(name: str) -> list[Effect]:
-    return [effect for effect in CATALOGUE if name in (effect.name, effect.label)]
+    return [effect for effect in CATALOGUE if effect.name == name]
 
 
 def _gain(found: Diagnosis) -> str:

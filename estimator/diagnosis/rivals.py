@@ -17,7 +17,6 @@ class CauseError(ValueError):
 class Equal(NamedTuple):
     """An effect that explains as much as one of the causes, with its first values."""
 
-    name: str  # as in the step's rivals
     replaces: str  # name of that cause
     effect: Effect
     values: Values

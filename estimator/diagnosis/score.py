@@ -1,8 +1,7 @@
 """How good a model is on what it was not fitted to, and how surely one is better than another."""
 
 import math
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 
 DRAWS = 400
-NONE: Mapping[str, float] = MappingProxyType({})
 
 
 class Errors(NamedTuple):
@@ -78,20 +76,18 @@ def together(found: Sequence[Errors]) -> Errors:
     )
 
 
-def log_likelihood_ratio(
-    a: dict[str, Errors], b: dict[str, Errors], least: Mapping[str, float] = NONE
-) -> float:
+def log_likelihood_ratio(a: dict[str, Errors], b: dict[str, Errors]) -> float:
     """Return ln of how much more probable held-out data are under `a` than under `b`.
 
     Each channel's own mean square stands for its variance, so that neither the unit nor a
-    noise that was estimated wrongly decides; by channel at least `least`, in noise variances.
+    noise that was estimated wrongly decides.
     """
     total = 0.0
     for channel, one in a.items():
         share = min(one.independent, b[channel].independent)
-        floor = least.get(channel, 0.0)
-        ratio = max(_floored(b[channel]), floor) / max(_floored(one), floor)
-        total += 0.5 * share * float(one.counts.sum()) * math.log(ratio)
+        total += (
+            0.5 * share * float(one.counts.sum()) * math.log(_floored(b[channel]) / _floored(one))
+        )
     return total
 
 
@@ -110,10 +106,10 @@ def surely_better(a: dict[str, Errors], b: dict[str, Errors], seed: int = 0) -> 
     return float(np.mean(total[draws].sum(axis=1) > 0.0))
 
 
-def gain_of(a: dict[str, Errors], b: dict[str, Errors], least: Mapping[str, float] = NONE) -> float:
+def gain_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:
     """Return by which share errors are smaller under `a` than under `b`, over all channels."""
     samples = sum(one.independent * float(one.counts.sum()) for one in a.values())
-    return -math.expm1(-log_likelihood_ratio(a, b, least) / max(samples / len(a), 1.0))
+    return -math.expm1(-log_likelihood_ratio(a, b) / max(samples / len(a), 1.0))
 
 
 def left_of(a: dict[str, Errors], b: dict[str, Errors]) -> float:

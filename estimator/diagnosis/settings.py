@@ -74,7 +74,6 @@ class Settings:
     # when to look no further (engine.py)
     left_min: float = 0.01  # of the first error beyond noise
     further: float = 2.5  # rms residual over tolerance
-    further_left: float = 0.5  # of what a cause leaves, left by one more
     brief: float = 0.8  # of the squared error in two neighbouring blocks: blocks become short
 
     # what a part of the samples tells (fit.py)

@@ -138,13 +138,6 @@ class Effect:
         """Name and variant."""
         return f"{self.name} ({self.where})" if self.where else self.name
 
-    def is_same_cause(self, other: "Effect") -> bool:
-        """Return whether another effect is but a variant: of the same name, with the same advice.
-
-        One and the same error of two sensors is two causes.
-        """
-        return (self.name, self.advice) == (other.name, other.advice)
-
 
 def since(time: Array, onset: float, over: float = 0.0) -> Array:
     """Return 0 before `onset` [s] and 1 after, shape (n,), the step taken `over` so long [s].

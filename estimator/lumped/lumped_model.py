@@ -199,20 +199,14 @@ class Drivable:
     Parameters
     ----------
     physics : Physics
-        What is driven.
+        What is driven; its speed-dependent parts must be neutral.
     time : ndarray
         [s], shape (n,), rising.
-    speed : ndarray
-        Of the motor while a travel drives [m/s], shape (n,); its sign does not matter.
-    first : float
-        Travel at the first sample [m].
     """
 
-    def __init__(self, physics: Physics, time: Array, speed: Array, first: float) -> None:
+    def __init__(self, physics: Physics, time: Array) -> None:
         self._constants, self._samples = _ready(physics, time)
-        self._time, self._speed = time, np.abs(speed)
-        self._samples[0, TARGET] = first
-        self._memory = _begun(self._constants, physics, self._samples[0], forced=False)
+        self._memory = start(self._constants, physics.start, *self._samples[0, [STRETCH, OFFSET]])
         self._done = 0
 
     def by_travel(self, travel: Array, begin: int) -> Array:
@@ -237,11 +231,8 @@ class Drivable:
         return self._memory
 
     def _advanced(self, memory: Array, drive: Array, begin: int, *, forced: bool) -> Array:
-        rows = slice(begin, begin + len(drive))
-        samples = self._samples[rows].copy()
-        samples[:, TARGET], samples[:, SPEED] = drive, self._speed[rows]
-        if forced:
-            samples[:, SPEED] = np.abs(np.gradient(drive, self._time[rows]))
+        samples = self._samples[begin : begin + len(drive)].copy()
+        samples[:, TARGET] = drive
         return np.asarray(advance(self._constants, memory, samples, _UNTOLD, forced, _SMALLEST))
 
 
@@ -257,18 +248,12 @@ def _ready(physics: Physics, time: Array) -> tuple[Array, Array]:
 def _driven(physics: Physics, time: Array, drive: Array, rate: Array, *, forced: bool) -> Motion:
     constants, samples = _ready(physics, time)
     samples[:, TARGET], samples[:, SPEED] = drive, rate
-    memory = _begun(constants, physics, samples[0], forced=forced)
+    memory = start(constants, physics.start, samples[0, STRETCH], samples[0, OFFSET])
+    if len(physics.earlier):
+        _approach(constants, memory, samples[0], physics.earlier, forced=forced)
     return Motion(
         *np.ascontiguousarray(advance(constants, memory, samples, _UNTOLD, forced, _SMALLEST).T)
     )
-
-
-def _begun(constants: Array, physics: Physics, first: Array, *, forced: bool) -> Array:
-    """Return the state of a tendon at its first sample."""
-    memory: Array = start(constants, physics.start, first[STRETCH], first[OFFSET])
-    if len(physics.earlier):
-        _approach(constants, memory, first, physics.earlier, forced=forced)
-    return memory
 
 
 def _approach(

@@ -135,21 +135,6 @@ def test_what_two_channels_cannot_tell_apart_is_said_to_be_so():
     assert any("weight" in what for what in found.experiments)
 
 
-def test_no_sign_is_claimed_of_a_scale_that_may_be_either_encoder_s():
-    """The tip's compliance takes up a scale common to both travels."""
-    _, found = diagnosed(3, "encoder_scale", "spring", among={"encoder_scale", "creep"})
-    assert found.verdict is Verdict.AMBIGUOUS
-    assert found.causes == ("encoder_scale",)
-    (rival,) = found.rivals
-    assert found.ambiguous_with == (rival.effect.label,)
-    assert {rival.effect.where, found.steps[0].effect.where} == {
-        "the encoder at the motor",
-        "the encoder at the tip",
-    }
-    gain = found.parameters["encoder_scale.gain"].value
-    assert rival.fit.model.effects[0][1][0] == pytest.approx(1.0 / (1.0 + gain) - 1.0, abs=5e-3)
-
-
 @pytest.mark.parametrize("channels", [hidden.CHANNELS, TWO])
 def test_another_record_of_the_bench_is_predicted_with_what_was_found(channels):
     first, second = (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.dataset import Model, contexts_without, dataset_of, simulated
-from estimator.diagnosis.decision import _simplest
+from estimator.diagnosis.engine import _simplest
 from estimator.diagnosis.fit import _descended
 from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.record import prepare

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.baseline import again, baseline
-from estimator.diagnosis.dataset import contexts_without, dataset_of
-from estimator.diagnosis.driver_noise import as_driven
-from estimator.diagnosis.record import prepare
+from estimator.diagnosis.dataset import dataset_of
+from estimator.diagnosis.engine import simulated_by
+from estimator.diagnosis.hidden_motion import with_hidden_motion
+from estimator.diagnosis.record import prepare, with_driver_noise
 from estimator.diagnosis.score import errors
 from tests import hidden
 from tests.hidden.play_grid import make_grid
@@ -19,8 +20,10 @@ def before_and_after(time, channels):
     record = prepare(time, dict(channels))
     dataset = dataset_of([record])
     plain = baseline(dataset)
-    driven, _ = as_driven(dataset, contexts_without(dataset, plain), plain, again)
-    return record, driven.records[0]
+    record = with_driver_noise(record, simulated_by(plain, dataset, record))
+    dataset = dataset_of([record])
+    model = again(dataset, plain).model
+    return record, with_hidden_motion(record, dataset.base, model.shared, model.own[0])
 
 
 def excess(record):
