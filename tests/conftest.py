@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-ROOT = Path(__file__).parents[1]
+from tests.root import ROOT
+
 # keys of this test run, also of the processes that it starts; not those of the user
 KEYS = os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="teleop-tests-")
 atexit.register(shutil.rmtree, KEYS, ignore_errors=True)

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.faults.bench import FaultSession
 from benchmarks.faults.judge import CampaignResult, judge
 from benchmarks.faults.kinds import PLAN, Fault, inject
-from tests.conftest import ROOT
+from tests.root import ROOT
 from tests.system.processes import pause
 
 FAULTS = "faults.json"

@@ -22,7 +22,7 @@ from benchmarks.faults.bench import NAMES, FaultSession
 from benchmarks.faults.campaign import failures, summarise
 from benchmarks.faults.judge import FRESH_NS, judge
 from benchmarks.faults.kinds import PLAN, Fault, inject
-from tests.conftest import ROOT
+from tests.root import ROOT
 from tests.system.processes import pause
 
 NETWORK = {

@@ -20,10 +20,10 @@ from teleop.remote.requests import call_reset
 from teleop.run_config import RunConfig
 from teleop.session import Reason, State
 from teleop.topics import STATE, Role
-from tests.conftest import ROOT
 from tests.hid import descriptors
 from tests.hid.fake_hidraw import QUEUE
 from tests.hid.virtual.openffboard import OpenFFBoardWheel
+from tests.root import ROOT
 from tests.system.processes import START_S, Processes
 
 FULL = 2.5  # [N]

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from teleop.app import cli
-from tests.conftest import ROOT
+from tests.root import ROOT
 from tests.system.processes import OURS, START_S, free_ports
 from tests.teleop.ros.peers import Heard, peer, router
 

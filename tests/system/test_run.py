@@ -18,7 +18,7 @@ from teleop.recording.names import channel_name
 from teleop.recording.reader import read_columns
 from teleop.session import Reason, State
 from teleop.topics import HAND, TENDONS, TOPICS, Role
-from tests.conftest import ROOT
+from tests.root import ROOT
 from tests.system.processes import OURS, START_S, Processes, free_ports, pause
 
 

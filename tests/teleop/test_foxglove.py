@@ -17,7 +17,7 @@ from teleop.ros.outputs import OUTPUTS
 from teleop.ros.standard import JointState
 from teleop.topics import STATE, TOPICS
 from teleop.view.foxglove_server import FoxgloveServer
-from tests.conftest import ROOT
+from tests.root import ROOT
 from tests.teleop.recorded import heard
 
 PATIENCE_S = 20.0

@@ -22,7 +22,7 @@ from teleop.router.command import protection, router_config
 from teleop.router.config import DEFAULT, RouterConfig
 from teleop.run_config import RunConfig
 from teleop.topics import COMMAND, Role
-from tests.conftest import ROOT
+from tests.root import ROOT
 from tests.system.processes import OURS, free_ports
 from tests.teleop.link.bench import wait_until
 

@@ -21,7 +21,7 @@ from teleop.ros.node import RosNode
 from teleop.ros.standard import JointState, StringStamped
 from teleop.session import State
 from teleop.topics import COMMAND, EVENT, STATE
-from tests.conftest import ROOT
+from tests.root import ROOT
 from tests.system.processes import START_S, Processes
 from tests.teleop.ros.peers import free_port, router
 

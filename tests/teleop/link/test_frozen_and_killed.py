@@ -12,7 +12,7 @@ from teleop.clock import now_ns
 from teleop.link import Link, LinkConfig
 from teleop.messages import Event, SlaveState
 from teleop.topics import COMMAND, EVENT, STATE, Role
-from tests.conftest import ROOT
+from tests.root import ROOT
 from tests.teleop.link.bench import MS, wait_until
 
 PEER = """
