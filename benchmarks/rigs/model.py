@@ -3,8 +3,9 @@
   python -m benchmarks.rigs.model DRIVER MOTORS PLANT [ordinary]       PLANT: tendons or springs
 
 The first line that it prints is the buses of a config, as JSON. Orders on standard input: fault,
-repair, unplug, plug, state; each prints which motors follow, where they are, and when the last one
-was stopped (monotonic clock). `ordinary`: without real-time priority, for an emulated processor.
+repair, unplug, plug, state; each prints which motors follow, where they are, when the last one was
+stopped and when one last moved (monotonic clock). `ordinary`: without real-time priority, for an
+emulated processor.
 """
 
 import gc
@@ -31,6 +32,7 @@ from tests.drivers.models.plant import Springs, Tendons
 from tests.drivers.models.servos import ERROR, TORQUE, Servos
 
 LOOK_S = 0.001  # [s] between two looks at whether motors move
+STEP = 1.0  # [counts] that are a motion
 EMULATED_ROUND_S, EMULATED_LOOK_S = 0.004, 0.002
 FOLDER = Path(tempfile.mkdtemp(prefix="rig-model-"))
 
@@ -134,21 +136,26 @@ class Cia402:
 
 
 class Off:
-    """Which motors move, and when the last one that moved has been stopped.
+    """Which motors follow their targets, when the last one stopped to, and when one last moved.
 
     Attributes
     ----------
-    at_s : float
+    at_s, moved_s : float
         On the monotonic clock.
     """
 
-    def __init__(self, model, look_s: float) -> None:
-        self.at_s, self._model, self._look_s = 0.0, model, look_s
+    def __init__(self, model, plant, look_s: float) -> None:
+        self.at_s = self.moved_s = 0.0
+        self._model, self._plant, self._look_s = model, plant, look_s
+        self._position = np.array(plant.position, float)
         self._moved, self._lock = False, threading.Lock()
 
     def look(self) -> list[bool]:
-        """Return which motors move; if none does any more, `at_s` is set already."""
+        """Return which motors follow; if none does any more, `at_s` is set already."""
         with self._lock:
+            position = np.array(self._plant.position, float)
+            if np.any(np.abs(position - self._position) >= STEP):
+                self._position, self.moved_s = position, time.monotonic()
             moving = self._model.moving()
             if self._moved and not any(moving):
                 self.at_s = time.monotonic()
@@ -181,7 +188,7 @@ def main(driver: str, count: str, kind: str, *ordinary: str) -> None:
     gc.disable()  # a collection takes longer than a watchdog waits
     for thread in threads:
         thread.start()
-    off = Off(model, EMULATED_LOOK_S if ordinary else LOOK_S)
+    off = Off(model, plant, EMULATED_LOOK_S if ordinary else LOOK_S)
     threading.Thread(target=off.watch, daemon=True).start()
     print(json.dumps(model.buses), flush=True)
     for line in sys.stdin:
@@ -194,6 +201,7 @@ def main(driver: str, count: str, kind: str, *ordinary: str) -> None:
             "moving": off.look(),
             "position": np.asarray(plant.position, float).tolist(),
             "stopped_s": off.at_s,
+            "moved_s": off.moved_s,
             "cpu_s": time.process_time(),
         }
         print(json.dumps(state), flush=True)

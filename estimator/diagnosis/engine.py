@@ -166,7 +166,7 @@ def diagnose(
     steps, fit = _needed(dataset, steps, fit)
     steps, fit = _distinct(dataset, plain, steps, fit)
     if cause:
-        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, usable, cause)
+        steps, fit = equal_causes.with_cause(dataset, plain, steps, fit, cause)
     outcome = _outcome(dataset, plain, fit, steps, first, usable, validate)
     if leave_one_file_out:
         report("leaving one file out", 1.0)
@@ -353,20 +353,13 @@ def _simplest(
 
 def _ranking(dataset: Dataset, plain: Fit, fit: Fit, found: list[Candidate]) -> tuple[Ranked, ...]:
     base, at_first = errors(dataset, fit), errors(dataset, plain)
-    size = dataset.records[0].units.size
     ranked = [
         Ranked(
-            one.effect.name,
-            one.effect.label,
+            one.effect,
             _score(dataset, base, one),
             {c: e.rmse for c, e in one.held_out.items()},
             left_of(one.held_out, at_first),
-            {
-                p.name: size(p.unit) * value
-                for p, value in zip(
-                    one.effect.parameters, one.fit.model.effects[-1][1], strict=True
-                )
-            },
+            one.fit.model.effects[-1][1],
         )
         for one in found
     ]
@@ -434,6 +427,6 @@ def _outcome(
         experiments=experiments.settling(alike, dataset.records[0].signals),
         troubles=tuple(trouble for record in dataset.records for trouble in record.troubles),
         fit_all=all(record.train.all() for record in dataset.records),
-        rivals=rivals.fitted(dataset, plain, last, equal_causes.equals(steps, usable)),
+        rivals=rivals.fitted(dataset, plain, last, equal_causes.equals(steps)),
         validation=further,
     )

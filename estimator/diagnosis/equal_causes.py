@@ -6,7 +6,6 @@ from estimator.diagnosis.dataset import Dataset, Fit, contexts, rescaled
 from estimator.diagnosis.fit import improved
 from estimator.diagnosis.outcome import Step
 from estimator.diagnosis.rivals import ROUNDS, CauseError, Equal, replaced
-from estimator.effects.effect import Effect
 
 
 def with_cause(
@@ -14,13 +13,12 @@ def with_cause(
     plain: Fit,
     steps: list[Step],
     fit: Fit,
-    usable: Sequence[Effect],
     cause: str,
 ) -> tuple[list[Step], Fit]:
     """Return the causes with one of equally good ones in the place of the first of them."""
     if cause in [step.effect.name for step in steps]:
         return steps, fit
-    known = {one.effect.name: one for one in equals(steps, usable)}
+    known = {one.effect.name: one for one in equals(steps)}
     if cause not in known:
         raise _not_equal(cause, [*(step.effect.name for step in steps), *known])
     chosen = known[cause]
@@ -47,15 +45,13 @@ def _not_equal(cause: str, names: Sequence[str]) -> CauseError:
     return CauseError(f"{cause}: does not explain these data equally well; choose from {listed}")
 
 
-def equals(steps: Sequence[Step], usable: Sequence[Effect]) -> list[Equal]:
+def equals(steps: Sequence[Step]) -> list[Equal]:
     """Return the effects that explain as much as the causes, each in its best variant."""
-    effects = {effect.label: effect for effect in usable}
     causes = [step.effect.name for step in steps]
     found = []
     for step in steps:
         for name in step.rivals:
-            ranked = next(one for one in step.ranking if one.name == name)
             if name not in causes:
-                values = tuple(ranked.values.values())
-                found.append(Equal(step.effect.name, effects[ranked.label], values))
+                ranked = next(one for one in step.ranking if one.name == name)
+                found.append(Equal(step.effect.name, ranked.effect, ranked.values))
     return found

@@ -10,7 +10,7 @@ from estimator.diagnosis.prediction import Fitness, Predicted
 from estimator.diagnosis.record import Trouble
 from estimator.diagnosis.rivals import Rival
 from estimator.diagnosis.simple_models import SimpleFit, SimpleGain
-from estimator.effects.effect import Effect
+from estimator.effects.effect import Effect, Values
 from estimator.units import Units
 
 if TYPE_CHECKING:
@@ -47,12 +47,21 @@ class Fitnesses(NamedTuple):
 class Ranked(NamedTuple):
     """A candidate, as it came out."""
 
-    name: str
-    label: str  # with its variant
+    effect: Effect  # the best of its variants
     score: float  # ln of how much more probable held-out data are with it than without
     rmse: dict[str, float]  # held out, by channel
     left: float  # share of what noise does not explain that it leaves
-    values: dict[str, float]  # of its parameters, in the units of the records
+    values: Values  # of its parameters
+
+    @property
+    def name(self) -> str:
+        """Return the effect's name."""
+        return self.effect.name
+
+    @property
+    def label(self) -> str:
+        """Return the effect's name and variant."""
+        return self.effect.label
 
 
 class Step(NamedTuple):

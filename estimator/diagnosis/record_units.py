@@ -42,7 +42,16 @@ def _number(one: Number, units: Units) -> Number:
 
 
 def _ranking(ranking: tuple[Ranked, ...], units: Units) -> tuple[Ranked, ...]:
-    return tuple(one._replace(rmse=_errors(one.rmse, units)) for one in ranking)
+    return tuple(
+        one._replace(
+            rmse=_errors(one.rmse, units),
+            values=tuple(
+                units.size(p.unit) * value
+                for p, value in zip(one.effect.parameters, one.values, strict=True)
+            ),
+        )
+        for one in ranking
+    )
 
 
 def _errors(errors: Errors, units: Units) -> Errors:

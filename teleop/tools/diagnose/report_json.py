@@ -124,6 +124,7 @@ def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
     """Return the models of equally good causes, and what they would do to the force."""
     forces = {(one.replaces, one.label): one for one in found.rival_forces}
     tree = []
+    size = found.units.size
     for one in found.rivals:
         force = forces.get((one.replaces, one.effect.label))
         model = one.fit.model
@@ -132,12 +133,14 @@ def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
                 "name": one.effect.name,
                 "label": one.effect.label,
                 "replaces": one.replaces,
-                "base": dict(
-                    zip((p.name for p in found.dataset.base.shared), model.shared, strict=True)
-                ),
+                "base": {
+                    p.name: size(p.unit) * value
+                    for p, value in zip(found.dataset.base.shared, model.shared, strict=True)
+                },
                 "effects": {
                     effect.name: {
-                        p.name: value for p, value in zip(effect.parameters, values, strict=True)
+                        p.name: size(p.unit) * value
+                        for p, value in zip(effect.parameters, values, strict=True)
                     }
                     for effect, values in model.effects
                 },
@@ -156,7 +159,10 @@ def _candidates(ranking: Sequence[Ranked]) -> list[dict[str, Any]]:
             "score": ranked.score,
             "held_out_rmse": ranked.rmse,
             "left": ranked.left,
-            "parameters": ranked.values,
+            "parameters": {
+                p.name: value
+                for p, value in zip(ranked.effect.parameters, ranked.values, strict=True)
+            },
         }
         for ranked in report_text.best(ranking, len(ranking))
     ]
