@@ -40,6 +40,9 @@ STRETCH_RATIO = 3.0
 SWING = 0.2
 """Share of its peak by which a tension swings that must move the other channels."""
 
+BACKWARDS = -0.6
+"""Correlation with what pulls, below which a travel counts the other way."""
+
 _GRID = 16  # values of K in each of two searches
 _TRIED = 4000  # samples of a record that tell a unit
 _NEAR = 0.25  # relative distance of a factor to that of a unit
@@ -87,7 +90,31 @@ def doubts(data: MeasuredData, units: Units = LINEAR) -> tuple[str, ...]:
             f"the housing swings by {swing:.3g} {units.effort}: the load cell is stuck or not "
             "connected; check it, or remove the column"
         )
+    if not units.signed:
+        out += _backwards(data, units)
     return tuple(out)
+
+
+def _backwards(data: MeasuredData, units: Units) -> list[str]:
+    """Return which travel of a tendon counts the other way, if one does."""
+    T_in, q_p, q_d = data.proximal_tension, data.proximal_displacement, data.distal_displacement
+    if q_p is None:
+        return []
+    pulls = _correlation(q_p, T_in)
+    together = 0.0 if q_d is None else _correlation(q_d, q_p)
+    if together > 0.0 and _tip_drives(T_in, q_d):
+        return []
+    opposed = together < BACKWARDS
+    if pulls < (0.0 if opposed else BACKWARDS):
+        name, other = "proximal", "tension at the housing"
+    elif opposed:
+        name, other = "distal", "travel of the motor"
+    else:
+        return []
+    return [
+        f"{name}_displacement falls where the {other} rises: it counts the other way; "
+        f"change its sign [{units.travel}]"
+    ]
 
 
 def implausible(K: float, EA: float | None, peak: float) -> str:
@@ -194,6 +221,16 @@ def _tip_drives(tension: Array, q_d: Array | None) -> bool:
     known = np.isfinite(tension) & np.isfinite(q_d)
     x, y = tension[known] - tension[known].mean(), q_d[known] - q_d[known].mean()
     return float(x @ y) < 0.0
+
+
+def _correlation(one: Array, other: Array) -> float:
+    """Return the correlation of two signals; 0 if one of them is constant."""
+    known = np.isfinite(one) & np.isfinite(other)
+    if known.sum() < 2:
+        return 0.0
+    x, y = one[known] - one[known].mean(), other[known] - other[known].mean()
+    size = math.sqrt(float(x @ x) * float(y @ y))
+    return float(x @ y) / size if size > 0.0 else 0.0
 
 
 def _near(value: float, factor: float) -> bool:

@@ -9,6 +9,8 @@ from estimator.array_types import Array
 ORDERS = (2, 3, 4, 5, 6)  # of the differences that it is taken from
 BLOCK = 20  # differences of which one root mean square is taken
 RESTS = 0.25  # of the blocks without any change: the reading has steps, and no noise
+STEPS_MAX = 1e4  # that a reading counted in steps changes by from one sample to the next
+WHOLE = 0.02  # of a step by which a change may be off a whole number of them
 
 
 def white_noise(signal: Array) -> float:
@@ -26,6 +28,27 @@ def white_noise(signal: Array) -> float:
         Shape (n,), evenly sampled, n >= 50.
     """
     return min(_from_order(signal, m) for m in ORDERS)
+
+
+def counted_step(signal: Array) -> float:
+    """Return the step in which a reading is counted.
+
+    0 for one whose changes are not whole numbers of their least.
+
+    Parameters
+    ----------
+    signal : ndarray
+        Shape (n,).
+    """
+    changes = np.abs(np.diff(signal))
+    changes = changes[changes > 0.0]
+    if not len(changes):
+        return 0.0
+    step = float(changes.min())
+    counts = changes / step
+    if counts.max() > STEPS_MAX or np.abs(counts - np.rint(counts)).max() > WHOLE:
+        return 0.0
+    return step
 
 
 def _from_order(signal: Array, order: int) -> float:

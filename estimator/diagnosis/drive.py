@@ -28,9 +28,7 @@ class Drive(NamedTuple):
 def tension_drive(tension: Array, sigma: float) -> Drive:
     """Return the drive of a tension [N] with noise `sigma`: monotone between its turns."""
     jitter = SETTINGS.jitter * sigma
-    return Drive(
-        np.maximum(monotone(tension, turning_points(tension, jitter), jitter), 0.0), jitter
-    )
+    return Drive(monotone(tension, turning_points(tension, jitter), jitter), jitter)
 
 
 def travel_drive(travel: Array, sigma: float) -> Drive:

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.diagnosis import equal_causes, experiments, rivals
 from estimator.diagnosis.baseline import again, baseline
+from estimator.diagnosis.carried_over import carried_over
 from estimator.diagnosis.dataset import (
     Dataset,
     Fit,
@@ -397,7 +398,8 @@ def _outcome(
         for one in parameters(full, contexts(dataset, plain), last)
     }
     known = as_driven(dataset, validate, first_law)
-    further = predicted(dataset, first_law, last if steps else first_law, known)
+    other = last._replace(model=carried_over(dataset, last.model)) if steps else first_law
+    further = predicted(dataset, first_law, other, known)
     alike = [(step.effect.name, *step.rivals) for step in steps if step.rivals]
     simple = simple_models(dataset)
     return Diagnosis(

@@ -33,7 +33,8 @@ Mask = NDArray[np.bool_]
 STEP = 0.02  # of a parameter's step: for derivatives
 ROUNDS = 8  # of a fit that is not the last
 QUICK = 4  # of a first one
-SEARCH = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched
+SEARCH = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched, more in a long record:
+SPREAD = 32  # share of it between two first guesses, and half of it to either side
 STEPS = 8  # on each of these
 EQUAL = 1e-6  # of a cost
 TRUSTED = 0.5  # of the fall foreseen: slopes that foresaw a step as well are not taken anew
@@ -59,12 +60,22 @@ def improved(
     fit = _descended(dataset, about, layout, start, rounds, layout.smooth, robust=robust)
     jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
     reaches = SEARCH if rounds > ROUNDS else SEARCH[:1] if rounds > QUICK else ()
-    for reach in reaches if jumping else ():
+    for reach in (*far_reaches(dataset), *reaches) if jumping and reaches else ():
         for i in jumping:
             fit = _stepped(dataset, about, layout, fit, i, reach)
         fit = _descended(whole(dataset), about, layout, fit.model, max(2, rounds // 3), layout.when)
         fit = _descended(dataset, about, layout, fit.model, max(2, rounds // 3), ~layout.when)
     return fit
+
+
+def far_reaches(dataset: Dataset) -> list[float]:
+    """Return the first reaches in records so long that no guess is as near as `SEARCH` [s]."""
+    reach = max(float(np.ptp(record.time)) for record in dataset.records) / SPREAD
+    reaches = []
+    while reach > SEARCH[0]:
+        reaches.append(reach)
+        reach /= SEARCH[0] / SEARCH[1]
+    return reaches
 
 
 def refitted(
@@ -193,21 +204,24 @@ def _descended(
         return simulated(dataset, about, start)
     low, high = layout.bounds()
     at_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
+    # encoders count from anywhere, and a fit ends at a step that is small beside its numbers
+    origin = np.where(layout.own, at_start, 0.0)
 
     def full(x: Array) -> Array:
         row = at_start.copy()
-        row[free] = x
+        row[free] = x + origin[free]
         return row
 
     def off(x: Array) -> Array:
         return residual(dataset, simulated(dataset, about, layout.unpack(full(x))))
 
-    slopes = _Slopes(off, high[free])
+    low, high = (low - origin)[free], (high - origin)[free]
+    slopes = _Slopes(off, high)
     found = least_squares(
         slopes.residual,
-        at_start[free],
+        (at_start - origin)[free],
         jac=slopes,
-        bounds=(low[free], high[free]),
+        bounds=(low, high),
         x_scale="jac",
         loss="cauchy" if robust else "linear",
         ftol=1e-4,

@@ -106,7 +106,8 @@ def _next(
         again = np.flatnonzero(near[first - position :] == AGREES)
         end = first + int(again[0]) if len(again) else len(drive)
         begin = max(first - BEFORE, position, 1)
-        tension = tension_drive(measured[begin:end], record.noise[PROXIMAL_TENSION]).signal
+        driven_by = tension_drive(measured[begin:end], record.noise[PROXIMAL_TENSION])
+        tension = np.maximum(driven_by.signal, 0.0)
         travel, compliance = tendon.by_tension(drive, begin, tension)
         off = record.signals[PROXIMAL_DISPLACEMENT][begin:end] - taut - travel
         if _is_within(off, sigma, SETTINGS.accuracy * float(np.ptp(drive))):

@@ -25,11 +25,12 @@ from estimator.lumped.loop_model import loop_by_travel
 from estimator.lumped.lumped_model import Motion, Physics, by_tension, by_travel
 from estimator.lumped.nodes import even_weights
 
-COMPLIANCE = Parameter("L/EA", "m/N", 1e-7, 2e-3, 5e-6)
+COMPLIANCE = Parameter("L/EA", "m/N", 1e-7, 2e-2, 5e-6)
 TIP = Parameter("tip compliance", "m/N", 0.0, 0.1, 1e-5)
 PRETENSION = Parameter("pretension", "N", 0.1, 500.0, 0.2)  # of a closed loop
-TAUT = Parameter("taut at", "m", -10.0, 10.0, 1e-5)  # of each record
-TIP_ZERO = Parameter("tip zero", "m", -10.0, 10.0, 1e-6)  # of each record
+# of each record, about the first reading of its encoder
+TAUT = Parameter("taut at", "m", -10.0, 10.0, 1e-5)
+TIP_ZERO = Parameter("tip zero", "m", -10.0, 10.0, 1e-6)
 MASS = Parameter("tip mass", "kg", 0.0, 50.0, 0.02)
 
 
@@ -87,7 +88,10 @@ def base_of(record: Record, law: Law = Law.CAPSTAN, loads: Loads = Loads.SHARED)
 
 def own_bounds(record: Record, base: Base) -> list[tuple[float, float]]:
     """Return between which values a record's own parameters may be, in the order of its base."""
-    bounds = [(p.low, p.high) for p in base.own]
+    first = {TAUT: float(record.drive[0])}
+    if TIP_ZERO in base.own:
+        first[TIP_ZERO] = float(record.signals[DISTAL_DISPLACEMENT][0])
+    bounds = [(first.get(p, 0.0) + p.low, first.get(p, 0.0) + p.high) for p in base.own]
     if TAUT in base.own and record.starts_slack:
         T = record.signals[PROXIMAL_TENSION]
         soft = float(np.ptp(record.drive)) / float(np.ptp(T))

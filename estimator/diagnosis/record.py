@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.channel_noise import white_noise
+from estimator.diagnosis.channel_noise import counted_step, white_noise
 from estimator.diagnosis.drive import (
     Drive,
     rate,
@@ -24,6 +24,7 @@ from estimator.diagnosis.drive import (
     turning_points,
     turns_between_samples,
 )
+from estimator.diagnosis.held_samples import held
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     CHANNELS,
@@ -74,7 +75,7 @@ class Record:
     time
         From the first sample on [s], shape (n,).
     signals
-        By channel, as measured, shape (n,) each.
+        By channel, as measured, shape (n,) each; what does not count is interpolated.
     driver
         The channel that drives the simulation.
     drive
@@ -175,24 +176,32 @@ def prepare(
             f"effort changes its sign, as in a closed loop of two cables: "
             f"the {units.word(PROXIMAL_DISPLACEMENT)} is needed, which drives the loop"
         )
+    for name in (PROXIMAL_TENSION, DISTAL_TENSION):
+        if not loop and name in signals and -signals[name].min() > signals[name].max():
+            raise RecordError(
+                f"{units.word(name)}: negative where the tendon pulls; change its sign"
+            )
     if not units.radius > 0.0:
         units = units.scaled_to(efforts_of(signals))
     signals = {name: units.inward(name, signal) for name, signal in signals.items()}
     noise = {name: float(units.inward(name, np.array(s))) for name, s in noise.items()}
     start = float(time[0])
     time = time - start
-    good, troubles = {}, list(_repeated(time, signals))
+    good, rounded, troubles = {}, {}, list(_repeated(time, signals))
     for name, signal in signals.items():
-        good[name], spikes = _without_spikes(time, name, signal)
-        troubles += spikes
+        good[name], found = _counted(time, name, signal)
+        rounded[name] = counted_step(signal[good[name]]) / math.sqrt(12.0)
+        signals[name] = np.interp(time, time[good[name]], signal[good[name]])
+        troubles += found
     time, signals, good, thinned = _thinned(time, signals, good, most)
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
-    sigma = _noise_of(driver, signals, good) | {
-        name: value / math.sqrt(thinned) for name, value in noise.items()
-    }
-    whole = np.interp(time, time[good[driver]], signals[driver][good[driver]])
+    rounded, given = (
+        {name: value / math.sqrt(thinned) for name, value in each.items()}
+        for each in (rounded, noise)
+    )
+    sigma = _noise_of(driver, signals, good, rounded, given)
     measured = np.ones(len(time), dtype=np.bool_)
-    drive, jitter = _drive(driver, whole, sigma[driver])
+    drive, jitter = _drive(driver, signals[driver], sigma[driver])
     if driver != PROXIMAL_TENSION:
         turns = turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
@@ -213,7 +222,7 @@ def prepare(
         sigma={name: np.full(len(time), sigma[name]) for name in signals if name != driver},
         good=good,
         measured=measured,
-        train=block % 2 == 0,
+        train=_fitted(block),
         block=block,
         troubles=tuple(one._replace(first=one.first + start) for one in troubles),
         thinned=thinned,
@@ -235,12 +244,21 @@ def is_loop(units: Units, records: Sequence[Signals]) -> bool:
     return units.signed and min(-least, most) > SETTINGS.push * max(-least, most)
 
 
-def _noise_of(driver: str, signals: Signals, good: dict[str, Mask]) -> dict[str, float]:
-    """Return the standard deviation of each channel's white noise, as the data tell it."""
+def _noise_of(
+    driver: str,
+    signals: Signals,
+    good: dict[str, Mask],
+    rounded: dict[str, float],
+    given: dict[str, float],
+) -> dict[str, float]:
+    """Return the standard deviation of each channel's white noise, as given or as the data say.
+
+    It is that of its rounding at least.
+    """
     sigma = {}
     for name, signal in signals.items():
-        known = signal[good[name]]
-        sigma[name] = white_noise(known)
+        told = max(white_noise(signal[good[name]]), rounded[name])
+        sigma[name] = given.get(name, told)
         if name != driver:  # nothing is simulated more precisely
             sigma[name] = max(sigma[name], SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
     return sigma
@@ -256,6 +274,13 @@ def _check(time: Array, signals: Signals, units: Units) -> None:
     if len(time) < SETTINGS.samples_min:
         raise RecordError(
             f"{len(time)} samples, at least {SETTINGS.samples_min} are needed: record for longer"
+        )
+    late = np.flatnonzero(~(np.diff(time) > 0.0))
+    if len(late):
+        k = int(late[0]) + 1
+        raise RecordError(
+            f"time: sample {k} at {time[k]:.6g} s does not follow {time[k - 1]:.6g} s: "
+            "remove samples that repeat a time, and sort them"
         )
     for name, signal in signals.items():
         if name not in CHANNELS:
@@ -280,11 +305,24 @@ def in_short_blocks(record: Record) -> Record:
     What is wrong in one block only can be fitted and not judged, or judged and not fitted.
     """
     block = _blocks(record.time, SETTINGS.short_block)
-    return replace(record, train=block % 2 == 0, block=block)
+    return replace(record, train=_fitted(block), block=block)
+
+
+def _fitted(block: NDArray[np.int64]) -> Mask:
+    """Return which samples are fitted: of the blocks whose number has an even count of ones.
+
+    Every other block would be the same half of a motion that repeats itself; this sequence of Thue
+    and Morse repeats nothing.
+    """
+    odd = np.zeros_like(block)
+    while block.any():
+        odd, block = odd ^ (block & 1), block >> 1
+    return np.asarray(odd == 0)
 
 
 def _blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
     length = share * min(SETTINGS.block, float(time[-1] - time[0]) / SETTINGS.blocks_min)
+    length = max(length, 2.0 * float(np.median(np.diff(time))))
     return np.asarray((time - time[0]) / length, dtype=np.int64)
 
 
@@ -358,20 +396,25 @@ def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Tr
     beside = np.zeros_like(good)
     for off in (-1, 0, 1):
         beside[turns + off] = True
-    if not beside.any():
+    if not beside.any() or np.mean(beside) > SETTINGS.reversals_max:
         return good, []
     first = float(time[int(np.argmax(beside))])
     what = "samples at motor reversals excluded"
     return good & ~beside, [Trouble(what, PROXIMAL_TENSION, int(beside.sum()), first)]
 
 
-def _without_spikes(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:
-    """Return which samples are no single-sample spikes, and what is said of those that are."""
-    spike = single_spikes(signal)
-    if not spike.any():
-        return np.ones(len(signal), dtype=np.bool_), []
-    first = float(time[int(np.argmax(spike))])
-    return ~spike, [Trouble("single-sample spikes", name, int(spike.sum()), first)]
+def _counted(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:
+    """Return which samples of a channel count, and what is said of the others."""
+    excluded = {
+        "single-sample spikes": single_spikes(signal),
+        "held samples excluded": held(signal, counted_step(signal)),
+    }
+    troubles = [
+        Trouble(what, name, int(rows.sum()), float(time[int(np.argmax(rows))]))
+        for what, rows in excluded.items()
+        if rows.any()
+    ]
+    return ~np.logical_or.reduce(list(excluded.values())), troubles
 
 
 def _repeated(time: Array, signals: Signals) -> list[Trouble]:

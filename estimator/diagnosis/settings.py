@@ -20,6 +20,7 @@ class Settings:
     short_block: float = 0.02  # of a block's length, where the error fills but a block or two
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
     reversal: float = 1e-3  # of the drive's range that the motor goes back by, at least
+    reversals_max: float = 0.3  # of the samples, that are left out beside reversals
     jitter: float = 4.0  # minimum reversal size, in sigma of the drive's noise
     jitter_quantile: float = 0.9  # of the noise that smoothing leaves on its samples
     reversal_noise: float = 3.0  # minimum reversal size, in sigma of a travel's noise

@@ -28,7 +28,7 @@ PRETENSION = Effect(
     name="pretension",
     cause="the tendon was under tension all along when the record began, not slack",
     equation="T(s) = tension before the first sample",
-    parameters=(Parameter("tension", "N", 0.0, 60.0, 0.5),),
+    parameters=(Parameter("tension", "N", 0.0, 500.0, 0.5),),
     source="docs/theory.md (T15)",
     advice="Begin each record with a full pull and release; that erases the initial state.",
     starts=lambda context: [(float(context.measured[PROXIMAL_TENSION][0]),), (2.0,), (6.0,)],
@@ -87,7 +87,7 @@ JOINT_FRICTION = Effect(
     name="joint_friction",
     cause="the joint itself has dry friction",
     equation="T_out = k q_d + friction sgn(dq_d/dt)",
-    parameters=(Parameter("friction", "N", 0.0, 20.0, 0.1),),
+    parameters=(Parameter("friction", "N", 0.0, 200.0, 0.1),),
     source="range assumed: 0.1 to 3 N",
     advice="Look at the joint's bearings; the force on the tool is less than the tendon's by it.",
     starts=lambda _: [(0.15,), (0.6,)],
@@ -109,7 +109,7 @@ ANTAGONIST_TENSION = Effect(
     equation="T_out = k q_d + tension (e^s - 1), s between -K and K of the other tendon, as it is "
     "let go or drawn out",
     parameters=(
-        Parameter("tension", "N", 0.0, 20.0, 0.05),
+        Parameter("tension", "N", 0.0, 200.0, 0.05),
         Parameter("K", "", 0.05, 3.0, 0.1, None),
         Parameter("stiffness", "N/m", 300.0, 1e6, 1000.0, None),
     ),

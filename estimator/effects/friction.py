@@ -66,7 +66,7 @@ CONSTANT_DRAG = Effect(
     name="constant_drag",
     cause="part of the friction does not depend on tension: seals, or a stiff tendon in bends",
     equation="dT/ds = -/+ (T + drag)",
-    parameters=(Parameter("drag", "N", 0.0, 5.0, 0.1),),
+    parameters=(Parameter("drag", "N", 0.0, 50.0, 0.1),),
     source="docs/theory.md, section 8; range assumed: 0.1 to 2 N",
     advice="Look at seals and at sharp bends of a stiff tendon; tare both load cells while slack.",
     starts=lambda _: [(0.4,)],
@@ -86,8 +86,15 @@ VISCOUS_FRICTION = Effect(
 
 _STRIBECK = (
     Parameter("ratio", "", -0.5, 3.0, 0.05),
-    Parameter("speed", "m/s", 2e-5, 0.05, 2e-4, None),
+    Parameter("speed", "m/s", 2e-5, 0.5, 2e-4, None),
 )
+STRIBECK_SHARES = (0.03, 0.12, 0.45)  # of a record's high speeds, where a fit begins
+
+
+def _stribeck_speeds(context: EffectContext) -> list[float]:
+    high = float(np.quantile(np.abs(context.speed), 0.95))
+    return [max(share * high, 2e-5) for share in STRIBECK_SHARES]
+
 
 STRIBECK_FRICTION = Effect(
     name="stribeck_friction",
@@ -96,7 +103,7 @@ STRIBECK_FRICTION = Effect(
     parameters=_STRIBECK,
     source="Stribeck; range assumed: 5 to 50 %, 0.1 to 10 mm/s",
     advice="Avoid creeping speeds, or use a lubricant with less stiction.",
-    starts=lambda _: [(0.2, speed) for speed in (1e-4, 4e-4, 1.5e-3)],
+    starts=lambda context: [(0.2, speed) for speed in _stribeck_speeds(context)],
     physics=lambda physics, values, _: physics._replace(
         stribeck=values[0], stribeck_speed=values[1], stribeck_memory=0.0
     ),
@@ -110,7 +117,7 @@ STRIBECK_LATE = Effect(
     parameters=(*_STRIBECK, Parameter("memory", "s", 0.02, 5.0, 0.05, None)),
     source=STRIBECK_FRICTION.source,
     advice=STRIBECK_FRICTION.advice,
-    starts=lambda _: [(0.2, speed, 0.15) for speed in (1e-4, 4e-4, 1.5e-3)],
+    starts=lambda context: [(0.2, speed, 0.15) for speed in _stribeck_speeds(context)],
     physics=lambda physics, values, _: physics._replace(
         stribeck=values[0], stribeck_speed=values[1], stribeck_memory=values[2]
     ),

@@ -82,7 +82,7 @@ def _bias(name: str, channel: str) -> Effect:
             name=name,
             cause=f"{WORDS[channel]} does not read zero without tension",
             equation="reading = T + bias",
-            parameters=(Parameter("bias", "N", -20.0, 20.0, 0.05),),
+            parameters=(Parameter("bias", "N", -200.0, 200.0, 0.05),),
             source="range assumed: up to 1 % of full scale",
             advice=f"Tare {WORDS[channel]} while the tendon is slack.",
             starts=lambda _: [(0.1,)],
@@ -160,6 +160,27 @@ def _lag(channel: str, forward: Change, inverse: Change, equation: str, how: str
     )
 
 
+def _late_tip(signals: Signals, values: Values, context: EffectContext) -> Signals:
+    for channel in (DISTAL_TENSION, DISTAL_DISPLACEMENT):
+        if channel in signals:
+            signals = changed(signals, channel, lambda signal: _delayed(signal, values, context))
+    return signals
+
+
+TIP_CLOCK = Effect(
+    name="sensor_lag",
+    cause="the clock of the sensors at the tip is not that of the housing",
+    equation="reading(t) = signal(t - time) of all sensors at the tip",
+    parameters=(Parameter("time", "s", -2.0, 2.0, 0.01),),
+    source="two instruments started by hand, or not synchronised: any time",
+    advice="Record both ends with one instrument, or synchronise their clocks.",
+    starts=lambda _: [(-0.03,), (0.03,)],
+    where="all sensors at the tip, by their clock",
+    measure=_late_tip,
+    needs=frozenset({DISTAL_TENSION}),
+)
+
+
 def _limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Values]]:
     def starts(context: EffectContext) -> Iterable[Values]:
         measured = context.measured[channel]
@@ -187,10 +208,14 @@ def _saturation(channel: str) -> Effect:
 
 
 def _scale(channel: str) -> Effect:
+    def scaled(q: Array, by: float, context: EffectContext) -> Array:
+        zero = context.measured[channel][0]  # of the encoder: anywhere, and fitted apart
+        return np.asarray(zero + by * (q - zero))
+
     return _of_sensor(
         channel,
-        lambda q, values, _: (1.0 + values[0]) * q,
-        lambda q, values, _: q / (1.0 + values[0]),
+        lambda q, values, context: scaled(q, 1.0 + values[0], context),
+        lambda q, values, context: scaled(q, 1.0 / (1.0 + values[0]), context),
         Effect(
             name="encoder_scale",
             cause=f"{WORDS[channel]} counts too much or too little, as on a pulley of another "
@@ -320,7 +345,7 @@ def _ripple_starts(context: EffectContext) -> Iterable[Values]:
 
 def _rippling(parameters: tuple[Parameter, ...], span: float) -> tuple[Parameter, ...]:
     *amplitudes, number = parameters
-    low = min(max(number.low, WAVE / max(span, 1e-6)), 0.5 * number.high)
+    low = min(WAVE / max(span, 1e-6), 0.5 * number.high)
     return (*amplitudes, number._replace(low=low))
 
 
@@ -338,7 +363,7 @@ COGGING_RIPPLE = Effect(
     parameters=(
         Parameter("sine", "N", -20.0, 20.0, 0.03),
         Parameter("cosine", "N", -20.0, 20.0, 0.03),
-        Parameter("number", "rad/m", 500.0, 1e5, 5.0, None),
+        Parameter("number", "rad/m", 10.0, 1e5, 5.0, None),
     ),
     source="range assumed: 0.5 to 3 % of the stall torque",
     advice="Nothing at the tip; a table over the motor's angle takes it out of the reading.",
@@ -361,7 +386,7 @@ SHEATH_RUB = Effect(
     cause="the sheath rubs in its over-tube in front of the load cell at the housing",
     equation="reading = T + force sgn(dq/dt), the turn taken over the width",
     parameters=(
-        Parameter("force", "N", -10.0, 10.0, 0.05),
+        Parameter("force", "N", -100.0, 100.0, 0.05),
         Parameter("width", "m", 2e-6, 2e-2, 1e-4, None),
     ),
     source="the paper's cell sits under the sheath; range assumed",
@@ -387,6 +412,7 @@ EFFECTS = (
         _lag(channel, _lagged, _led, "time dr/dt + r = signal", "by a filter")
         for channel in (*_TENSIONS, *_TRAVELS)
     ),
+    TIP_CLOCK,
     *(_saturation(channel) for channel in _TENSIONS),
     *(_scale(channel) for channel in _TRAVELS),
     *(_slip(channel) for channel in _TRAVELS),

@@ -161,6 +161,11 @@ def extended(
     return Extended(sheath_of(law, length), extension, tuple(uses))
 
 
+def belongs_to_record(effect: Effect) -> bool:
+    """Return whether an effect is of something that happened in its record only."""
+    return LEFT_OUT.get(effect.name) == _RECORD
+
+
 def why_left_out(effect: Effect) -> str:
     """Return why an effect does nothing in the loop, in words that can follow its name."""
     return LEFT_OUT.get(effect.name, _NOTHING)

@@ -79,6 +79,7 @@ FORMULAS = {
     "sensor_lag (the load cell at the tip, by a filter)": _FILTER + r", \quad x = T(K)",
     "sensor_lag (the encoder at the motor, by a filter)": _FILTER + r", \quad x = q_p",
     "sensor_lag (the encoder at the tip, by a filter)": _FILTER + r", \quad x = q_d",
+    "sensor_lag (all sensors at the tip, by their clock)": _DELAY + r", \quad x = T(K),\ q_d",
     "saturation (the load cell at the housing)": r"r = \min(T(0),\ \mathrm{limit})",
     "saturation (the load cell at the tip)": r"r = \min(T(K),\ \mathrm{limit})",
     "encoder_scale (the encoder at the motor)": r"r = (1 + \mathrm{gain})\,q_p",

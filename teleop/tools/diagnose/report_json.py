@@ -110,14 +110,20 @@ def _predicted(records: Sequence[Predicted], names: Sequence[str]) -> list[dict[
                 channel: {
                     "samples": int(one.record.good[channel].sum()),
                     "spikes": one.spikes[channel],
-                    "baseline": _fitness(before),
-                    "extended": _fitness(one.fitness(one.after)[channel]),
+                    "baseline": _fitness(before, _size(one, channel)),
+                    "extended": _fitness(one.fitness(one.after)[channel], _size(one, channel)),
                 }
                 for channel, before in one.fitness(one.before).items()
             },
         }
         for name, one in zip(names, records, strict=False)
     ]
+
+
+def _size(one: Predicted, channel: str) -> float:
+    """Return how much of a record's unit one of newtons or metres is."""
+    units = one.record.units
+    return units.size(units.base(channel))
 
 
 def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
@@ -187,9 +193,9 @@ def _fitnesses(all_of: Fitnesses) -> dict[str, Any]:
     }
 
 
-def _fitness(one: Fitness) -> dict[str, float]:
+def _fitness(one: Fitness, size: float = 1.0) -> dict[str, float]:
     return {
-        "rmse": one.rmse,
+        "rmse": size * one.rmse,
         "max_percent": 100.0 * one.largest,
         "mean_percent": 100.0 * one.mean,
     }

@@ -1,0 +1,122 @@
+"""Records as strangers make them: encoders that count from anywhere, slow sensors, cycles."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis.api import diagnose
+from estimator.diagnosis.channel_noise import counted_step
+from estimator.diagnosis.dataset import dataset_of
+from estimator.diagnosis.fit import SEARCH, SPREAD, far_reaches
+from estimator.diagnosis.held_samples import held
+from estimator.diagnosis.record import RecordError, in_short_blocks, prepare
+from estimator.effects import CATALOGUE
+from estimator.effects.effect import CHANNELS
+from estimator.measured_data import Samples
+from tests import hidden
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """A record without effects, of a tip that pulls a spring."""
+    return hidden.make(5, (), bench="spring", duration=30.0, rate=50.0)
+
+
+def samples(record, **off):
+    """Return a record with something added to its channels."""
+    channels = {name: signal + off.get(name, 0.0) for name, signal in record.channels.items()}
+    return Samples(record.time, *(channels.get(name) for name in CHANNELS))
+
+
+@pytest.mark.parametrize(
+    "offset", [1.0, *(pytest.param(off, marks=pytest.mark.slow) for off in (0.0, -8.0))]
+)
+def test_encoders_count_from_anywhere(offset):
+    made = hidden.make(6, ("encoder_scale",), bench="spring", duration=40.0, rate=60.0)
+    off = {"proximal_displacement": offset, "distal_displacement": 2.0 * offset}
+    tried = [one for one in CATALOGUE if one.name in ("encoder_scale", "creep", "viscous_friction")]
+    found = diagnose(samples(made, **off), effects=tried)
+    assert [step.effect.name for step in found.steps] == ["encoder_scale"]
+    assert found.parameters["K"].value == pytest.approx(made.truth["sheath"]["K"], rel=2e-3)
+
+
+def test_a_spike_changes_no_noise_and_no_range(clean):
+    spoiled = {name: signal.copy() for name, signal in clean.channels.items()}
+    spoiled["distal_tension"][700] += 300.0
+    before, after = (prepare(clean.time, dict(one)) for one in (clean.channels, spoiled))
+    assert after.troubles
+    for channel in before.compared:
+        assert after.noise[channel] == pytest.approx(before.noise[channel], rel=0.02)
+        range_before = np.ptp(before.signals[channel])
+        assert np.ptp(after.signals[channel]) == pytest.approx(range_before, rel=1e-3)
+
+
+@pytest.mark.parametrize("period", [5.0, 10.0, 20.0])
+def test_both_halves_have_both_directions_of_a_motion_that_repeats_itself(period):
+    time = np.arange(0.0, 120.0, 0.02)
+    travel = 5e-3 * np.sin(2.0 * np.pi * time / period)
+    tension = 10.0 + 2e3 * travel + 0.5 * np.sign(np.gradient(travel))
+    record = prepare(time, {"proximal_tension": tension, "proximal_displacement": travel})
+    for one in (record, in_short_blocks(record)):
+        assert 0.4 < np.mean(one.train) < 0.6
+        for half in (one.train, ~one.train):
+            assert 0.25 < np.mean(one.speed[half] > 0.0) < 0.75
+
+
+def test_a_time_that_does_not_rise_is_named(clean):
+    time = clean.time.copy()
+    time[40] = time[39]
+    with pytest.raises(RecordError, match=r"sample 40 at .* does not follow"):
+        prepare(time, dict(clean.channels))
+
+
+@pytest.mark.parametrize("channel", ["proximal_displacement", "distal_displacement"])
+def test_a_travel_that_counts_the_other_way_is_refused(clean, channel):
+    turned = clean.channels | {channel: -clean.channels[channel]}
+    with pytest.raises(RecordError, match=f"{channel} falls .* change its sign"):
+        prepare(clean.time, turned)
+
+
+def test_a_tension_that_is_negative_throughout_is_refused(clean):
+    turned = clean.channels | {"proximal_tension": -clean.channels["proximal_tension"]}
+    with pytest.raises(RecordError, match="negative where the tendon pulls"):
+        prepare(clean.time, turned)
+
+
+def test_rounding_is_noise(clean):
+    step = 8e-6
+    counted = step * np.rint(clean.channels["proximal_displacement"] / step)
+    assert counted_step(counted) == pytest.approx(step)
+    assert counted_step(clean.channels["proximal_tension"]) < 0.1
+    rng = np.random.default_rng(1)
+    assert counted_step(rng.standard_normal(1000)) == 0.0
+    record = prepare(clean.time, clean.channels | {"proximal_displacement": counted})
+    assert record.noise["proximal_displacement"] > 0.25 * step
+
+
+def test_samples_held_by_a_slow_sensor_do_not_count(clean):
+    slow = clean.channels["distal_tension"][np.arange(len(clean.time)) // 6 * 6]
+    record = prepare(clean.time, clean.channels | {"distal_tension": slow})
+    share = np.mean(record.good["distal_tension"])
+    assert share == pytest.approx(1.0 / 6.0, abs=0.02)
+    assert any("held" in one.what for one in record.troubles)
+    true = clean.channels["distal_tension"]
+    at = np.isin(record.time, clean.time[::6])
+    assert np.abs(record.signals["distal_tension"][at] - true[::6]).max() < 0.01
+
+
+def test_a_slow_motion_that_is_counted_in_steps_is_not_held():
+    rng = np.random.default_rng(2)
+    slow = np.cumsum(rng.random(4000) < 0.2) * 1e-5
+    assert not held(slow, counted_step(slow)).any()
+    assert not held(rng.standard_normal(1000), 0.0).any()
+
+
+@pytest.mark.parametrize("duration", [20.0, 60.0, 600.0, 3600.0])
+def test_a_search_for_a_time_reaches_from_guess_to_guess(duration):
+    time = np.linspace(0.0, duration, 400)
+    channels = {"proximal_tension": 5.0 + np.sin(time), "proximal_displacement": np.sin(time)}
+    reaches = [*far_reaches(dataset_of([prepare(time, channels)])), *SEARCH]
+    assert reaches[0] >= duration / SPREAD
+    assert all(wide <= 5.0 * narrow for wide, narrow in pairwise(reaches))
