@@ -204,24 +204,21 @@ def _descended(
         return simulated(dataset, about, start)
     low, high = layout.bounds()
     at_start = np.clip(layout.pack(start), low + 1e-9, high - 1e-9)
-    # encoders count from anywhere, and a fit ends at a step that is small beside its numbers
-    origin = np.where(layout.own, at_start, 0.0)
 
     def full(x: Array) -> Array:
         row = at_start.copy()
-        row[free] = x + origin[free]
+        row[free] = x
         return row
 
     def off(x: Array) -> Array:
         return residual(dataset, simulated(dataset, about, layout.unpack(full(x))))
 
-    low, high = (low - origin)[free], (high - origin)[free]
-    slopes = _Slopes(off, high)
+    slopes = _Slopes(off, high[free])
     found = least_squares(
         slopes.residual,
-        (at_start - origin)[free],
+        at_start[free],
         jac=slopes,
-        bounds=(low, high),
+        bounds=(low[free], high[free]),
         x_scale="jac",
         loss="cauchy" if robust else "linear",
         ftol=1e-4,

@@ -5,13 +5,17 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Dataset, Model
-from estimator.diagnosis.model import OWN_LOADS, own_bounds
+from estimator.diagnosis.model import OWN_LOADS, own_bounds, own_zeros
 
 Mask = NDArray[np.bool_]
 
 
 class Layout:
-    """The numbers of a model in a row, each counted in its step."""
+    """The numbers of a model in a row, each counted in its step.
+
+    Readings of encoders count from the first one: a fit ends at a step that is small beside its
+    numbers, and begins with one that is large beside them.
+    """
 
     def __init__(self, dataset: Dataset, model: Model) -> None:
         base = dataset.base
@@ -30,6 +34,8 @@ class Layout:
                 p._replace(low=low, high=high)
                 for p, (low, high) in zip(base.own, own_bounds(record, base), strict=True)
             ]
+        zeros = [zero for record in dataset.records for zero in own_zeros(record, base)]
+        self._zeros = np.array([0.0] * self.common + zeros)
         self._steps = [p.step for p in self.parameters]
         compliance = base.compliance(model.shared)
         if compliance is not None:  # known to a share of itself, whatever the tendon
@@ -72,9 +78,10 @@ class Layout:
 
     def bounds(self) -> tuple[Array, Array]:
         """Return the least and the largest of each number."""
-        steps = np.array(self._steps)
-        low = np.array([p.low for p in self.parameters]) / steps
-        return low, np.array([p.high for p in self.parameters]) / steps
+        return (
+            self._counted(np.array([p.low for p in self.parameters])),
+            self._counted(np.array([p.high for p in self.parameters])),
+        )
 
     def values(self, model: Model) -> list[float]:
         """Return the numbers of a model, in a row."""
@@ -83,11 +90,11 @@ class Layout:
 
     def pack(self, model: Model) -> Array:
         """Return them in their steps."""
-        return np.asarray(np.array(self.values(model)) / np.array(self._steps))
+        return self._counted(np.array(self.values(model)))
 
     def unpack(self, x: Array) -> Model:
         """Return the model of a row."""
-        values = [float(a * b) for a, b in zip(x, self._steps, strict=True)]
+        values = (np.asarray(x) * np.array(self._steps) + self._zeros).tolist()
         at = len(self.base.shared)
         shared = tuple(values[:at])
         effects = []
@@ -98,3 +105,6 @@ class Layout:
         size = len(self.base.own)
         own = tuple(tuple(values[at + k * size : at + (k + 1) * size]) for k in range(self.records))
         return Model(shared, own, tuple(effects))
+
+    def _counted(self, values: Array) -> Array:
+        return np.asarray((values - self._zeros) / np.array(self._steps))

@@ -86,12 +86,18 @@ def base_of(record: Record, law: Law = Law.CAPSTAN, loads: Loads = Loads.SHARED)
     return Base(tuple(shared), tuple(own), law, loads)
 
 
-def own_bounds(record: Record, base: Base) -> list[tuple[float, float]]:
-    """Return between which values a record's own parameters may be, in the order of its base."""
+def own_zeros(record: Record, base: Base) -> list[float]:
+    """Return what a record's own parameters count from: the first readings of its encoders."""
     first = {TAUT: float(record.drive[0])}
     if TIP_ZERO in base.own:
         first[TIP_ZERO] = float(record.signals[DISTAL_DISPLACEMENT][0])
-    bounds = [(first.get(p, 0.0) + p.low, first.get(p, 0.0) + p.high) for p in base.own]
+    return [first.get(p, 0.0) for p in base.own]
+
+
+def own_bounds(record: Record, base: Base) -> list[tuple[float, float]]:
+    """Return between which values a record's own parameters may be, in the order of its base."""
+    zeros = own_zeros(record, base)
+    bounds = [(zero + p.low, zero + p.high) for zero, p in zip(zeros, base.own, strict=True)]
     if TAUT in base.own and record.starts_slack:
         T = record.signals[PROXIMAL_TENSION]
         soft = float(np.ptp(record.drive)) / float(np.ptp(T))

@@ -88,7 +88,7 @@ _STRIBECK = (
     Parameter("ratio", "", -0.5, 3.0, 0.05),
     Parameter("speed", "m/s", 2e-5, 0.5, 2e-4, None),
 )
-STRIBECK_SHARES = (0.03, 0.12, 0.45)  # of a record's high speeds, where a fit begins
+STRIBECK_SHARES = (0.03, 0.1, 0.25, 0.6)  # of a record's high speeds, where a fit begins
 
 
 def _stribeck_speeds(context: EffectContext) -> list[float]:
