@@ -65,7 +65,10 @@ class Driver(Protocol):
         """
 
     def stop(self) -> None:
-        """Emergency stop by the motors' own means; the next target enables them again."""
+        """Emergency stop by the motors' own means; the next target enables them again.
+
+        A cycle without a target follows at once.
+        """
 
     def counts(self) -> dict[str, int | float]:
         """Return the driver's counts for the summary, lost frames for example."""

@@ -24,7 +24,7 @@ class Orders(NamedTuple):
     """What the slave has sent since the last look."""
 
     target: Counts | None  # the newest
-    stop: bool  # an emergency stop, after which no target came
+    stop: bool  # an emergency stop
     ended: bool  # the slave is gone
 
 
@@ -84,7 +84,7 @@ def receive_orders(end: socket.socket) -> Orders:
         if not packet:
             return Orders(None, stop, True)
         if packet[:1] == TARGET:
-            target, stop = np.frombuffer(packet, np.float64, offset=1), False
+            target = np.frombuffer(packet, np.float64, offset=1)
         else:
-            target, stop = None, True
+            stop = True
     return Orders(target, stop, False)

@@ -170,6 +170,22 @@ def test_an_emergency_stop_is_a_quick_stop_until_the_next_target(drives):
         engage(rig, moving(drives), start)
 
 
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_target_right_behind_an_emergency_stop_does_not_undo_it(drives, lost):
+    for drive in drives.drives:
+        drive.lost = lost * [Control.QUICK_STOP]
+    with opened_on(drives) as rig:
+        start = engage(rig, moving(drives))
+        rig.emergency_stop()
+
+        def stopped():
+            return all(drive.state == QUICK_STOP for drive in drives.drives)
+
+        read_for(rig, 5.0, start, until=stopped)
+        assert stopped()
+        engage(rig, moving(drives), start)
+
+
 def test_a_fault_is_named_and_stays_until_the_operator_resets_it(drives):
     with opened_on(drives) as rig:
         engage(rig, moving(drives))

@@ -55,6 +55,7 @@ class Drive:
         self.state = DISABLED
         self.homed = HOMED
         self.obeys = True  # whether the motor follows
+        self.lost = []  # control words that it does not get, each once
         self.beat_s = 0.0
         self.guards = True  # whether it answers node guarding
         self._toggle, self._guarded = 0, False
@@ -151,6 +152,9 @@ class Drive:
 
     def _control(self, word: int) -> None:
         """Take one transition of the profile's state machine."""
+        if word in self.lost:
+            self.lost.remove(word)
+            return
         rising = word & ~self._last_word
         self._last_word = word
         state = self.state
