@@ -92,7 +92,7 @@ class SlaveMemory(Record):
     motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] last output of the gate
     has_sample: Flag = False
     has_offsets: Flag = False
-    has_motor: Flag = False  # engaged at least once
+    has_motor: Flag = False  # something was written: engaged at least once, or calibrated
     sample_time: F64 = 0.0  # [s] of the newest sample
     silence: F64 = 0.0  # [s] since the last new and usable sample
     overload: F64 = 0.0  # [s] for which a tension has been far over its limit while engaged
@@ -195,11 +195,13 @@ def start(
     bilateral: Bilateral,
     starts_at_zero: bool,
     samples: Sequence[RigSample] = (),
+    motor: Sequence[float] = (),
 ) -> Slave:
     """Return a slave in its initial state; for `starts_at_zero` see `Rig`.
 
     `samples` are all earlier samples of the rig, oldest first; they initialise the tension profiles
-    of the estimators.
+    of the estimators. `motor` [m] are the positions that were written last, if any: the first tick
+    goes on writing them.
     """
     memory = SlaveMemory.array()
     tendons = len(model.models)
@@ -220,6 +222,9 @@ def start(
         fill_sample(row, 0, sample)
         slave.estimate(*slave.estimated, row, 1)
         locate(slave.layout, memory, slave.scratch, row)
+    if motor:
+        memory["motor"][0, :tendons] = motor
+        memory["has_motor"] = True
     return slave
 
 
@@ -295,8 +300,9 @@ def tick(
 ) -> int:
     """Advance the slave by one tick; return the bits of `GateFlags`.
 
-    Before the first engagement nothing is written to the motors. From then on a position is written
-    at every tick: the last gated one, unless a new one is commanded.
+    Before the first engagement nothing is written to the motors, unless a calibration has written
+    before. From then on a position is written at every tick: the last gated one, unless a new one
+    is commanded.
 
     Parameters
     ----------

@@ -85,6 +85,7 @@ class ProcedureResult(NamedTuple):
 
     record: ProcedureData
     samples: tuple[RigSample, ...]  # all of them, to initialise the estimators' tension profiles
+    motor: tuple[float, ...]  # [m] written last, shape (tendons,): the motors hold there
 
 
 @dataclass
@@ -234,7 +235,9 @@ class _Drive:
                 else CalibrationRefused(refusal)
             )
         return ProcedureResult(
-            self._log.record(self._rig.joints, self._memories), tuple(self._log.samples)
+            self._log.record(self._rig.joints, self._memories),
+            tuple(self._log.samples),
+            self._motor,
         )
 
     def _read(self, time_s: float, dt: float) -> None:
