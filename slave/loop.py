@@ -126,6 +126,7 @@ class TickInput(NamedTuple):
     reset: bool = False  # whether a stop is reset
     link: int = int(Reason.NONE)  # Reason: bound that the link exceeds
     link_holds: bool = False  # whether the session must hold because of it
+    motors_follow: bool = True  # `slave.rig.motors_follow`
 
 
 class RigModel(NamedTuple):
@@ -321,7 +322,7 @@ def tick(
     work, command = scratches[0], commands[0]
     found, tendon = _take_samples(setting, layout, memory, work, rows, samples, tick_input.dt)
     _update_faults(setting, layout, memory, rows, samples, found, tendon, tick_input.dt)
-    _update_readiness(setting, memory, work)
+    _update_readiness(setting, memory, work, tick_input.motors_follow)
     commanded = _take_command(layout, work, command, tick_input)
     _advance_session(setting, layout, memory, work, command, tick_input)
     engaged = session.may_move(memory.session) and commanded
@@ -330,7 +331,8 @@ def tick(
     _couple(setting, layout, memory, work, command, tick_input, commanded, engaged)
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
-        verdict = _drive(setting, layout, memory, work, engaged, tick_input.dt)
+        moving = engaged and tick_input.motors_follow
+        verdict = _drive(setting, layout, memory, work, moving, tick_input.dt)
         memory.has_motor = True
     _fill_state(setting, layout, memory, command, tick_input, states[0])
     return verdict
@@ -510,15 +512,19 @@ def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemor
 
 
 @compiled
-def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch) -> None:
-    """Update the motor positions and whether the rig is usable."""
-    known = memory.has_motor or initial_position.known(
-        memory.initial_position, setting.sample_timeout
-    )
-    if memory.has_motor:
+def _update_readiness(
+    setting: SlaveSettings, memory: SlaveMemory, work: Scratch, motors_follow: bool
+) -> None:
+    """Update the motor positions and whether the rig is usable.
+
+    Motors that do not follow yet, as they are being enabled, are where their encoders say.
+    """
+    measured = initial_position.known(memory.initial_position, setting.sample_timeout)
+    if memory.has_motor and (motors_follow or not measured):
         copy(memory.motor[:], work.motor[:])
-    elif known:
+    elif measured:
         copy(memory.initial_position.position[:], work.motor[:])
+    known = memory.has_motor or measured
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
     elif not setting.calibrated:
@@ -635,10 +641,10 @@ def _drive(
     layout: RigLayout,
     memory: SlaveMemory,
     work: Scratch,
-    engaged: bool,
+    moving: bool,
     dt: float,
 ) -> int:
-    """Compute the motor targets and apply the gate."""
+    """Compute the motor targets and apply the gate; hold unless `moving`."""
     control.step(
         setting.control,
         layout,
@@ -647,7 +653,7 @@ def _drive(
         work.speed,
         work.motor,
         memory.tendons,
-        engaged,
+        moving,
         dt,
         work.wanted,
     )
@@ -656,7 +662,7 @@ def _drive(
         work.tension[i] = math.nan
         if tendon.valid:
             work.tension[i] = max(tendon.tension, tendon.corrected_tension)
-    if engaged:
+    if moving:
         gate.reaches(setting.gate, layout, memory.joints, memory.reach)
     return gate.step(
         setting.gate,
@@ -665,10 +671,10 @@ def _drive(
         work.wanted,
         work.tension,
         memory.silence,
-        engaged,
+        moving,
         dt,
         memory.reach,
-        engaged,
+        moving,
         session.may_yield(memory.session),
         memory.motor,
     )

@@ -33,7 +33,7 @@ from slave.config import (
 )
 from slave.gate import GateFlags
 from slave.loop import RigModel, SlaveMemory, TickInput
-from slave.rig import Rig, RigFault, RigFinished, RigSample, emergency_stop_of
+from slave.rig import Rig, RigFault, RigFinished, RigSample, emergency_stop_of, motors_follow
 from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
 from slave.rigs.replayed import ReplayedRig
 from slave.rigs.simulated.effect_text import late
@@ -211,6 +211,7 @@ class SlaveProcess(LoopProcess):
             requests.reset,
             _CLOCK_SET if commands.settles else self._link_reason,
             commands.settles or self._link_holds,
+            motors_follow(self._rig),
         )
         slave, rows, samples = self._slave, self._rows, self._samples
         if not self._is_estimated:

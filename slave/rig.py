@@ -88,6 +88,21 @@ class Rig(Protocol):
         """Stop the motors where they are and release the hardware; never raises."""
 
 
+class EnablingRig(Rig, Protocol):
+    """A rig that enables its motors at the first write, which takes them a while.
+
+    Attributes
+    ----------
+    follows : bool
+        Whether all motors follow what is written, as of the last `read`; false before the first
+        write and after an emergency stop. Until then positions are written that the encoders have
+        given last, so that a motor stays where it is as it is enabled. Motors that cannot be
+        enabled are a `RigFault`.
+    """
+
+    follows: bool
+
+
 class StoppableRig(Rig, Protocol):
     """A rig whose motors have a stop of their own, beyond being held where they are."""
 
@@ -104,6 +119,12 @@ class StoppableRig(Rig, Protocol):
 def emergency_stop_of(rig: Rig) -> Callable[[], None] | None:
     """Return the emergency stop of a `StoppableRig`, None of any other rig."""
     return getattr(rig, "emergency_stop", None)
+
+
+def motors_follow(rig: Rig) -> bool:
+    """Return whether the motors of a rig follow what is written; always true if it cannot tell."""
+    follows: bool = getattr(rig, "follows", True)
+    return follows
 
 
 class RigFinished(Exception):

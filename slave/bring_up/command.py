@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slave.bring_up.moving import Move, move_one, verdict
+from slave.bring_up.moving import Move, Mover, move_one, verdict
 from slave.bring_up.reading import AtRest, format_at_rest, measure_at_rest
 from slave.config import SlaveConfig
 from slave.drivers import configs
@@ -113,8 +113,10 @@ def move_all(
     rig: Rig, config: SlaveConfig, ticks: Iterator[Tick], start_ns: int, rest: AtRest, move: Move
 ) -> int:
     """Move one motor after the other; stops at the first that does not answer as it should."""
+    mover = Mover(rig, config.gate, ticks, start_ns, rest)
+    mover.enable()
     for tendon in range(rig.tendons):
-        moved = move_one(rig, config.gate, ticks, start_ns, rest, tendon, move)
+        moved = move_one(mover, rest, tendon, move)
         is_right, text = verdict(moved, rest)
         print(text, flush=True)
         if not is_right:

@@ -34,6 +34,7 @@ class Reading:
     time_s: float  # [s] machine's monotonic clock, when it was sampled
     position: Counts  # shape (motors,)
     cell: Counts  # shape (cells,)
+    follows: bool = False  # whether every motor is enabled and follows the targets
 
 
 class Driver(Protocol):

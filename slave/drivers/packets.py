@@ -38,15 +38,15 @@ def pair() -> tuple[socket.socket, socket.socket]:
 
 def pack_reading(reading: Reading) -> bytes:
     """Return a reading as a packet."""
-    head = np.array([reading.time_s, len(reading.position)])
+    head = np.array([reading.time_s, reading.follows, len(reading.position)])
     return READING + np.concatenate([head, reading.position, reading.cell]).tobytes()
 
 
 def unpack_reading(packet: bytes) -> Reading:
     """Return the reading in a packet."""
     values: Values = np.frombuffer(packet, np.float64, offset=1)
-    first = 2 + int(values[1])
-    return Reading(float(values[0]), values[2:first], values[first:])
+    first = 3 + int(values[2])
+    return Reading(float(values[0]), values[3:first], values[first:], bool(values[1]))
 
 
 def pack_target(target: Counts) -> bytes:

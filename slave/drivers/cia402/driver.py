@@ -120,7 +120,7 @@ class Cia402Driver:
         nodes = self._nodes
         position = np.array([nodes[number].position for number in self._channels.motors])
         cell = np.array([nodes[number].cell for number in self._channels.cells])
-        return (Reading(self._sync_s, position, cell),)
+        return (Reading(self._sync_s, position, cell, self._obeyed),)
 
     def stop(self) -> None:
         """Quick stop, sent by the next cycle: the drives brake by their own ramp and hold.
