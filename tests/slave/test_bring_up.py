@@ -143,6 +143,24 @@ def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves)
     assert ("next: teleop calibrate" if moves else "nothing was moved") in capsys.readouterr().out
 
 
+def test_motors_are_enabled_where_they_are_after_the_question(monkeypatch):
+    rig = Wired()
+    monkeypatch.setattr(command, "open_rig", lambda _: rig)
+
+    def turned_meanwhile(_question):
+        rig.position = rig.start = rig.start + 0.0015
+        return "move"
+
+    assert command.check(arguments(), turned_meanwhile) == 0
+    assert rig.writes[0] == pytest.approx(rig.start, abs=1e-9)
+
+
+def test_a_replayed_rig_is_refused_before_it_is_opened(monkeypatch):
+    monkeypatch.setattr(command, "open_rig", lambda _: pytest.fail("opened"))
+    with pytest.raises(UsageError, match=r"slave\.rig\.type: a replayed rig has no motors"):
+        command.check(arguments("--set", "slave.rig={type: replayed, file: x.csv}"), input)
+
+
 @pytest.mark.parametrize("words", [["--travel", "6"], ["--travel", "0"], ["--force", "nan"]])
 def test_a_move_that_is_not_small_is_refused_before_the_rig_is_opened(monkeypatch, words):
     monkeypatch.setattr(command, "open_rig", lambda _: pytest.fail("opened"))
