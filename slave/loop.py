@@ -92,7 +92,7 @@ class SlaveMemory(Record):
     motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] last output of the gate
     has_sample: Flag = False
     has_offsets: Flag = False
-    has_motor: Flag = False  # engaged at least once
+    has_motor: Flag = False  # something was written: engaged at least once, or calibrated
     sample_time: F64 = 0.0  # [s] of the newest sample
     silence: F64 = 0.0  # [s] since the last new and usable sample
     overload: F64 = 0.0  # [s] for which a tension has been far over its limit while engaged
@@ -126,6 +126,7 @@ class TickInput(NamedTuple):
     reset: bool = False  # whether a stop is reset
     link: int = int(Reason.NONE)  # Reason: bound that the link exceeds
     link_holds: bool = False  # whether the session must hold because of it
+    motors_follow: bool = True  # `slave.rig.motors_follow`
 
 
 class RigModel(NamedTuple):
@@ -195,11 +196,13 @@ def start(
     bilateral: Bilateral,
     starts_at_zero: bool,
     samples: Sequence[RigSample] = (),
+    motor: Sequence[float] = (),
 ) -> Slave:
     """Return a slave in its initial state; for `starts_at_zero` see `Rig`.
 
     `samples` are all earlier samples of the rig, oldest first; they initialise the tension profiles
-    of the estimators.
+    of the estimators. `motor` [m] are the positions that were written last, if any: the first tick
+    goes on writing them.
     """
     memory = SlaveMemory.array()
     tendons = len(model.models)
@@ -220,6 +223,9 @@ def start(
         fill_sample(row, 0, sample)
         slave.estimate(*slave.estimated, row, 1)
         locate(slave.layout, memory, slave.scratch, row)
+    if motor:
+        memory["motor"][0, :tendons] = motor
+        memory["has_motor"] = True
     return slave
 
 
@@ -295,8 +301,9 @@ def tick(
 ) -> int:
     """Advance the slave by one tick; return the bits of `GateFlags`.
 
-    Before the first engagement nothing is written to the motors. From then on a position is written
-    at every tick: the last gated one, unless a new one is commanded.
+    Before the first engagement nothing is written to the motors, unless a calibration has written
+    before. From then on a position is written at every tick: the last gated one, unless a new one
+    is commanded.
 
     Parameters
     ----------
@@ -315,7 +322,7 @@ def tick(
     work, command = scratches[0], commands[0]
     found, tendon = _take_samples(setting, layout, memory, work, rows, samples, tick_input.dt)
     _update_faults(setting, layout, memory, rows, samples, found, tendon, tick_input.dt)
-    _update_readiness(setting, memory, work)
+    _update_readiness(setting, memory, work, tick_input.motors_follow)
     commanded = _take_command(layout, work, command, tick_input)
     _advance_session(setting, layout, memory, work, command, tick_input)
     engaged = session.may_move(memory.session) and commanded
@@ -324,7 +331,8 @@ def tick(
     _couple(setting, layout, memory, work, command, tick_input, commanded, engaged)
     verdict = gate.HELD
     if memory.has_sample and (memory.has_motor or engaged):
-        verdict = _drive(setting, layout, memory, work, engaged, tick_input.dt)
+        moving = engaged and tick_input.motors_follow
+        verdict = _drive(setting, layout, memory, work, moving, tick_input.dt)
         memory.has_motor = True
     _fill_state(setting, layout, memory, command, tick_input, states[0])
     return verdict
@@ -504,15 +512,19 @@ def _is_overloaded(setting: SlaveSettings, layout: RigLayout, memory: SlaveMemor
 
 
 @compiled
-def _update_readiness(setting: SlaveSettings, memory: SlaveMemory, work: Scratch) -> None:
-    """Update the motor positions and whether the rig is usable."""
-    known = memory.has_motor or initial_position.known(
-        memory.initial_position, setting.sample_timeout
-    )
-    if memory.has_motor:
+def _update_readiness(
+    setting: SlaveSettings, memory: SlaveMemory, work: Scratch, motors_follow: bool
+) -> None:
+    """Update the motor positions and whether the rig is usable.
+
+    Motors that do not follow yet, as they are being enabled, are where their encoders say.
+    """
+    measured = initial_position.known(memory.initial_position, setting.sample_timeout)
+    if memory.has_motor and (motors_follow or not measured):
         copy(memory.motor[:], work.motor[:])
-    elif known:
+    elif measured:
         copy(memory.initial_position.position[:], work.motor[:])
+    known = memory.has_motor or measured
     if not memory.has_sample:
         memory.not_ready = NO_SAMPLE
     elif not setting.calibrated:
@@ -629,10 +641,10 @@ def _drive(
     layout: RigLayout,
     memory: SlaveMemory,
     work: Scratch,
-    engaged: bool,
+    moving: bool,
     dt: float,
 ) -> int:
-    """Compute the motor targets and apply the gate."""
+    """Compute the motor targets and apply the gate; hold unless `moving`."""
     control.step(
         setting.control,
         layout,
@@ -641,7 +653,7 @@ def _drive(
         work.speed,
         work.motor,
         memory.tendons,
-        engaged,
+        moving,
         dt,
         work.wanted,
     )
@@ -650,7 +662,7 @@ def _drive(
         work.tension[i] = math.nan
         if tendon.valid:
             work.tension[i] = max(tendon.tension, tendon.corrected_tension)
-    if engaged:
+    if moving:
         gate.reaches(setting.gate, layout, memory.joints, memory.reach)
     return gate.step(
         setting.gate,
@@ -659,10 +671,10 @@ def _drive(
         work.wanted,
         work.tension,
         memory.silence,
-        engaged,
+        moving,
         dt,
         memory.reach,
-        engaged,
+        moving,
         session.may_yield(memory.session),
         memory.motor,
     )

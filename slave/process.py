@@ -7,15 +7,16 @@
 Without a master the motors hold. Exception: with `slave.initialise.at_start` the rig calibrates
 itself first and every motor moves, even without a master. When no command arrives for
 `slave.command_timeout`, or after any other fault, the motors hold too, until the operator lets go
-and engages again; an emergency stop (`teleop stop`) must be reset first.
+and engages again. At an emergency stop (`teleop stop`) they stop by their own means, or hold if the
+rig has none; it must be reset before the operator engages again.
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from slave.config import (
 )
 from slave.gate import GateFlags
 from slave.loop import RigModel, SlaveMemory, TickInput
-from slave.rig import Rig, RigFault, RigFinished, RigSample
+from slave.rig import Rig, RigFault, RigFinished, RigSample, emergency_stop_of, motors_follow
 from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
 from slave.rigs.replayed import ReplayedRig
 from slave.rigs.simulated.effect_text import late
@@ -79,6 +80,7 @@ class Past(NamedTuple):
 
     start_ns: int  # from which its session time counts
     samples: tuple[RigSample, ...]  # all that it has given since, oldest first
+    motor: tuple[float, ...] = ()  # [m] positions written last, which the motors hold
 
 
 class SlaveProcess(LoopProcess):
@@ -99,9 +101,12 @@ class SlaveProcess(LoopProcess):
         health: HealthConfig = DEFAULT_BOUNDS,
     ) -> None:
         self._rig, self._model = rig, model
-        self._emergency_stop = getattr(rig, "emergency_stop", None)  # of a `StoppableRig`
+        self._emergency_stop = emergency_stop_of(rig)
+        self._is_rig_stopped = False  # its emergency stop was called, nothing written since
         past = past or Past(now_ns(), ())
-        self._slave = loop.start(model, config, bilateral, rig.starts_at_zero, past.samples)
+        self._slave = loop.start(
+            model, config, bilateral, rig.starts_at_zero, past.samples, past.motor
+        )
         self.memory: SlaveMemory = one(self._slave.memory)
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
@@ -137,12 +142,9 @@ class SlaveProcess(LoopProcess):
         if late_ns > STALL_NS:
             self._take_back()
             verdict = self._step(now + late_ns, tick.dt + late_ns * 1e-9, fault, requests)
-        if self._has_motor[0] and fault is Reason.NONE:
+        if fault is Reason.NONE:
             try:
-                if self._emergency_stop is None:
-                    self._rig.write(self._motor[: self._rig.tendons].copy())
-                else:
-                    self._move_stoppable_rig(self._emergency_stop)
+                self._move_rig()
             except RigFault as error:
                 self._take_back()
                 verdict = self._step(now_ns(), tick.dt, self._failed(error), requests)
@@ -177,13 +179,20 @@ class SlaveProcess(LoopProcess):
             "rig": self._rig.summary(),
         }
 
-    def _move_stoppable_rig(self, emergency_stop: Callable[[], None]) -> None:
-        """Write the gated positions, or in an emergency stop use the motors' own."""
-        if self._outline().state is not State.STOPPED:
-            self._rig.write(self._motor[: self._rig.tendons].copy())
+    def _move_rig(self) -> None:
+        """Write the gated positions, if there are any; in an emergency stop use the motors' own.
+
+        Motors may have power before anything was engaged: the stop is called in any case.
+        """
+        if self._emergency_stop is None or self._outline().state is not State.STOPPED:
+            self._is_rig_stopped = False
+            if self._has_motor[0]:
+                self._rig.write(self._motor[: self._rig.tendons].copy())
             return
         self._has_motor[0] = False  # the next engagement begins where the encoders are by then
-        emergency_stop()
+        if not self._is_rig_stopped:
+            self._emergency_stop()
+            self._is_rig_stopped = True
 
     def _take_back(self) -> None:
         """Forget the tick that was just stepped, and what was estimated ahead for it."""
@@ -202,6 +211,7 @@ class SlaveProcess(LoopProcess):
             requests.reset,
             _CLOCK_SET if commands.settles else self._link_reason,
             commands.settles or self._link_holds,
+            motors_follow(self._rig),
         )
         slave, rows, samples = self._slave, self._rows, self._samples
         if not self._is_estimated:
@@ -341,7 +351,7 @@ def model_of(
 
     Model `files` stand in for what the config says of the sheaths. If the config asks for it, the
     rig is calibrated first, in its quick form; `TeleopError` if that has to be given up. An
-    emergency stop among the `requests` ends it where the motors are.
+    emergency stop, among the `requests` or of the master, stops the motors and ends it.
     """
     past = Past(now_ns(), ())
     if not config.initialise.at_start:
@@ -368,9 +378,9 @@ def model_of(
         master = link.latest(COMMAND).message
         if asked.stop:
             call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
-            raise TeleopError(f"calibration given up: {format_reason(asked.stop, asked.words)}")
+            give_up_calibration(rig, format_reason(asked.stop, asked.words))
         if master is not None and State(master.state) is State.STOPPED:
-            raise TeleopError(f"calibration given up: {Reason.PEER_STOPPED.text}")
+            give_up_calibration(rig, Reason.PEER_STOPPED.text)
         return stop.reason if stop() else ""
 
     publish_event(
@@ -386,7 +396,19 @@ def model_of(
     )
     publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
     found = [tendon.model() for tendon in done.calibration.tendons]
-    return loop.rig_model(rig.joints, found), past._replace(samples=done.samples)
+    return loop.rig_model(rig.joints, found), past._replace(samples=done.samples, motor=done.motor)
+
+
+def give_up_calibration(rig: Rig, reason: str) -> NoReturn:
+    """Stop the motors by their own means, if they have any, and raise `TeleopError`."""
+    said = f"calibration given up: {reason}"
+    emergency_stop = emergency_stop_of(rig)
+    if emergency_stop is not None:
+        try:
+            emergency_stop()
+        except RigFault as error:
+            raise TeleopError(f"{said}; rig: {error}") from error
+    raise TeleopError(said)
 
 
 def introduced(tendons: Sequence[TendonConfig]) -> list[str]:

@@ -1,5 +1,6 @@
 """The rig interface: motors and sensors at the housing, simulated, replayed or real."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -68,7 +69,8 @@ class Rig(Protocol):
         """Set the motor positions [m], shape (tendons,), in the encoders' coordinates.
 
         Called with the output of the gate: in a session at every tick from the first engagement on,
-        and during a calibration, when nobody is engaged.
+        or from the first tick on after a calibration at its start; and during a calibration, when
+        nobody is engaged.
         """
 
     def advance(self) -> RigSample | None:
@@ -86,15 +88,43 @@ class Rig(Protocol):
         """Stop the motors where they are and release the hardware; never raises."""
 
 
+class EnablingRig(Rig, Protocol):
+    """A rig that enables its motors at the first write, which takes them a while.
+
+    Attributes
+    ----------
+    follows : bool
+        Whether all motors follow what is written, as of the last `read`; false before the first
+        write and after an emergency stop. Until then positions are written that the encoders have
+        given last, so that a motor stays where it is as it is enabled. Motors that cannot be
+        enabled are a `RigFault`.
+    """
+
+    follows: bool
+
+
 class StoppableRig(Rig, Protocol):
     """A rig whose motors have a stop of their own, beyond being held where they are."""
 
     def emergency_stop(self) -> None:
-        """Stop the motors by their own means, called once as the session is stopped.
+        """Stop the motors by their own means.
 
-        Nothing is written until an operator has reset the stop and engages again; then the first
-        positions are those that the encoders have given last.
+        Called once as the session is stopped, engaged or not, also before anything was written; and
+        as a stop ends a calibration at the slave's start. Nothing is written until an operator has
+        reset the stop and engages again; then the first positions are those that the encoders have
+        given last.
         """
+
+
+def emergency_stop_of(rig: Rig) -> Callable[[], None] | None:
+    """Return the emergency stop of a `StoppableRig`, None of any other rig."""
+    return getattr(rig, "emergency_stop", None)
+
+
+def motors_follow(rig: Rig) -> bool:
+    """Return whether the motors of a rig follow what is written; always true if it cannot tell."""
+    follows: bool = getattr(rig, "follows", True)
+    return follows
 
 
 class RigFinished(Exception):

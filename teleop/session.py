@@ -28,7 +28,8 @@ HOLDING  the peer fell silent, or the link is too bad: motors hold      heard ag
          within their tension limit, the force fades to zero            open; after HOLD_LIMIT_S
                                                                         of it a FAULT
 FAULT    motors hold, no force                                          fault gone, switch open
-STOPPED  motors hold, no force; latched: letting go does not end it     an explicit reset
+STOPPED  motors stop by their own means or, if the rig has none, hold;  an explicit reset
+         no force; latched: letting go does not end it
 ======== ============================================================== =========================
 
 None of them ends in motion: each goes to READY, where the switch must be open and then pressed
@@ -60,7 +61,7 @@ class State(IntEnum):
     FAULT = 3  # fault: zero force, motors hold, until the operator releases
     CLUTCHED = 4  # clutch held while coupled: zero force, motors hold, the hand is free
     HOLDING = 5  # no messages of the peer while coupled: force fades, motors hold and yield
-    STOPPED = 6  # emergency stop: zero force, motors hold, until it is reset
+    STOPPED = 6  # emergency stop: zero force, motors stopped or held, until it is reset
 
     @classmethod
     def _missing_(cls, value: object) -> "State | None":

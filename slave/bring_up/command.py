@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slave.bring_up.moving import Move, move_one, verdict
+from slave.bring_up.moving import Move, Mover, move_one, verdict
 from slave.bring_up.reading import AtRest, format_at_rest, measure_at_rest
 from slave.config import SlaveConfig
 from slave.drivers import configs
@@ -25,6 +25,7 @@ from slave.drivers.driver import DriverFault
 from slave.rig import Rig, RigFault
 from slave.rigs import open_rig
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
+from slave.rigs.replayed import ReplayedRigConfig
 from teleop.clock import Grid, Tick, now_ns
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
@@ -83,6 +84,8 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
     """Check the rig of a config; 1 if a motor or a cell does not answer as it should."""
     shared = load(args.config, RunConfig, None, args.overrides)
     config = load(args.config, SlaveConfig, "slave", args.overrides)
+    if isinstance(config.rig, ReplayedRigConfig):
+        raise UsageError("slave.rig.type: a replayed rig has no motors and sensors to check")
     move = requested_move(args)
     with ExitStack() as stack:
         if isinstance(config.rig, HardwareRigConfig):
@@ -95,8 +98,7 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
             print("\n".join([*format_at_rest(rest), *format_counts(rig), *_format_summary(rig)]))
             if args.read_only:
                 return 0
-            if not np.all(np.isfinite([rest.displacement, rest.tension])):
-                raise TeleopError("rig: a tendon gives no reading, so nothing is moved")
+            require_readings(rest)
             print(
                 f"Next, each motor pulls by {args.travel:g} mm and returns, at most "
                 f"{args.force:g} N above its tension now. Keep clear of the rig."
@@ -104,6 +106,8 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
             if prompt(f"Type '{CONFIRMATION}' to go on: ").strip() != CONFIRMATION:
                 print("nothing was moved")
                 return 0
+            rest = measure_at_rest(rig, ticks, start_ns, args.duration)  # nobody read meanwhile
+            require_readings(rest)
             return move_all(rig, config, ticks, start_ns, rest, move)
         except RigFault as fault:
             raise TeleopError(f"rig: {fault}") from fault
@@ -113,14 +117,22 @@ def move_all(
     rig: Rig, config: SlaveConfig, ticks: Iterator[Tick], start_ns: int, rest: AtRest, move: Move
 ) -> int:
     """Move one motor after the other; stops at the first that does not answer as it should."""
+    mover = Mover(rig, config.gate, ticks, start_ns, rest)
+    mover.enable()
     for tendon in range(rig.tendons):
-        moved = move_one(rig, config.gate, ticks, start_ns, rest, tendon, move)
+        moved = move_one(mover, rest, tendon, move)
         is_right, text = verdict(moved, rest)
         print(text, flush=True)
         if not is_right:
             return 1
     print("all motors and cells answer; next: teleop calibrate")
     return 0
+
+
+def require_readings(rest: AtRest) -> None:
+    """Raise `TeleopError` unless every tendon gives tension and displacement."""
+    if not np.all(np.isfinite([rest.displacement, rest.tension])):
+        raise TeleopError("rig: a tendon gives no reading, so nothing is moved")
 
 
 def requested_move(args: argparse.Namespace) -> Move:

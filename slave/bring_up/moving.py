@@ -1,10 +1,11 @@
 """Second part of a check: one motor after the other is moved a little, at low force.
 
-Every position has passed `slave.gate`. The motor pulls in by the stated travel, holds, and returns;
-it pulls no further once the tension has risen by the stated force.
+Every position has passed `slave.gate`. The motors are enabled where they are; then one pulls in by
+the stated travel, holds, and returns; it pulls no further once the tension has risen by the stated
+force.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +14,14 @@ from estimator.array_types import Array
 from estimator.records import as_record
 from slave import gate
 from slave.bring_up.reading import AtRest, displacement_of
+from slave.calibration.run import is_complete
 from slave.gate import GateConfig
-from slave.rig import Rig, RigSample
+from slave.rig import Rig, RigSample, motors_follow
 from teleop.clock import Tick
 
 SPEED = 0.002  # [m/s]
 HOLD_S = 0.5  # [s] of which the second half is averaged
-BEFORE_S = 0.5  # [s] in which the motors are enabled where they are
+BEFORE_S = 0.5  # [s] in which they hold before one moves
 SURE = 5.0  # standard deviations of the noise
 TRAVEL_ERROR = 0.1  # relative, of the travel
 
@@ -40,17 +42,8 @@ class Moved(NamedTuple):
     tension: Array  # [N] change of every tendon, shape (tendons,)
 
 
-def move_one(
-    rig: Rig,
-    limits: GateConfig,
-    ticks: Iterator[Tick],
-    start_ns: int,
-    rest: AtRest,
-    tendon: int,
-    move: Move,
-) -> Moved:
+def move_one(mover: "Mover", rest: AtRest, tendon: int, move: Move) -> Moved:
     """Move one motor and back; the others hold."""
-    mover = _Mover(rig, limits, ticks, start_ns, rest.displacement.copy(), rest.tension)
     mover.run(BEFORE_S, mover.last)
     top = mover.pull(tendon, move)
     mover.run(HOLD_S / 2.0, mover.last)
@@ -63,23 +56,25 @@ def move_one(
     )
 
 
-class _Mover:
-    """A rig whose motors are moved through the gate."""
+class Mover:
+    """A rig whose motors are moved through the gate, from where they were `rest`ing just now."""
 
     def __init__(
-        self,
-        rig: Rig,
-        limits: GateConfig,
-        ticks: Iterable[Tick],
-        start_ns: int,
-        position: Array,
-        tension: Array,
+        self, rig: Rig, limits: GateConfig, ticks: Iterable[Tick], start_ns: int, rest: AtRest
     ) -> None:
-        self.last = position
+        self.last = rest.displacement
         self._rig, self._gate, self._start_ns = rig, as_record(limits), start_ns
         self._ticks = iter(ticks)
-        self._tension, self._silence = tension, 0.0
+        self._tension, self._silence = rest.tension, 0.0
         self._no_reach = gate.Reach.array(0)
+
+    def enable(self) -> None:
+        """Write where the motors are until they follow."""
+        while not motors_follow(self._rig):
+            _, samples = self._tick(self.last)
+            for sample in samples:
+                if is_complete(sample):
+                    self.last = displacement_of(sample)
 
     def run(self, duration_s: float, wanted: Array) -> list[RigSample]:
         """Ask for a position for a while; return the samples."""

@@ -22,6 +22,7 @@ class InitialiseResult(NamedTuple):
     samples: tuple[
         RigSample, ...
     ]  # all, oldest first, to initialise the estimators' tension profiles
+    motor: tuple[float, ...]  # [m] written last, where the motors hold
 
 
 def initialise(
@@ -73,7 +74,7 @@ def initialise(
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")
     calibration = assemble_calibration(results, rig, method, now, earlier if in_part else None)
-    return InitialiseResult(calibration, driven.record, driven.samples)
+    return InitialiseResult(calibration, driven.record, driven.samples, driven.motor)
 
 
 def assemble_calibration(

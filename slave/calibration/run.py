@@ -20,7 +20,7 @@ from slave.calibration.config import InitialiseConfig, compliance_limit
 from slave.calibration.procedure_state import Contact, Joint, JointReadings, Phase, ProcedureState
 from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
-from slave.rig import Rig, RigFault, RigFinished, RigSample
+from slave.rig import Rig, RigFault, RigFinished, RigSample, motors_follow
 from teleop.clock import Tick
 from teleop.errors import TeleopError, UsageError
 from teleop.process import INTERRUPTED
@@ -85,6 +85,7 @@ class ProcedureResult(NamedTuple):
 
     record: ProcedureData
     samples: tuple[RigSample, ...]  # all of them, to initialise the estimators' tension profiles
+    motor: tuple[float, ...]  # [m] written last, shape (tendons,): the motors hold there
 
 
 @dataclass
@@ -196,13 +197,16 @@ class _Drive:
         self._interrupted = self._interrupted or bool(order)
         if self._silence > SILENCE_MAX_S:
             order = order or UNREADABLE
-        if self.newest is None or not self._motor:
+        is_located = self.newest is not None and bool(self._motor)
+        if not (is_located and motors_follow(self._rig)):
             if order:
                 raise (
                     CalibrationInterrupted(order)
                     if self._interrupted
                     else CalibrationRefused(order)
                 )
+            if is_located:
+                self._write(self._motor, dt)  # enables the motors where they are
             return
         group = self._groups[0]
         wanted = list(self._motor)
@@ -234,7 +238,9 @@ class _Drive:
                 else CalibrationRefused(refusal)
             )
         return ProcedureResult(
-            self._log.record(self._rig.joints, self._memories), tuple(self._log.samples)
+            self._log.record(self._rig.joints, self._memories),
+            tuple(self._log.samples),
+            self._motor,
         )
 
     def _read(self, time_s: float, dt: float) -> None:
@@ -251,8 +257,8 @@ class _Drive:
         self.newest = useful[-1] if useful else self.newest
 
     def _locate(self, samples: Sequence[RigSample], dt: float) -> None:
-        """Determine the initial motor positions."""
-        if self._motor:
+        """Determine the motor positions, until the motors follow what is written."""
+        if self._motor and motors_follow(self._rig):
             return
         tendons = self._rig.tendons
         initial_position.age(self._position, dt)

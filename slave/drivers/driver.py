@@ -34,6 +34,7 @@ class Reading:
     time_s: float  # [s] machine's monotonic clock, when it was sampled
     position: Counts  # shape (motors,)
     cell: Counts  # shape (cells,)
+    follows: bool = False  # whether every motor is enabled and follows the targets
 
 
 class Driver(Protocol):
@@ -65,7 +66,10 @@ class Driver(Protocol):
         """
 
     def stop(self) -> None:
-        """Emergency stop by the motors' own means; the next target enables them again."""
+        """Emergency stop by the motors' own means; the next target enables them again.
+
+        A cycle without a target follows at once.
+        """
 
     def counts(self) -> dict[str, int | float]:
         """Return the driver's counts for the summary, lost frames for example."""

@@ -24,7 +24,7 @@ class Orders(NamedTuple):
     """What the slave has sent since the last look."""
 
     target: Counts | None  # the newest
-    stop: bool  # an emergency stop, after which no target came
+    stop: bool  # an emergency stop
     ended: bool  # the slave is gone
 
 
@@ -38,15 +38,15 @@ def pair() -> tuple[socket.socket, socket.socket]:
 
 def pack_reading(reading: Reading) -> bytes:
     """Return a reading as a packet."""
-    head = np.array([reading.time_s, len(reading.position)])
+    head = np.array([reading.time_s, reading.follows, len(reading.position)])
     return READING + np.concatenate([head, reading.position, reading.cell]).tobytes()
 
 
 def unpack_reading(packet: bytes) -> Reading:
     """Return the reading in a packet."""
     values: Values = np.frombuffer(packet, np.float64, offset=1)
-    first = 2 + int(values[1])
-    return Reading(float(values[0]), values[2:first], values[first:])
+    first = 3 + int(values[2])
+    return Reading(float(values[0]), values[3:first], values[first:], bool(values[1]))
 
 
 def pack_target(target: Counts) -> bytes:
@@ -84,7 +84,7 @@ def receive_orders(end: socket.socket) -> Orders:
         if not packet:
             return Orders(None, stop, True)
         if packet[:1] == TARGET:
-            target, stop = np.frombuffer(packet, np.float64, offset=1), False
+            target = np.frombuffer(packet, np.float64, offset=1)
         else:
-            target, stop = None, True
+            stop = True
     return Orders(target, stop, False)

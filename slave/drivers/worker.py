@@ -89,11 +89,11 @@ def _run(driver: Driver, end: socket.socket, slave: Parent) -> None:
     due_s = counts_s = time.monotonic()
     while True:
         orders = packets.receive_orders(end)
-        if orders.ended or (orders.target is None and slave.ends()):
-            return
-        if orders.stop:
+        if orders.stop:  # before the end of the slave, and before a target that came with it
             target = None
             driver.stop()
+        elif orders.ended or (orders.target is None and slave.ends()):
+            return
         elif orders.target is not None:
             target, ordered_s = orders.target, time.monotonic()
         elif target is not None and time.monotonic() - ordered_s > SILENT_S:

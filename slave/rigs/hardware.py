@@ -18,8 +18,8 @@ from slave.rigs.alignment import Aligner
 from slave.rigs.joint_layout import joint_tendons
 from teleop.messages import MAX_JOINTS
 
-AGE_MAX_S = 0.1  # older readings, behind a stall of the loop, are not handed over
-FIRST_STEP_MAX = 0.002  # [m] from where a motor is to its first target
+AGE_MAX_S = 0.1  # older readings, behind a stall of the loop, are not used
+STEP_MAX = 0.002  # [m] from where a motor is to its target, before it follows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,7 +167,7 @@ class HardwareRig:
 
     `read` hands over what they have received since, each sample once; `write` leaves the newest
     targets with them. Any failure of a driver is a `RigFault` with the driver's own words; its
-    motors are then stopped already.
+    motors are then stopped already. It is a `slave.rig.EnablingRig` and a `StoppableRig`.
     """
 
     starts_at_zero = False
@@ -179,9 +179,11 @@ class HardwareRig:
         self._transmission = Transmission(config.tendons)
         self._aligner = Aligner() if config.cells is not None else None
         self._buses: list[Connection] = []
-        self._position: Array | None = None  # [m] newest
+        self._position: Array | None = None  # [m] newest of every motor
+        self._position_s = 0.0  # when it was sampled
         self._counts: tuple[Counts, Counts] | None = None  # newest, of motors and cells
-        self._moving = False  # whether the motors are enabled
+        self.follows = False
+        self._enabled = False  # whether the motors were given targets, and no stop since
         self._late = self._samples = 0
         self._start_s = time.monotonic()
         motors, cells = config.motor_ids, config.cell_ids
@@ -206,19 +208,21 @@ class HardwareRig:
             displacement = self._transmission.displacement(position)
             tension = self._transmission.tension(cell)
             samples.append(RigSample(sampled_s - self._start_s, tension, displacement))
-            self._position, self._counts = displacement, (position, cell)
+            self._counts = (position, cell)
+            if np.all(np.isfinite(displacement)):
+                self._position, self._position_s = displacement, sampled_s
         self._samples += len(samples)
         return tuple(samples)
 
     def write(self, proximal_displacement: Array) -> None:
-        """Leave targets [m] with the driver; the first ones must be where the motors are."""
+        """Leave targets [m] with the driver; until they follow, where the motors are."""
         if proximal_displacement.shape != (self.tendons,) or not np.all(
             np.isfinite(proximal_displacement)
         ):
             raise RigFault(f"invalid motor targets {proximal_displacement.tolist()}")
-        if not self._moving:
+        if not self.follows:
             self._require_near(proximal_displacement)
-            self._moving = True
+            self._enabled = True
         try:
             self._buses[0].write(self._transmission.target(proximal_displacement))
         except DriverFault as fault:
@@ -226,7 +230,7 @@ class HardwareRig:
 
     def emergency_stop(self) -> None:
         """Stop the motors by their own means; the next `write` enables them again."""
-        self._moving = False
+        self.follows = self._enabled = False
         try:
             self._buses[0].stop()
         except DriverFault as fault:
@@ -264,20 +268,28 @@ class HardwareRig:
             readings = [bus.read() for bus in self._buses]
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
+        if readings[0]:
+            self.follows = self._enabled and readings[0][-1].follows
         if self._aligner is None:
             return [_as_sample(reading) for reading in readings[0]]
         return list(self._aligner.samples(*readings))
 
     def _require_near(self, target: Array) -> None:
         """Refuse targets that would make a motor jump as it is enabled."""
-        if self._position is None or not np.all(np.isfinite(self._position)):
+        if self._position is None:
             raise RigFault("no position of every motor is known, so none is enabled")
+        age_s = time.monotonic() - self._position_s
+        if not self._enabled and age_s > AGE_MAX_S:
+            raise RigFault(
+                f"the newest positions are {age_s * 1e3:.0f} ms old, {AGE_MAX_S * 1e3:g} ms at "
+                "most, so no motor is enabled"
+            )
         distance = np.abs(target - self._position)
         worst = int(np.argmax(distance))
-        if distance[worst] > FIRST_STEP_MAX:
+        if distance[worst] > STEP_MAX:
             raise RigFault(
                 f"the first target of tendon {worst + 1} is {distance[worst] * 1e3:.1f} mm from "
-                f"where its motor is, {FIRST_STEP_MAX * 1e3:g} mm at most"
+                f"where its motor is, {STEP_MAX * 1e3:g} mm at most"
             )
 
 

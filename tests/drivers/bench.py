@@ -83,6 +83,7 @@ def engage(rig, moving, target=None):
     seen = 0
     while seen < 5:  # until the driver knows it, too
         seen += len(read_for(rig, 0.01, target))
+    assert rig.follows
     return target
 
 

@@ -1,21 +1,27 @@
 """A rig on CiA 402 drives whose CANopen stack nobody here wrote: what moves, stops, and is said."""
 
+import dataclasses
 import os
 import signal
 
 import numpy as np
 import pytest
 
+from slave import process
 from slave.drivers import configs
 from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load, frame_bits
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
 from slave.drivers.cia402.state_machine import Control, DriveState, Wish, control_word, drive_state
 from slave.rig import RigFault
+from teleop.remote.requests import CALL
+from teleop.session import Reason, State
 from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
 from tests.drivers.models.drives import DISABLED, ENABLED, FAULT, QUICK_STOP, Drives, SlcanAdapter
 from tests.drivers.models.line import PseudoPort
-from tests.drivers.models.plant import ZERO
+from tests.drivers.models.plant import METRES, ZERO, Springs
+from tests.slave.test_emergency_stop import Bench
+from tests.slave.test_process import CONFIG
 
 
 @pytest.fixture
@@ -32,7 +38,7 @@ def drives():
 
 def config_on(drives, **settings):
     bus = BusConfig(interface="slcan", channel=drives.port_name, tty_wait=0.0)
-    return Cia402Config(bus=bus, rate_hz=50.0, timeout=0.5, **settings)
+    return Cia402Config(bus=bus, **{"rate_hz": 50.0, "timeout": 0.5} | settings)
 
 
 def opened_on(drives, count=2, **settings):
@@ -168,6 +174,78 @@ def test_an_emergency_stop_is_a_quick_stop_until_the_next_target(drives):
         assert wait_until(lambda: all(drive.state == QUICK_STOP for drive in drives.drives))
         read_some(rig)
         engage(rig, moving(drives), start)
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_target_right_behind_an_emergency_stop_does_not_undo_it(drives, lost):
+    for drive in drives.drives:
+        drive.lost = lost * [Control.QUICK_STOP]
+    with opened_on(drives) as rig:
+        start = engage(rig, moving(drives))
+        rig.emergency_stop()
+
+        def stopped():
+            return all(drive.state == QUICK_STOP for drive in drives.drives)
+
+        read_for(rig, 5.0, start, until=stopped)
+        assert stopped()
+        engage(rig, moving(drives), start)
+
+
+class Watched(Springs):
+    """Keeps the largest step [m] of a target under power, also from where a motor was without."""
+
+    largest_step, _before = 0.0, ZERO
+
+    def advance(self, time_s, target, powered):
+        now = np.where(powered, target, self.position)
+        step = float(np.abs(now - self._before).max()) * METRES
+        self.largest_step, self._before = max(self.largest_step, step), now
+        super().advance(time_s, target, powered)
+
+
+def test_a_drive_that_is_enabled_late_makes_no_step_however_far_the_hand_has_moved(drives):
+    process.warm_up()
+    drives.plant = plant = Watched(2)
+    drive = drives.drives[0]
+    drive.enable_s, rate_hz = 0.5, 100.0
+    config = dataclasses.replace(CONFIG, sample_timeout=0.5)  # as patient as the drivers here
+    with opened(rig_config(config_on(drives, rate_hz=rate_hz))) as rig:
+        bench = Bench(rig, config=config)
+
+        def run_until(condition):
+            assert wait_until(lambda: bench.run_on(1) or condition()), bench.slave.error
+
+        for _ in range(2):  # the second time after an emergency stop
+            bench.line.master_state = State.READY
+            run_until(lambda: bench.side == (State.READY, Reason.NONE))
+            bench.line.master_state = State.ENGAGED
+            goal = plant.position[0] + 0.001 / METRES
+            run_until(lambda goal=goal: plant.position[0] > goal)
+            assert bench.side.state is State.ENGAGED
+            bench.call(CALL)
+            run_until(lambda: drive.state == QUICK_STOP)
+            assert not rig.follows
+            bench.reset()
+    assert 0.0 < plant.largest_step < config.gate.speed_max * 2.0 / rate_hz
+
+
+def test_targets_must_be_near_until_the_drives_follow_and_fresh_to_enable_them(drives):
+    with opened_on(drives) as rig:
+        start = read_some(rig)[-1].proximal_displacement
+        drives.silent = True
+        read_for(rig, 0.2)
+        with pytest.raises(RigFault, match=r"positions are \d+ ms old, 100 ms at most"):
+            rig.write(start)
+        drives.silent = False
+        drives.drives[1].enable_s = 0.5
+        start = read_some(rig)[-1].proximal_displacement
+        away = start + np.array([0.0, 0.003])
+        rig.write(start)
+        with pytest.raises(RigFault, match=r"first target of tendon 2 is 3\.0 mm from"):
+            read_for(rig, 5.0, away, until=lambda: rig.follows)
+        engage(rig, moving(drives), start)
+        follow(rig, away)
 
 
 def test_a_fault_is_named_and_stays_until_the_operator_resets_it(drives):

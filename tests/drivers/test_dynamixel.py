@@ -148,6 +148,13 @@ def test_an_emergency_stop_is_torque_off_until_the_next_target(servos):
         engage(rig, moving(servos), start)
 
 
+def test_an_emergency_stop_at_the_end_of_the_slave_is_torque_off_too(servos):
+    with opened_on(servos) as rig:
+        engage(rig, moving(servos))
+        rig.emergency_stop()
+    assert torque(servos) == [False, False]
+
+
 @pytest.mark.parametrize(
     ("values", "said"),
     [

@@ -11,9 +11,11 @@ import pytest
 from slave.drivers import packets, worker
 from slave.drivers.parent import Parent
 
+STOP = "stop"
+
 
 class Motors:
-    """A driver of one motor that remembers what it was given."""
+    """A driver of one motor that remembers what it was given, `STOP` for an emergency stop."""
 
     period_s = 0.001
 
@@ -29,7 +31,7 @@ class Motors:
         return ()
 
     def stop(self):
-        pass
+        self.targets.append(STOP)
 
     def counts(self):
         return {}
@@ -52,6 +54,26 @@ def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch):
             told.append(packet)
     assert told[-1][:1] == packets.FAULT
     assert b"the slave has given no target" in told[-1]
+
+
+def test_a_slave_that_stops_its_motors_and_ends_at_once_has_stopped_them():
+    motors = Motors()
+    ours, theirs = packets.pair()
+    ours.send(packets.pack_target(np.array([5.0])))
+    ours.send(packets.STOP)
+    ours.close()
+    with theirs:
+        worker.serve(motors, theirs, Parent(os.getpid()))
+    assert motors.targets == [STOP, None]  # a cycle repeats what a servo may have missed
+    assert motors.closed_s is not None
+
+
+def test_no_target_overtakes_an_emergency_stop():
+    ours, theirs = packets.pair()
+    with ours, theirs:
+        ours.send(packets.STOP)
+        ours.send(packets.pack_target(np.array([5.0])))
+        assert packets.receive_orders(theirs).stop
 
 
 @pytest.fixture

@@ -62,11 +62,20 @@ class SlaveBench:
         dt: float = DT,
         stop: Reason = Reason.NONE,
         reset: bool = False,
+        motors_follow: bool = True,
     ) -> Output:
         """Go on by a tick, in which `command` is the newest that has come."""
         if command is not None:
             self._command.fill(command)
-        given = TickInput(dt, command is not None, fresh, int(fault), int(stop), reset)
+        given = TickInput(
+            dt,
+            command is not None,
+            fresh,
+            int(fault),
+            int(stop),
+            reset,
+            motors_follow=motors_follow,
+        )
         return self.step(samples, self._command.records, given)
 
     def step(self, samples: Sequence[RigSample], commands: Records, given: TickInput) -> Output:

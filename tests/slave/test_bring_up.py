@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slave.bring_up import command
-from slave.bring_up.moving import Move, move_one, verdict
+from slave.bring_up.moving import Move, Mover, move_one, verdict
 from slave.bring_up.reading import format_at_rest, measure_at_rest
 from slave.calibration.run import fast_ticks
 from slave.drivers import configs
@@ -25,8 +25,8 @@ class Wired:
 
     name, tendons, joints, starts_at_zero = "wired", 2, ((0, 1),), False
 
-    def __init__(self, cells=(0, 1), sign=1.0, follows=1.0, stiffness=2000.0):
-        self.cells, self.sign, self.follows, self.stiffness = cells, sign, follows, stiffness
+    def __init__(self, cells=(0, 1), sign=1.0, gain=1.0, stiffness=2000.0):
+        self.cells, self.sign, self.gain, self.stiffness = cells, sign, gain, stiffness
         self.start = np.array([0.004, -0.001])
         self.position, self.writes, self.closed = self.start.copy(), [], False
         self.random = np.random.default_rng(2)
@@ -38,7 +38,7 @@ class Wired:
 
     def write(self, proximal_displacement):
         self.writes.append(proximal_displacement)
-        self.position = self.start + self.follows * (proximal_displacement - self.start)
+        self.position = self.start + self.gain * (proximal_displacement - self.start)
 
     def advance(self): ...
 
@@ -52,7 +52,34 @@ class Wired:
 def moved(rig, tendon=0, move=MOVE):
     ticks = fast_ticks(500.0)
     rest = measure_at_rest(rig, ticks, 0, 0.5)
-    return verdict(move_one(rig, GateConfig(), ticks, 0, rest, tendon, move), rest)
+    mover = Mover(rig, GateConfig(), ticks, 0, rest)
+    return verdict(move_one(mover, rest, tendon, move), rest)
+
+
+class Enabling(Wired):
+    """Its motors follow after 50 writes; until then the tendons draw them on."""
+
+    follows = False
+
+    def write(self, proximal_displacement):
+        if self.follows:
+            super().write(proximal_displacement)
+            return
+        self.writes.append(proximal_displacement)
+        self.position = self.position + 1e-5
+        self.follows = len(self.writes) == 50
+
+
+def test_motors_that_are_being_enabled_are_held_where_they_are():
+    rig, ticks = Enabling(), fast_ticks(500.0)
+    rest = measure_at_rest(rig, ticks, 0, 0.5)
+    mover = Mover(rig, GateConfig(), ticks, 0, rest)
+    mover.enable()
+    assert len(rig.writes) == 50
+    drawn = rig.start + 1e-5 * np.arange(50)[:, np.newaxis]
+    assert np.abs(np.array(rig.writes) - drawn).max() <= 1e-5 * 1.01
+    mover.run(0.1, mover.last)
+    assert np.abs(np.diff(rig.writes, axis=0)).max() <= 1e-5 * 1.01
 
 
 def test_at_rest_rate_and_noise_are_told_and_nothing_is_written():
@@ -89,8 +116,8 @@ def test_it_pulls_no_further_than_the_force_that_is_stated():
     [
         ({"sign": -1.0}, "the tension falls"),
         ({"cells": (1, 0)}, "the cell of tendon 2 answers in its place"),
-        ({"follows": 0.0}, "does not follow"),
-        ({"follows": -1.0}, "does not follow"),
+        ({"gain": 0.0}, "does not follow"),
+        ({"gain": -1.0}, "does not follow"),
         ({"stiffness": 0.0}, "no tension"),
     ],
 )
@@ -114,6 +141,24 @@ def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves)
     assert bool(rig.writes) is moves
     assert rig.closed
     assert ("next: teleop calibrate" if moves else "nothing was moved") in capsys.readouterr().out
+
+
+def test_motors_are_enabled_where_they_are_after_the_question(monkeypatch):
+    rig = Wired()
+    monkeypatch.setattr(command, "open_rig", lambda _: rig)
+
+    def turned_meanwhile(_question):
+        rig.position = rig.start = rig.start + 0.0015
+        return "move"
+
+    assert command.check(arguments(), turned_meanwhile) == 0
+    assert rig.writes[0] == pytest.approx(rig.start, abs=1e-9)
+
+
+def test_a_replayed_rig_is_refused_before_it_is_opened(monkeypatch):
+    monkeypatch.setattr(command, "open_rig", lambda _: pytest.fail("opened"))
+    with pytest.raises(UsageError, match=r"slave\.rig\.type: a replayed rig has no motors"):
+        command.check(arguments("--set", "slave.rig={type: replayed, file: x.csv}"), input)
 
 
 @pytest.mark.parametrize("words", [["--travel", "6"], ["--travel", "0"], ["--force", "nan"]])

@@ -89,6 +89,28 @@ def test_engaging_asks_the_motors_to_stay_where_their_encoders_say_wherever_that
     assert asked[-1][0] == pytest.approx(displacements[-1], abs=1e-15)
 
 
+def test_motors_that_are_being_enabled_are_held_where_they_are_and_moved_on_from_there():
+    slave, time_s = start(), 0.0
+
+    def on(displacement, state, position, motors_follow=False):
+        nonlocal time_s
+        samples = [] if displacement is None else [sample(time_s, 5.0, displacement)]
+        time_s += DT
+        return slave.tick(samples, command(state, position), motors_follow=motors_follow).motor
+
+    for _ in range(2):
+        assert on(0.01, State.READY, 0.0) == ()
+    for k in range(300):  # the hand moves on at 0.02 m/s, and the tendon draws the motor back
+        drawn = 0.01 - 1e-6 * k
+        assert on(drawn, State.ENGAGED, 2e-5 * k) == pytest.approx((drawn,), abs=1e-15)
+    assert on(None, State.ENGAGED, 0.006) == pytest.approx((drawn,), abs=1e-15)
+    assert slave.session == (State.ENGAGED, Reason.NONE)
+    assert on(drawn, State.ENGAGED, 0.006, motors_follow=True) == pytest.approx((drawn,), abs=1e-15)
+    assert on(drawn, State.ENGAGED, 0.006 + 2e-5, motors_follow=True) == pytest.approx(
+        (drawn + 2e-5,), abs=1e-9
+    )
+
+
 @pytest.mark.parametrize("reading", [None, math.nan, math.inf])
 def test_a_rig_that_does_not_say_where_its_motors_stand_is_never_moved(reading):
     asked, slave = coupled([reading] * 5)

@@ -10,6 +10,8 @@ import pytest
 
 from slave import loop, process, rigs
 from slave.calibration.config import InitialiseConfig
+from slave.calibration.file import Calibration
+from slave.calibration.initialise import InitialiseResult
 from slave.config import SlaveConfig, TendonConfig
 from slave.process import SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
@@ -201,6 +203,21 @@ class FakeRig:
         self.closed += 1
 
 
+class StoppableRig(FakeRig):
+    """Notes after how many writes it was stopped; without power its motor moves by `falls_by`."""
+
+    def __init__(self, encoder=START, falls_by=0.0, stop_error=""):
+        super().__init__(encoder)
+        self.stops, self.falls_by, self.stop_error = [], falls_by, stop_error
+
+    def emergency_stop(self):
+        self.stops.append(len(self.writes))
+        if self.stop_error:
+            raise RigFault(self.stop_error)
+        if self.encoder is not None:
+            self.encoder = START + self.falls_by
+
+
 class Until:
     """Stops after a number of ticks, or when asked to."""
 
@@ -215,10 +232,10 @@ class Until:
         self.reason = self.reason or reason
 
 
-def started(rig, line, stop, rate_hz=1000.0):
+def started(rig, line, stop, rate_hz=1000.0, past=None, config=CONFIG):
     clock = EventClock(rate_hz, stop, partial(line.wait, COMMAND))
     model = loop.rig_model(rig.joints, [TENDON.model()])
-    return SlaveProcess(CONFIG, line, rig, model, clock), clock
+    return SlaveProcess(config, line, rig, model, clock, past), clock
 
 
 def driven(rig, line=None, ticks=40, rate_hz=1000.0):
@@ -555,9 +572,37 @@ def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master
     assert line.of(STATE)[-60].state == State.STOPPED
 
 
-def test_a_stop_ends_a_calibration_at_the_start_where_the_motors_are(monkeypatch):
-    line = FakeLink()
-    config = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(at_start=True))
+CALIBRATING = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(at_start=True))
+
+
+def model_of(rig, line):
+    return process.model_of(CALIBRATING, rig, line, RequestListener(line), Until(9), 1000.0, {})
+
+
+def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_on(monkeypatch):
+    rig, line = FakeRig(), FakeLink(pressed_after=30)
+    calibration = Calibration(rig="bench", joints=rig.joints, tendons=(TENDON,))
+    held = START + 0.0004
+    done = InitialiseResult(calibration, None, rig.read(0.0), (held,))
+    monkeypatch.setattr(process, "initialise", lambda *_, **__: done)
+    _, past = model_of(rig, line)
+    slave, clock = started(rig, line, lambda: False, past=past)
+    ticks = iter(clock)
+    for _ in range(20):
+        slave.tick(next(ticks))
+    assert side_of(slave).state is State.READY
+    assert rig.writes == [[held]] * 20
+    for _ in range(20):
+        slave.tick(next(ticks))
+    assert side_of(slave).state is State.ENGAGED
+    assert np.abs(np.diff(rig.writes, axis=0)).max() == pytest.approx(PULL, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"), [("", "a nurse$"), ("no power", "a nurse; rig: no power$")]
+)
+def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch, error, said):
+    rig, line = StoppableRig(stop_error=error), FakeLink()
     message = EmergencyStop(role=Role.REMOTE, action=CALL, text=text_bytes("a nurse"))
     data = message.pack(77, 1, now_ns())
 
@@ -567,23 +612,25 @@ def test_a_stop_ends_a_calibration_at_the_start_where_the_motors_are(monkeypatch
         stopped()
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
-    with pytest.raises(TeleopError, match=r"calibration given up: .*remote: a nurse"):
-        process.model_of(config, FakeRig(), line, RequestListener(line), Until(9), 1000.0, {})
+    with pytest.raises(TeleopError, match=rf"calibration given up: .*remote: {said}"):
+        model_of(rig, line)
+    assert rig.stops == [0]
     (told,) = line.of(STOP)  # the master may not have heard it
     assert told.action == CALL
 
 
-def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch):
-    line = FakeLink()
+@pytest.mark.parametrize(("kind", "stops"), [(FakeRig, None), (StoppableRig, [0])])
+def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch, kind, stops):
+    rig, line = kind(), FakeLink()
     line.master_state = State.STOPPED
-    config = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(at_start=True))
 
     def never_calibrated(_rig, _config, _grid, _start, stopped, progress):
         stopped()
 
     monkeypatch.setattr(process, "initialise", never_calibrated)
     with pytest.raises(TeleopError, match=r"calibration given up: .*emergency stop"):
-        process.model_of(config, FakeRig(), line, RequestListener(line), Until(9), 1000.0, {})
+        model_of(rig, line)
+    assert getattr(rig, "stops", None) == stops
 
 
 def test_the_state_tells_how_old_its_sample_is():

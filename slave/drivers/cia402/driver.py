@@ -106,7 +106,7 @@ class Cia402Driver:
         now = time.monotonic()
         if now >= self._beat_s:
             self._beat(now)
-        if target is not None and self._wish is not Wish.MOVE:
+        if target is not None and self._wish is not Wish.MOVE and not self._operates():
             self._wish, self._wanted_s = Wish.MOVE, now
         self._command(target)
         self._sync_s = time.monotonic()
@@ -120,13 +120,14 @@ class Cia402Driver:
         nodes = self._nodes
         position = np.array([nodes[number].position for number in self._channels.motors])
         cell = np.array([nodes[number].cell for number in self._channels.cells])
-        return (Reading(self._sync_s, position, cell),)
+        return (Reading(self._sync_s, position, cell, self._obeyed),)
 
     def stop(self) -> None:
-        """Quick stop: the drives brake by their own ramp and hold."""
+        """Quick stop, sent by the next cycle: the drives brake by their own ramp and hold.
+
+        No SYNC of its own: its answers would be taken for those of the next one.
+        """
         self._wish, self._obeyed = Wish.STOP, False
-        self._command(None)
-        self._send(SYNC, b"")
 
     def counts(self) -> dict[str, int | float]:
         """Return the achieved rate, cycles without every answer, and the load of the bus."""
@@ -155,6 +156,11 @@ class Cia402Driver:
     @property
     def _place(self) -> str:
         return f"CAN {self._config.bus.channel}"
+
+    def _operates(self) -> bool:
+        """Return whether a drive still says that it is enabled, a cycle after a quick stop."""
+        nodes = (self._nodes[number] for number in self._channels.motors)
+        return any(node.state is DriveState.OPERATION_ENABLED for node in nodes)
 
     def _command(self, target: Counts | None) -> None:
         """Send each drive its control word, and its target or the position where it is."""

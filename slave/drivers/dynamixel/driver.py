@@ -167,7 +167,8 @@ class DynamixelDriver:
             self._enable(motors, now)
         current = status["current"][self._cell_rows] * registers.CURRENT_UNIT
         # servos answer one after the other; their values are of about the middle
-        return (Reading(0.5 * (sent_s + now), motors["position"].astype(float), current),)
+        sampled_s, positions = 0.5 * (sent_s + now), motors["position"].astype(float)
+        return (Reading(sampled_s, positions, current, self._enabled),)
 
     def _check(self, status: Status) -> None:
         """Raise `DriverFault` for what a servo reports."""

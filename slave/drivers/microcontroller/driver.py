@@ -82,8 +82,8 @@ class MicrocontrollerDriver:
             state = self._parse(frame)
             self._states += 1
             self._heard_s = now
-            readings.append(self._reading(state, self._clock(frame.time_us, now)))
             self._check(state, now)
+            readings.append(self._reading(state, self._clock(frame.time_us, now)))
         if now - self._heard_s > self._config.timeout:
             raise DriverFault(
                 f"{self._config.port}: silent for {(now - self._heard_s) * 1e3:.0f} ms"
@@ -160,6 +160,7 @@ class MicrocontrollerDriver:
             time_s,
             _selected(state.position, self._channels.motors),
             _selected(state.cell, self._channels.cells),
+            self._obeyed,
         )
 
     def _check(self, state: State, now: float) -> None:

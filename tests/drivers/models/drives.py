@@ -55,6 +55,9 @@ class Drive:
         self.state = DISABLED
         self.homed = HOMED
         self.obeys = True  # whether the motor follows
+        self.enable_s = 0.0  # [s] from switched on to enabled, of a brake for example
+        self._on_s = 0.0
+        self.lost = []  # control words that it does not get, each once
         self.beat_s = 0.0
         self.guards = True  # whether it answers node guarding
         self._toggle, self._guarded = 0, False
@@ -151,6 +154,9 @@ class Drive:
 
     def _control(self, word: int) -> None:
         """Take one transition of the profile's state machine."""
+        if word in self.lost:
+            self.lost.remove(word)
+            return
         rising = word & ~self._last_word
         self._last_word = word
         state = self.state
@@ -169,11 +175,16 @@ class Drive:
             self._enter(READY)
         elif word & 0x0F == 0x07 and state in (READY, ENABLED):
             self._enter(ON)
-        elif word & 0x0F == 0x0F and state == ON:
+        elif word & 0x0F == 0x0F and state == ON and self._may_enable():
             self._enter(ENABLED)
+
+    def _may_enable(self) -> bool:
+        return time.monotonic() - self._on_s >= self.enable_s
 
     def _enter(self, state: int) -> None:
         self.state = state
+        if state == ON:
+            self._on_s = time.monotonic()
         if state == ENABLED:
             self._off_s = time.monotonic()
         self.od.write(0x6041, 0, state | self.homed)

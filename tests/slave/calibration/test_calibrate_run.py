@@ -64,6 +64,47 @@ def test_a_rig_that_fails_ends_it_at_once_and_is_not_asked_again():
         assert rig.after_fault == 1
 
 
+class Enabling(HousingOnly):
+    """A rig whose motors follow from `AT_S` on; until then the tendons draw them back slowly."""
+
+    AT_S, DRAWN = 0.5, -0.0004  # [s], [m/s]
+    follows = False
+
+    def __init__(self, *joints):
+        super().__init__(rig_config(*joints))
+        self.measured, self.held = [], []
+
+    def read(self, time_s):
+        self.follows = bool(self.written) and time_s > self.AT_S
+        if not self.follows:
+            self.rig.write(np.full(self.tendons, self.DRAWN * time_s))
+        samples = super().read(time_s)
+        self.measured += [s.proximal_displacement.tolist() for s in samples]
+        return samples
+
+    def write(self, proximal_displacement):
+        if self.follows:
+            super().write(proximal_displacement)
+            return
+        self.written.append(proximal_displacement.tolist())
+        self.held.append((self.written[-1], self.measured[-1]))
+
+
+@pytest.mark.parametrize("at_s", [0.2, 1.0])
+def test_motors_that_are_being_enabled_are_held_where_they_are(at_s):
+    rig = Enabling(SHORT)
+
+    def stopped():
+        return "enough" if rig.seen and rig.seen[-1].time_s >= at_s else ""
+
+    with pytest.raises(CalibrationInterrupted, match="enough"):
+        calibrated(rig, rate_hz=500.0, stopped=stopped)
+    written, measured = np.array(rig.held).swapaxes(0, 1)
+    assert len(written) >= 0.9 * min(at_s, Enabling.AT_S) * 500.0
+    assert written == pytest.approx(measured, abs=1e-12)
+    assert np.abs(np.diff(rig.written, axis=0)).max() <= GATE.speed_max / 500.0 * 1.01
+
+
 def lost(sample):
     return RigSample(sample.time_s, sample.proximal_tension * np.nan, sample.proximal_displacement)
 
@@ -138,7 +179,10 @@ def moved(record, tendons):
 
 
 def test_joints_are_done_one_after_another_while_the_others_hold():
-    record = calibrated(rig_config(SHORT, SHORT), rate_hz=500.0).record
+    rig = HousingOnly(rig_config(SHORT, SHORT))
+    found = calibrated(rig, rate_hz=500.0)
+    assert list(found.motor) == rig.written[-1]  # where they are held from then on
+    record = found.record
     first = record.phase[:, 1] == Phase.TAKE_UP
     first &= np.arange(len(first)) < np.argmax(record.phase[:, 0] == Phase.DONE)
     assert np.ptp(record.travel[first][:, [2, 3]], axis=0).max() < 1e-4
