@@ -146,7 +146,8 @@ def drive(
     stopped : callable
         Called at every tick; a non-empty reason ends the procedure and lowers the tensions.
     progress : callable
-        Called at every tick.
+        Called at every tick. An `OSError` of it, of a terminal that is gone, ends the procedure as
+        `stopped` does.
 
     Raises
     ------
@@ -157,12 +158,15 @@ def drive(
     """
     require_possible(rig, limits)
     drive = _Drive(rig, limits, joints, together)
-    began_ns = None
+    began_ns, unseen = None, ""
     for tick in ticks:
         began_ns = tick.stamp_ns if began_ns is None else began_ns
-        drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped())
-        if drive.newest is not None:
-            progress(drive.progress((tick.stamp_ns - began_ns) * 1e-9))
+        drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped() or unseen)
+        if drive.newest is not None and not unseen:
+            try:
+                progress(drive.progress((tick.stamp_ns - began_ns) * 1e-9))
+            except OSError as error:
+                unseen = f"the progress cannot be printed ({error.strerror}): stopped"
         if drive.over:
             break
     return drive.result()

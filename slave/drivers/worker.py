@@ -43,7 +43,8 @@ class WorkerConfig:
 def main(words: Sequence[str]) -> int:
     """Serve the driver described by the words of the command; return the exit code."""
     number, driver, motors, cells = words
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal: the slave ends this process
+    for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the slave ends this process
+        signal.signal(ending, signal.SIG_IGN)
     slave = Parent(os.getppid())
     end = socket.socket(fileno=int(number))
     try:

@@ -103,6 +103,14 @@ def test_a_killed_driver_leaves_the_motors_to_the_board_which_stops_them(board):
         assert not board.flags & ENABLED
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_the_whole_terminal_does_not_end_the_driver(board, number):
+    with opened_on(board) as rig:
+        start = engage(rig, moving(board))
+        os.kill(rig.buses[0].pid, number)
+        follow(rig, start + 0.001)  # the slave still has to lower the tensions
+
+
 def test_an_emergency_stop_switches_the_motors_off_until_the_next_target(board):
     with opened_on(board) as rig:
         start = engage(rig, moving(board))
