@@ -97,5 +97,15 @@ class StoppableRig(Rig, Protocol):
         """
 
 
+class WatchedRig(Rig, Protocol):
+    """A rig that stops its motors when its loop hangs, that is when it is not read for long."""
+
+    def announce_pause(self) -> None:
+        """Announce that it will not be read for some seconds; the motors hold meanwhile.
+
+        The next `read` ends the pause.
+        """
+
+
 class RigFinished(Exception):
     """A replayed rig has played its last row; the session ends without a fault."""

@@ -21,7 +21,7 @@ from slave.calibration.procedure_state import Contact, Joint, JointReadings, Pha
 from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample
-from teleop.clock import Tick
+from teleop.clock import Tick, quiet_garbage
 from teleop.errors import TeleopError, UsageError
 from teleop.process import INTERRUPTED
 
@@ -129,6 +129,8 @@ def drive(
 ) -> ProcedureResult:
     """Run the procedure on some joints of a rig; return the measurements.
 
+    A `slave.rig.WatchedRig` is told at the end that a pause follows: the analysis takes seconds.
+
     Parameters
     ----------
     rig : Rig
@@ -159,16 +161,18 @@ def drive(
     require_possible(rig, limits)
     drive = _Drive(rig, limits, joints, together)
     began_ns, unseen = None, ""
-    for tick in ticks:
-        began_ns = tick.stamp_ns if began_ns is None else began_ns
-        drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped() or unseen)
-        if drive.newest is not None and not unseen:
-            try:
-                progress(drive.progress((tick.stamp_ns - began_ns) * 1e-9))
-            except OSError as error:
-                unseen = f"the progress cannot be printed ({error.strerror}): stopped"
-        if drive.over:
-            break
+    with quiet_garbage():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
+        for tick in ticks:
+            began_ns = tick.stamp_ns if began_ns is None else began_ns
+            drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped() or unseen)
+            if drive.newest is not None and not unseen:
+                try:
+                    progress(drive.progress((tick.stamp_ns - began_ns) * 1e-9))
+                except OSError as error:
+                    unseen = f"the progress cannot be printed ({error.strerror}): stopped"
+            if drive.over:
+                break
+        drive.announce_pause()
     return drive.result()
 
 
@@ -218,6 +222,16 @@ class _Drive:
         if all(procedure_state.is_ended(self._memories[j]) for j in group):
             del self._groups[0]
             self.over = not self._groups or any(m.refusal for m in self._memories)
+
+    def announce_pause(self) -> None:
+        """Tell a `slave.rig.WatchedRig` that its loop pauses."""
+        announce_pause = getattr(self._rig, "announce_pause", None)
+        if announce_pause is None:
+            return
+        try:
+            announce_pause()
+        except RigFault as error:
+            raise TeleopError(f"rig: {error}") from error
 
     def progress(self, time_s: float) -> Progress:
         """Return the progress `time_s` [s] after the start."""

@@ -182,6 +182,8 @@ class HardwareRig:
         self._position: Array | None = None  # [m] newest
         self._counts: tuple[Counts, Counts] | None = None  # newest, of motors and cells
         self._moving = False  # whether the motors are enabled
+        self._target: Counts = np.empty(0)  # newest
+        self._written = False  # whether since the last read
         self._late = self._samples = 0
         self._start_s = time.monotonic()
         motors, cells = config.motor_ids, config.cell_ids
@@ -208,6 +210,9 @@ class HardwareRig:
             samples.append(RigSample(sampled_s - self._start_s, tension, displacement))
             self._position, self._counts = displacement, (position, cell)
         self._samples += len(samples)
+        if self._moving and not self._written:
+            self._send(self._target)  # a loop that reads does not hang
+        self._written = False
         return tuple(samples)
 
     def write(self, proximal_displacement: Array) -> None:
@@ -219,8 +224,13 @@ class HardwareRig:
         if not self._moving:
             self._require_near(proximal_displacement)
             self._moving = True
+        self._target, self._written = self._transmission.target(proximal_displacement), True
+        self._send(self._target)
+
+    def announce_pause(self) -> None:
+        """Have the driver hold the newest targets through one pause of the loop."""
         try:
-            self._buses[0].write(self._transmission.target(proximal_displacement))
+            self._buses[0].announce_pause()
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
 
@@ -258,6 +268,12 @@ class HardwareRig:
     def buses(self) -> tuple[Connection, ...]:
         """Connections to the drivers: of the motors, and of the cells if that is another."""
         return tuple(self._buses)
+
+    def _send(self, target: Counts) -> None:
+        try:
+            self._buses[0].write(target)
+        except DriverFault as fault:
+            raise RigFault(str(fault)) from fault
 
     def _received(self) -> Sequence[tuple[float, Counts, Counts]]:
         try:
