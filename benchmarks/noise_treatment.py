@@ -3,15 +3,14 @@
 python benchmarks/noise_treatment.py
 
 Simulated: a clean T_in gives the true T_out by the law, the same T_in with noise of 0.03 N goes
-through each treatment and the law; bias and RMSE by what T_in does. Measured: the bench record
-beside the project (or in TELEOP_SHARED_DATA), as it is and with noise added, against the tip load
-cell.
+through the estimator with each treatment; bias and RMSE by what T_in does. Measured: the bench
+record beside the project (or in TELEOP_SHARED_DATA), as it is and with noise added, against the tip
+load cell.
 """
 
 import math
 import os
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +19,9 @@ from estimator.calibration.identification import fit_bench
 from estimator.law.displacement import push_displacement
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import batch, read_out, slack_profile, tables
-from estimator.signals import noise_sigma, treat
+from estimator.online import online
+from estimator.online.tendon_model import TendonModel
+from estimator.signals import Treatment, noise_sigma
 
 SIGMA = 0.03  # [N]
 TRAVEL_SIGMA = 1e-6  # [m]
@@ -33,30 +34,28 @@ KNOTS = np.array(
 )  # fmt: skip
 
 
-class Treatment(NamedTuple):
-    """One row of the study."""
-
-    name: str
-    time_constant: float  # [s]
-    dead_band: float  # [sigma of the averaged tension]
-
-
-TREATMENTS = (
-    Treatment("none", 0.0, 0.0),
-    Treatment("dead band 1 sigma", 0.0, 1.0),
-    Treatment("dead band 2 sigma", 0.0, 2.0),
-    Treatment("dead band 3 sigma", 0.0, 3.0),
-    Treatment("average 2 ms", 0.002, 0.0),
-    Treatment("average 2 ms, dead band 1 sigma", 0.002, 1.0),
-    Treatment("average 2 ms, dead band 2 sigma", 0.002, 2.0),
-    Treatment("average 5 ms, dead band 2 sigma", 0.005, 2.0),
-    Treatment("average 20 ms, dead band 2 sigma", 0.020, 2.0),
-)
+TREATMENTS = {
+    "none": Treatment(0.0, 0.0),
+    "dead band 1 sigma": Treatment(0.0, 1.0),
+    "dead band 2 sigma": Treatment(0.0, 2.0),
+    "dead band 3 sigma": Treatment(0.0, 3.0),
+    "average 2 ms": Treatment(0.002, 0.0),
+    "average 2 ms, dead band 1 sigma": Treatment(0.002, 1.0),
+    "average 2 ms, dead band 2 sigma": Treatment(0.002, 2.0),
+    "average 5 ms, dead band 2 sigma": Treatment(0.005, 2.0),
+    "average 20 ms, dead band 2 sigma": Treatment(0.020, 2.0),
+}
 
 
 def law(sheath: Sheath, T_in: Array) -> Array:
     table = tables(sheath)
     return batch(table, slack_profile(table), np.ascontiguousarray(T_in))[0]
+
+
+def estimated(sheath: Sheath, time: Array, T_in: Array, sigma: float, how: Treatment) -> Array:
+    """Return T_out by the estimator, from the tension alone."""
+    model = TendonModel(sheath, tension_noise=sigma, treatment=how)
+    return online.run(online.prepare(model), time, T_in).distal_tension
 
 
 def by_travel(sheath: Sheath, q: Array) -> Array:
@@ -90,8 +89,8 @@ def simulated(rate: float) -> None:
     rng = np.random.default_rng(1)
     noisy = [clean + rng.normal(0.0, SIGMA, len(time)) for _ in range(SEEDS)]
     rows = {
-        t.name: [law(SHEATH, treat(T, time, SIGMA, t.time_constant, t.dead_band)) for T in noisy]
-        for t in TREATMENTS
+        name: [estimated(SHEATH, time, T, SIGMA, how) for T in noisy]
+        for name, how in TREATMENTS.items()
     }
     rows["driven by travel (tip blocked)"] = [
         by_travel(SHEATH, travel + rng.normal(0.0, TRAVEL_SIGMA, len(time))) for _ in noisy
@@ -121,14 +120,12 @@ def measured() -> None:
     clean = law(sheath, T_in)
     print(f"\nmeasured, 82 Hz, K {sheath.K:.3f} fitted untreated, own noise {own:.4f} N: RMSE [mN]")
     print(f"{'':34}{'as measured':>14}{'0.03 N added':>14}{'change by the noise':>22}")
-    for t in TREATMENTS:
-        plain = law(sheath, treat(T_in, time, own, t.time_constant, t.dead_band))
+    for name, how in TREATMENTS.items():
+        plain = estimated(sheath, time, T_in, own, how)
         sigma = math.hypot(own, SIGMA)
-        noisy = np.array(
-            [law(sheath, treat(T, time, sigma, t.time_constant, t.dead_band)) for T in added]
-        )
+        noisy = np.array([estimated(sheath, time, T, sigma, how) for T in added])
         rmse = [math.sqrt(np.mean(e**2)) for e in (plain - T_out, noisy - T_out, noisy - clean)]
-        print(f"{t.name:34}{1e3 * rmse[0]:14.0f}{1e3 * rmse[1]:14.0f}{1e3 * rmse[2]:22.0f}")
+        print(f"{name:34}{1e3 * rmse[0]:14.0f}{1e3 * rmse[1]:14.0f}{1e3 * rmse[2]:22.0f}")
 
 
 if __name__ == "__main__":

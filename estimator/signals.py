@@ -5,7 +5,8 @@ upward excursion drives the profile and stays in it. Of N samples at one and the
 largest stands some sqrt(2 ln N) sigma above it, 3.2 sigma for a second at 1 kHz (docs/theory.md,
 section 9). The estimator therefore drives its profile with a treated tension: a short average,
 which takes sigma down, then a dead band (a play operator of its own) that what is left of the noise
-seldom crosses. benchmarks/noise_treatment.py measures what that costs and gains.
+seldom crosses (estimator.online.online). benchmarks/noise_treatment.py measures what that costs and
+gains.
 """
 
 import math
@@ -90,21 +91,3 @@ def played(signal: Array, half_width: float) -> Array:
     for i in range(1, len(signal)):
         out[i] = play(out[i - 1], signal[i], half_width)
     return out
-
-
-@compiled
-def treat(
-    tension: Array, time: Array, sigma: float, time_constant: float, dead_band: float
-) -> Array:
-    """Return the treated tension [N] of a whole record, shape (n,), as the estimator makes it."""
-    treated = np.empty_like(tension)
-    mean = tension[0]
-    held = tension[0]
-    variance = sigma * sigma
-    for i in range(len(tension)):
-        dt = time[i] - time[i - 1] if i > 0 else 0.0
-        mean = average(mean, tension[i], dt, time_constant)
-        variance = averaged_variance(variance, sigma, dt, time_constant)
-        held = play(held, mean, dead_band * math.sqrt(variance))
-        treated[i] = held
-    return treated

@@ -19,12 +19,11 @@ from dataclasses import dataclass
 
 from estimator.array_types import Array
 from estimator.compiled import compiled
+from teleop.clock import STEP_MAX_S
 from teleop.force_attenuation import ConfidenceConfig, attenuate
 from teleop.messages import STATUS_NAMES, SlaveState
 
 INVALID = 1 << STATUS_NAMES.index("invalid input")
-
-_DT_MAX = 0.005  # [s] however long a tick was skipped, a force grows by no more than this allows
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,7 @@ def limit_slew(most: float, last: float, force: float, dt: float) -> float:
     """
     if not math.isfinite(force):
         return force
-    growth = most * min(dt, _DT_MAX) if dt > 0.0 else 0.0
+    growth = most * min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     return min(max(force, min(last, 0.0) - growth), max(last, 0.0) + growth)
 
 

@@ -21,6 +21,7 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from master.hand_input import all_finite
 from teleop.bounds import Bound, check_bounds
+from teleop.clock import STEP_MAX_S
 from teleop.messages import MAX_JOINTS
 
 BOUNDS = (
@@ -29,7 +30,6 @@ BOUNDS = (
     Bound("slew_max", 5e3, "N/s"),
 )
 FADE_S = 0.015  # [s] within which the largest force on one axis is gone; 30 ms + this < 50 ms
-_DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,7 @@ def step(
         verdict |= TOTAL_LIMIT
         for k in range(axes):
             bounded[k] *= config.total_max / total
-    growth = config.slew_max * min(dt, _DT_MAX) if dt > 0.0 else 0.0
+    growth = config.slew_max * min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     for k in range(axes):
         was, force = last[k], bounded[k]
         out[k] = min(max(force, min(was, 0.0) - growth), max(was, 0.0) + growth)

@@ -24,11 +24,10 @@ from master.operator import OperatorMemory
 from master.presence import Presence
 from master.settings_record import MasterSettings
 from teleop import coupling, session
+from teleop.bounds import MOTION_MAX
 from teleop.coupling import Side
 from teleop.messages import MAX_JOINTS, Command, Hand, SlaveState
 from teleop.session import Inputs, Reason, Session, State
-
-_ABSURD = 1e3  # [m], [m/s] beyond any hand; NaN fails the comparison too
 
 
 class MasterState(Record):
@@ -439,7 +438,7 @@ def not_ready_reason(
 def sound(side: Session, hand: HandInput, finite: bool) -> bool:
     """Return whether the hand's motion is plausible and a rendered force is `finite`."""
     for k in range(hand.axes):
-        if not abs(hand.position[k]) < _ABSURD or not abs(hand.velocity[k]) < _ABSURD:
+        if not abs(hand.position[k]) < MOTION_MAX or not abs(hand.velocity[k]) < MOTION_MAX:
             return False
     return finite or not session.may_render(side)
 

@@ -131,11 +131,13 @@ class Master(LoopProcess):
 
     def close(self) -> None:
         """Take the force off the hand and tell the others; whatever happened before."""
-        with suppress(DeviceFault):
-            self._device.write((0.0,) * self._device.axes)
-        self._link.publish(COMMAND, Command())
-        off = SessionOutline()
-        publish_event(self._link, Role.MASTER, off, f"off: {self.ended or 'ended'}")
+        try:
+            with suppress(DeviceFault):
+                self._device.write((0.0,) * self._device.axes)
+        finally:
+            self._link.publish(COMMAND, Command())
+            off = SessionOutline()
+            publish_event(self._link, Role.MASTER, off, f"off: {self.ended or 'ended'}")
 
     def _read(self, time_s: float) -> tuple[Reason, HandState | None, str]:
         """Read the device; return what is wrong with it, the hand, and why the device is away."""

@@ -19,6 +19,7 @@ from estimator.records import F64, Record, Records
 from slave.control.joint import JointEstimates
 from slave.tendons import RigLayout
 from teleop.bounds import Bound, check_bounds
+from teleop.clock import STEP_MAX_S
 from teleop.config import MAY_BE_INFINITE
 
 BOUNDS = (
@@ -28,8 +29,6 @@ BOUNDS = (
     Bound("tension_max", 300.0, "N"),
     Bound("force_max", 300.0, "N"),
 )
-
-_DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +195,7 @@ def step(
     shortest = min(len(last), len(wanted), len(tension), len(out_passed))
     if tendons > shortest or (has_reach and tendons > len(reach)):
         raise ValueError("gate: an array is shorter than the number of tendons")
-    dt = min(dt, _DT_MAX) if dt > 0.0 else 0.0
+    dt = min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     if not may_move:
         may_yield = may_yield and tension_age <= config.tension_age_max
         return _hold(config, tendons, last, tension, may_yield, dt, out_passed)

@@ -28,6 +28,7 @@ from slave.control.joint import JointEstimate
 from slave.rig import RigSample
 from slave.tendons import EstimatedTendon, RigLayout, rig_layout
 from teleop import coupling, session
+from teleop.bounds import MOTION_MAX
 from teleop.coupling import Bilateral, Side
 from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command, SlaveState
 from teleop.session import Reason, Session, State
@@ -36,7 +37,6 @@ DIRECT = Bilateral()
 
 OVERLOAD = 1.2  # times the gate's tension limit; noise and stretch exceed the limit itself
 OVERLOAD_S = 0.020  # [s] the peak of a collision is shorter
-_ABSURD = 1e3  # [m], [m/s] beyond any tip; NaN fails the comparison too
 
 # SlaveMemory.not_ready: why the rig is not usable
 USABLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION = range(4)
@@ -593,7 +593,7 @@ def _own_fault(
     if memory.advice == Advice.DEMANDED:
         return Reason.CALIBRATION_DUE + 0
     for k in range(layout.joints):
-        if not (abs(work.requested[k]) < _ABSURD and abs(work.speed[k]) < _ABSURD):
+        if not (abs(work.requested[k]) < MOTION_MAX and abs(work.speed[k]) < MOTION_MAX):
             return Reason.NOT_FINITE + 0
     return Reason.NONE + 0
 

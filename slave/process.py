@@ -51,7 +51,6 @@ from teleop.link import Link
 from teleop.link_health import DEFAULT_BOUNDS, HealthConfig, compile_observer
 from teleop.loop_process import LoopProcess, conclude, run_session
 from teleop.messages import (
-    MAX_JOINTS,
     PROFILE_POINTS,
     Command,
     SlaveState,
@@ -309,7 +308,6 @@ def main(args: argparse.Namespace) -> int:
     def start(link: Link, stack: ExitStack) -> tuple[SlaveProcess, EventClock, Stop]:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        require_carried(rig)
         for doubt in config_warnings(config, shared.coupling):
             print(doubt, flush=True)
         stop = Stop(args.duration)
@@ -328,14 +326,6 @@ def main(args: argparse.Namespace) -> int:
         for line in late(config.rig.effects, summary["seconds"]):
             print(line, flush=True)
     return conclude(args, slave, summary, [f"force     {force_line(summary['force_error'])}"])
-
-
-def require_carried(rig: Rig) -> None:
-    """Refuse a rig that the messages have no room for."""
-    if not 1 <= len(rig.joints) <= MAX_JOINTS or any(len(j) not in (1, 2) for j in rig.joints):
-        raise UsageError(
-            f"slave.rig: tendons {rig.joints}, must be 1 to {MAX_JOINTS} joints of 1 or 2 tendons"
-        )
 
 
 def model_of(

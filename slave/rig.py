@@ -42,9 +42,9 @@ class Rig(Protocol):
     joints : tuple of tuples of int
         The tendons of each joint, counted from 0 over the whole rig: one that works against a
         return spring, or an antagonistic pair `a`, `b`. Every tendon belongs to one joint, as in
-        ((0, 1), (2, 3)) or ((0,),); at most `teleop.messages.MAX_JOINTS` of them. Joint travel is
-        positive in the pulling direction of `a`; the tip of `a` travels with the joint, that of `b`
-        against it.
+        ((0, 1), (2, 3)) or ((0,),), numbered joint after joint; at most
+        `teleop.messages.MAX_JOINTS` of them. Joint travel is positive in the pulling direction of
+        `a`; the tip of `a` travels with the joint, that of `b` against it.
     starts_at_zero : bool
         Whether its motors are at position 0 when it is opened and stay there until the first write,
         so that no encoder is needed. Otherwise nothing is written before the encoders of all
@@ -113,6 +113,16 @@ class StoppableRig(Rig, Protocol):
         as a stop ends a calibration at the slave's start. Nothing is written until an operator has
         reset the stop and engages again; then the first positions are those that the encoders have
         given last.
+        """
+
+
+class WatchedRig(Rig, Protocol):
+    """A rig that stops its motors when its loop hangs, that is when it is not read for long."""
+
+    def announce_pause(self) -> None:
+        """Announce that it will not be read for some seconds; the motors hold meanwhile.
+
+        The next `read` ends the pause.
         """
 
 

@@ -22,15 +22,15 @@ def main() -> int:
         return _INTERRUPTED
     finally:  # the exit code is known; ignore later signals
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _interruptible() -> None:
     """From now on raise KeyboardInterrupt, so that open resources are closed."""
-    from teleop.process import interruption
+    from teleop.process import interruption, on_ending
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, interruption)
+    on_ending(interruption)
 
 
 def _end(*_: object) -> None:

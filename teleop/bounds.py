@@ -9,6 +9,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
+MOTION_MAX = 1e3  # [m], [m/s] beyond any hand or tip: a fault; NaN fails a comparison with it too
+
 
 class Bound(NamedTuple):
     """The bound of one limit: its magnitude may be `most` [unit], or infinite if that is none."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 STALL_NS = 5_000_000  # [ns] a loop must decide again after this time
+STEP_MAX_S = 0.005  # [s] upper bound of a time step of gates and control, also after skipped ticks
 
 _ANCHOR_NS = time.time_ns() - time.monotonic_ns()
 

@@ -174,8 +174,10 @@ def run(process: LoopProcess, clock: Iterable[Tick], stop_for: Callable[[str], N
                 if process.ended:
                     stop_for(process.ended)
     finally:
-        process.close()
-        process.publish_end()
+        try:
+            process.close()
+        finally:
+            process.publish_end()
 
 
 def run_session(

@@ -18,6 +18,8 @@ from teleop.output_file import replacing
 
 _PR_SET_PDEATHSIG = 1
 
+# What ends a command: Ctrl-C, a service manager, and a terminal that is gone (ssh dropped).
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 INTERRUPTED = 128 + signal.SIGINT  # exit code of a command that was told to end before it began
 SUPERVISED = "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
 STANDBY = "TELEOP_STANDBY"  # set in the environment of a spare, which waits for a line to begin
@@ -44,6 +46,13 @@ def beat() -> None:
         print(HEARTBEAT, flush=True)
 
 
+def on_ending(handler: Callable[[int, FrameType | None], None]) -> None:
+    """Install the handler of every signal of `ENDINGS`; under `nohup` SIGHUP stays ignored."""
+    for number in ENDINGS:
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
 class _Interruption:
     """Of a signal to a command without a loop to stop: raised, and remembered."""
 
@@ -60,8 +69,8 @@ interruption = _Interruption()
 class Stop:
     """Asked by a loop before each tick; becomes true and stays so.
 
-    SIGINT and SIGTERM set it, so does the end of `duration_s`, counted from the first asking since
-    setting up can take long, and `request` from inside.
+    The signals of `ENDINGS` set it, so does the end of `duration_s`, counted from the first asking
+    since setting up can take long, and `request` from inside.
     """
 
     def __init__(self, duration_s: float | None = None) -> None:
@@ -69,8 +78,7 @@ class Stop:
         self.wake: Callable[[], None] = lambda: None  # called by the handler: ends a wait
         self._duration_s = math.inf if duration_s is None else duration_s
         self._began_s: float | None = None
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+        on_ending(self._on_signal)
 
     def __call__(self) -> bool:
         """Return whether to stop."""

@@ -6,12 +6,13 @@ import signal
 import socket
 
 from teleop import loop_process
+from teleop.process import ENDINGS
 
 
 @contextlib.contextmanager
 def without_traces(monkeypatch):
     """Let a command run without leaving its signal handlers and priorities here."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in ENDINGS}
     monkeypatch.setattr(loop_process, "go_realtime", lambda _: ["a test"])
     monkeypatch.setattr(loop_process, "enter_loop", lambda *_: None)
     yield

@@ -170,12 +170,13 @@ class Bench:
             raise WrongError(f"stopped only after {took_s * 1e3:.0f} ms")
         return f"{took_s * 1e3:.0f} ms"
 
-    def fails(self, connection: Connection, *words: str) -> str:
-        """Read until the driver gives up; return its reason, which must have one of the words."""
+    def fails(self, connection: Connection, target, *words: str) -> str:
+        """Write a target until the driver gives up; return its reason, with one of the words."""
         until_s = time.monotonic() + WAIT_S
         try:
             while time.monotonic() < until_s:
                 connection.read()
+                connection.write(target)
                 time.sleep(0.002)
         except DriverFault as fault:
             if any(word in str(fault) for word in words):
@@ -255,9 +256,9 @@ def fault(bench: Bench) -> Figures:
     """A drive's fault is named, refused at the next start, and reset by the operator alone."""
     connection = bench.opened()
     try:
-        bench.engage(connection)
+        target = bench.engage(connection)
         bench.model.order("fault")
-        said = bench.fails(connection, "following error")
+        said = bench.fails(connection, target, "following error")
     finally:
         connection.close()
     try:
@@ -276,9 +277,9 @@ def silent(bench: Bench) -> Figures:
     """Drives without power on the bus side are named."""
     connection = bench.opened()
     try:
-        bench.engage(connection)
+        target = bench.engage(connection)
         bench.model.order("unplug")
-        said = bench.fails(connection, "silent")
+        said = bench.fails(connection, target, "silent")
     finally:
         connection.close()
         bench.model.order("plug")
@@ -290,9 +291,9 @@ def bus_off(bench: Bench) -> Figures:
     """The controller's error frame is a fault with its reason."""
     connection = bench.opened()
     try:
-        bench.engage(connection)
+        target = bench.engage(connection)
         vcan.send_bus_off(CHANNEL)
-        said = bench.fails(connection, "bus off")
+        said = bench.fails(connection, target, "bus off")
     finally:
         connection.close()
     bench.engages_anew()
@@ -303,10 +304,10 @@ def interface_down(bench: Bench) -> Figures:
     """An interface that is set down is a fault, and the drives stop by themselves."""
     connection = bench.opened()
     try:
-        bench.engage(connection)
+        target = bench.engage(connection)
         began_s = time.monotonic()
         vcan.switch(CHANNEL, up=False)
-        said = bench.fails(connection, "unplugged", "silent")
+        said = bench.fails(connection, target, "unplugged", "silent")
         took = bench.stopped_after(began_s)
     finally:
         connection.close()

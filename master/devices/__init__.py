@@ -14,6 +14,7 @@ from master.devices.single import SingleConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
 from teleop.errors import UsageError
 from teleop.extensions import opening_failed
+from teleop.messages import MAX_JOINTS
 
 DeviceConfig = SingleConfig | CombinedConfig
 
@@ -36,12 +37,21 @@ DEVICES: dict[type, Callable[[Any], Device]] = {
 
 
 def open_device(config: DeviceConfig) -> Device:
-    """Open the device that `config` describes; `UsageError` if it is not available."""
+    """Open the device that `config` describes; `UsageError` if it is not available.
+
+    Likewise if its axes are no joints: compiled functions do not check them.
+    """
     try:
-        return _open(config)
+        device = _open(config)
     except DeviceFault as fault:
         raise UsageError(f"master.device: {fault}") from fault
     except Exception as error:
         if isinstance(config, DeviceExtension):
             raise UsageError(opening_failed("master.device", config, error)) from error
         raise
+    if not 1 <= device.axes <= MAX_JOINTS:
+        device.close()
+        raise UsageError(
+            f"master.device: {config.type} has {device.axes} axes, must be 1 to {MAX_JOINTS}"
+        )
+    return device

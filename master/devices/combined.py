@@ -48,7 +48,7 @@ class CombinedDevice:
     Raises
     ------
     DeviceFault
-        One of them cannot be opened.
+        One of them cannot be opened, or has no axes or more than there is room for.
     """
 
     def __init__(
@@ -64,6 +64,11 @@ class CombinedDevice:
                 except DeviceFault as fault:
                     raise _numbered(number, fault) from fault
                 opened.callback(device.close)
+                room = MAX_JOINTS - self.axes
+                if not 1 <= device.axes <= room:
+                    raise DeviceFault(
+                        f"devices.{number}: {part.type} has {device.axes} axes, must be 1 to {room}"
+                    )
                 self._devices.append(device)
                 self._parts.append(slice(self.axes, self.axes + device.axes))
                 self.axes += device.axes

@@ -26,7 +26,7 @@ from slave.rig import Rig, RigFault
 from slave.rigs import open_rig
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRigConfig
-from teleop.clock import Grid, Tick, now_ns
+from teleop.clock import Grid, Tick, now_ns, quiet_garbage
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
 from teleop.options import add_options
@@ -108,7 +108,8 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
                 return 0
             rest = measure_at_rest(rig, ticks, start_ns, args.duration)  # nobody read meanwhile
             require_readings(rest)
-            return move_all(rig, config, ticks, start_ns, rest, move)
+            with quiet_garbage():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
+                return move_all(rig, config, ticks, start_ns, rest, move)
         except RigFault as fault:
             raise TeleopError(f"rig: {fault}") from fault
 

@@ -21,7 +21,7 @@ from slave.calibration.procedure_state import Contact, Joint, JointReadings, Pha
 from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample, motors_follow
-from teleop.clock import Tick
+from teleop.clock import Tick, quiet_garbage
 from teleop.errors import TeleopError, UsageError
 from teleop.process import INTERRUPTED
 
@@ -130,6 +130,8 @@ def drive(
 ) -> ProcedureResult:
     """Run the procedure on some joints of a rig; return the measurements.
 
+    A `slave.rig.WatchedRig` is told at the end that a pause follows: the analysis takes seconds.
+
     Parameters
     ----------
     rig : Rig
@@ -147,7 +149,8 @@ def drive(
     stopped : callable
         Called at every tick; a non-empty reason ends the procedure and lowers the tensions.
     progress : callable
-        Called at every tick.
+        Called at every tick. An `OSError` of it, of a terminal that is gone, ends the procedure as
+        `stopped` does.
 
     Raises
     ------
@@ -158,14 +161,19 @@ def drive(
     """
     require_possible(rig, limits)
     drive = _Drive(rig, limits, joints, together)
-    began_ns = None
-    for tick in ticks:
-        began_ns = tick.stamp_ns if began_ns is None else began_ns
-        drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped())
-        if drive.newest is not None:
-            progress(drive.progress((tick.stamp_ns - began_ns) * 1e-9))
-        if drive.over:
-            break
+    began_ns, unseen = None, ""
+    with quiet_garbage():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
+        for tick in ticks:
+            began_ns = tick.stamp_ns if began_ns is None else began_ns
+            drive.tick((tick.stamp_ns - start_ns) * 1e-9, tick.dt, stopped() or unseen)
+            if drive.newest is not None and not unseen:
+                try:
+                    progress(drive.progress((tick.stamp_ns - began_ns) * 1e-9))
+                except OSError as error:
+                    unseen = f"the progress cannot be printed ({error.strerror}): stopped"
+            if drive.over:
+                break
+        drive.announce_pause()
     return drive.result()
 
 
@@ -218,6 +226,16 @@ class _Drive:
         if all(procedure_state.is_ended(self._memories[j]) for j in group):
             del self._groups[0]
             self.over = not self._groups or any(m.refusal for m in self._memories)
+
+    def announce_pause(self) -> None:
+        """Tell a `slave.rig.WatchedRig` that its loop pauses."""
+        announce_pause = getattr(self._rig, "announce_pause", None)
+        if announce_pause is None:
+            return
+        try:
+            announce_pause()
+        except RigFault as error:
+            raise TeleopError(f"rig: {error}") from error
 
     def progress(self, time_s: float) -> Progress:
         """Return the progress `time_s` [s] after the start."""

@@ -27,9 +27,8 @@ from estimator.records import F64, Field, Flag, Record
 from slave.control.config import ControlConfig
 from slave.control.joint import fuse_travel
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
+from teleop.clock import STEP_MAX_S
 from teleop.messages import MAX_JOINTS
-
-DT_MAX = 0.005  # [s] upper bound of the time step, also after skipped ticks
 
 
 class DrivenTendon(Record):
@@ -105,7 +104,7 @@ def step(
         for k in range(layout.joints):
             _engage(config, layout.joint[k], memory.joint[k], command[k], motor, tendons)
         return
-    dt = min(dt, DT_MAX) if dt > 0.0 else 0.0
+    dt = min(dt, STEP_MAX_S) if dt > 0.0 else 0.0
     for k in range(layout.joints):
         requested = command[k] - memory.joint[k].command
         requested += config.lead * min(max(velocity[k], -config.speed_max), config.speed_max)

@@ -67,6 +67,10 @@ class Connection:
         """Stop the motors by their own means; the next target enables them again."""
         self._send(packets.STOP)
 
+    def announce_pause(self) -> None:
+        """Have the newest targets held for up to `worker.PAUSE_S`, until the next ones come."""
+        self._send(packets.PAUSE)
+
     def close(self) -> None:
         """Let the driver stop its motors and release the bus; never raises."""
         try:

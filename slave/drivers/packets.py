@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from slave.drivers.driver import Counts, Reading
 
 READY, READING, FAULT, COUNTS = b"R", b"S", b"F", b"C"  # from the driver
-TARGET, STOP = b"T", b"E"  # to the driver
+TARGET, STOP, PAUSE = b"T", b"E", b"P"  # to the driver
 LARGEST = 4096  # [B] of a packet
 
 Values = NDArray[np.float64]
@@ -25,6 +25,7 @@ class Orders(NamedTuple):
 
     target: Counts | None  # the newest
     stop: bool  # an emergency stop
+    pause: bool  # a long pause was announced, after which nothing came
     ended: bool  # the slave is gone
 
 
@@ -79,12 +80,13 @@ def receive(end: socket.socket) -> bytes | None:
 def receive_orders(end: socket.socket) -> Orders:
     """Return what the slave has sent since the last look."""
     target: Counts | None = None
-    stop = False
+    stop = pause = False
     while (packet := receive(end)) is not None:
         if not packet:
-            return Orders(None, stop, True)
+            return Orders(None, stop, False, True)
+        pause = packet[:1] == PAUSE
         if packet[:1] == TARGET:
             target = np.frombuffer(packet, np.float64, offset=1)
-        else:
+        elif packet[:1] == STOP:
             stop = True
-    return Orders(target, stop, False)
+    return Orders(target, stop, pause, False)

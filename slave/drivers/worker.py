@@ -26,8 +26,8 @@ from teleop.config import load
 from teleop.errors import TeleopError
 
 COUNTS_S = 1.0  # [s] between two packets of counts
-# [s] without a target while motors are enabled: the slave hangs; an analysis takes seconds
-SILENT_S = 30.0
+SILENT_S = 0.2  # [s] without a target while motors are enabled: the slave hangs
+PAUSE_S = 30.0  # [s] the same, if the slave has announced a pause
 KEPT = 64  # readings that wait for a slave that does not read; the oldest are dropped
 
 
@@ -43,7 +43,8 @@ class WorkerConfig:
 def main(words: Sequence[str]) -> int:
     """Serve the driver described by the words of the command; return the exit code."""
     number, driver, motors, cells = words
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal: the slave ends this process
+    for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the slave ends this process
+        signal.signal(ending, signal.SIG_IGN)
     slave = Parent(os.getppid())
     end = socket.socket(fileno=int(number))
     try:
@@ -84,7 +85,7 @@ def serve(driver: Driver, end: socket.socket, slave: Parent) -> None:
 
 def _run(driver: Driver, end: socket.socket, slave: Parent) -> None:
     target: Counts | None = None
-    ordered_s = 0.0  # when the target came
+    ordered_s, silent_s = 0.0, SILENT_S  # when the target came, and how long it counts
     waiting: deque[Reading] = deque(maxlen=KEPT)
     due_s = counts_s = time.monotonic()
     while True:
@@ -95,9 +96,11 @@ def _run(driver: Driver, end: socket.socket, slave: Parent) -> None:
         elif orders.ended or (orders.target is None and slave.ends()):
             return
         elif orders.target is not None:
-            target, ordered_s = orders.target, time.monotonic()
-        elif target is not None and time.monotonic() - ordered_s > SILENT_S:
-            raise DriverFault(f"the slave has given no target for {SILENT_S:g} s")
+            target, ordered_s, silent_s = orders.target, time.monotonic(), SILENT_S
+        if orders.pause:
+            silent_s = PAUSE_S
+        if target is not None and time.monotonic() - ordered_s > silent_s:
+            raise DriverFault(f"the slave has given no target for {silent_s:g} s")
         waiting.extend(driver.cycle(target))
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while waiting:

@@ -10,6 +10,7 @@ from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.errors import UsageError
 from teleop.extensions import opening_failed
+from teleop.messages import MAX_JOINTS
 
 RigConfig = SimulatedRigConfig | ReplayedRigConfig | HardwareRigConfig | RigExtension
 
@@ -34,12 +35,31 @@ def compile_rig(config: RigConfig) -> None:
 
 
 def open_rig(config: RigConfig) -> Rig:
-    """Open the rig that `config` describes; `UsageError` if it is not available."""
+    """Open the rig that `config` describes; `UsageError` if it is not available or laid out wrong.
+
+    Compiled functions take the numbers of its tendons as indices, which they do not check.
+    """
     try:
-        return config.open() if isinstance(config, RigExtension) else RIGS[type(config)](config)
+        rig = config.open() if isinstance(config, RigExtension) else RIGS[type(config)](config)
     except RigFault as fault:
         raise UsageError(f"slave.rig: {fault}") from fault
     except Exception as error:
         if isinstance(config, RigExtension):
             raise UsageError(opening_failed("slave.rig", config, error)) from error
         raise
+    if wrong := wrong_layout(rig):
+        rig.close()
+        raise UsageError(f"slave.rig: {config.type}: {wrong}")
+    return rig
+
+
+def wrong_layout(rig: Rig) -> str:
+    """Return what is wrong with the joints of a rig and what they must be; empty if nothing is."""
+    joints = rig.joints
+    if not 1 <= len(joints) <= MAX_JOINTS or any(len(joint) not in (1, 2) for joint in joints):
+        return f"joints {joints}, must be 1 to {MAX_JOINTS} joints of 1 or 2 tendons"
+    if [k for joint in joints for k in joint] != list(range(rig.tendons)):
+        return (
+            f"joints {joints} of {rig.tendons} tendons, must number these from 0, joint after joint"
+        )
+    return ""

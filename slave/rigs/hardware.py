@@ -184,6 +184,8 @@ class HardwareRig:
         self._counts: tuple[Counts, Counts] | None = None  # newest, of motors and cells
         self.follows = False
         self._enabled = False  # whether the motors were given targets, and no stop since
+        self._target: Counts = np.empty(0)  # newest
+        self._written = False  # whether since the last read
         self._late = self._samples = 0
         self._start_s = time.monotonic()
         motors, cells = config.motor_ids, config.cell_ids
@@ -212,6 +214,9 @@ class HardwareRig:
             if np.all(np.isfinite(displacement)):
                 self._position, self._position_s = displacement, sampled_s
         self._samples += len(samples)
+        if self._enabled and not self._written:
+            self._send(self._target)  # a loop that reads does not hang
+        self._written = False
         return tuple(samples)
 
     def write(self, proximal_displacement: Array) -> None:
@@ -223,8 +228,13 @@ class HardwareRig:
         if not self.follows:
             self._require_near(proximal_displacement)
             self._enabled = True
+        self._target, self._written = self._transmission.target(proximal_displacement), True
+        self._send(self._target)
+
+    def announce_pause(self) -> None:
+        """Have the driver hold the newest targets through one pause of the loop."""
         try:
-            self._buses[0].write(self._transmission.target(proximal_displacement))
+            self._buses[0].announce_pause()
         except DriverFault as fault:
             raise RigFault(str(fault)) from fault
 
@@ -262,6 +272,12 @@ class HardwareRig:
     def buses(self) -> tuple[Connection, ...]:
         """Connections to the drivers: of the motors, and of the cells if that is another."""
         return tuple(self._buses)
+
+    def _send(self, target: Counts) -> None:
+        try:
+            self._buses[0].write(target)
+        except DriverFault as fault:
+            raise RigFault(str(fault)) from fault
 
     def _received(self) -> Sequence[tuple[float, Counts, Counts]]:
         try:

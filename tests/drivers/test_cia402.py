@@ -279,6 +279,13 @@ def test_a_drive_that_stops_by_itself_is_a_fault_and_is_not_enabled_again(drives
     assert not any(drive.state == ENABLED for drive in drives.drives)
 
 
+def test_frames_with_extended_identifiers_are_not_of_the_drives(drives):
+    with opened_on(drives) as rig:
+        start = engage(rig, moving(drives))
+        drives.bus.port.write(b"T00000702100\r")  # as node 2's boot-up, but with 29 bits
+        follow(rig, start + 0.001)
+
+
 def test_a_motor_that_does_not_follow_is_stopped_by_its_drive(drives):
     with opened_on(drives, following_error=50) as rig:
         start = engage(rig, moving(drives))

@@ -3,12 +3,15 @@
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
 
 from slave.bring_up import command
+from slave.drivers import worker
 from slave.drivers.driver import Channels, DriverFault
 from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.driver import MicrocontrollerDriver
@@ -26,6 +29,7 @@ from tests.drivers.bench import (
 from tests.drivers.models.board import (
     COMPILER,
     ENABLED,
+    STOPPED,
     WATCHDOG,
     Board,
     Firmware,
@@ -101,6 +105,62 @@ def test_a_killed_driver_leaves_the_motors_to_the_board_which_stops_them(board):
     with opened_on(board) as rig:  # the board is there again, and moves nothing by itself
         read_some(rig)
         assert not board.flags & ENABLED
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_the_whole_terminal_does_not_end_the_driver(board, number):
+    with opened_on(board) as rig:
+        start = engage(rig, moving(board))
+        os.kill(rig.buses[0].pid, number)
+        follow(rig, start + 0.001)  # the slave still has to lower the tensions
+
+
+SLAVE = """
+import sys
+from tests.drivers.bench import engage, microcontroller, opened, read_for, rig_config
+
+with opened(rig_config(microcontroller(sys.argv[1]), count=2)) as rig:
+    target = engage(rig, lambda: True)
+    print(flush=True)
+    read_for(rig, 100.0, target)
+"""
+
+
+def test_the_motors_of_a_suspended_slave_are_stopped_by_the_driver(board):
+    words = [sys.executable, "-c", SLAVE, board.port.name]
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as slave:
+        try:
+            slave.stdout.readline()
+            assert wait_until(moving(board))
+            slave.send_signal(signal.SIGSTOP)
+            assert wait_until(lambda: not board.flags & ENABLED, worker.PAUSE_S / 2)
+            assert board.flags & STOPPED
+            assert not board.flags & WATCHDOG
+        finally:
+            slave.kill()
+
+
+def test_a_loop_that_pauses_unannounced_hangs_and_one_that_only_reads_does_not(board):
+    with opened_on(board) as rig:
+        engage(rig, moving(board))
+        read_for(rig, 4 * worker.SILENT_S)
+        assert board.flags & ENABLED
+        time.sleep(4 * worker.SILENT_S)
+        with pytest.raises(RigFault, match=r"the slave has given no target for 0\.2 s"):
+            read_for(rig, 5.0)
+        assert wait_until(lambda: not board.flags & ENABLED)
+
+
+def test_motors_hold_through_a_pause_that_is_announced_and_move_on_after_it(board):
+    with opened_on(board) as rig:
+        start = engage(rig, moving(board))
+        rig.announce_pause()
+        time.sleep(4 * worker.SILENT_S)
+        assert board.flags & ENABLED
+        follow(rig, start + 0.001)
+        time.sleep(4 * worker.SILENT_S)
+        with pytest.raises(RigFault, match="the slave has given no target"):
+            read_for(rig, 5.0)
 
 
 def test_an_emergency_stop_switches_the_motors_off_until_the_next_target(board):

@@ -40,12 +40,26 @@ class Motors:
         self.closed_s = time.monotonic()
 
 
-def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch):
+TARGET = packets.pack_target(np.array([5.0]))
+
+
+@pytest.mark.parametrize(
+    ("sent", "silent_s"),
+    [
+        ([TARGET], 0.05),
+        ([TARGET, packets.PAUSE], 0.15),
+        ([TARGET, packets.PAUSE, packets.PAUSE], 0.15),
+        ([TARGET, packets.PAUSE, TARGET], 0.05),
+    ],
+)
+def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch, sent, silent_s):
     monkeypatch.setattr(worker, "SILENT_S", 0.05)
+    monkeypatch.setattr(worker, "PAUSE_S", 0.15)
     motors = Motors()
     ours, theirs = packets.pair()
     with ours, theirs:
-        ours.send(packets.pack_target(np.array([5.0])))
+        for packet in sent:
+            ours.send(packet)
         worker.serve(motors, theirs, Parent(os.getpid()))  # it would run until `ours` is closed
         assert motors.targets[-1] == [5.0]
         assert motors.closed_s is not None
@@ -53,7 +67,7 @@ def test_motors_of_a_slave_that_hangs_are_stopped_with_a_reason(monkeypatch):
         while (packet := packets.receive(ours)) is not None:
             told.append(packet)
     assert told[-1][:1] == packets.FAULT
-    assert b"the slave has given no target" in told[-1]
+    assert told[-1].decode().endswith(f"the slave has given no target for {silent_s:g} s")
 
 
 def test_a_slave_that_stops_its_motors_and_ends_at_once_has_stopped_them():

@@ -1,4 +1,5 @@
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from master import devices
 from master.config import MasterConfig
 from master.device import DeviceFault
 from master.devices import open_device
+from master.devices.combined import CombinedConfig
 from master.devices.extension import DeviceExtension
 from master.devices.hid.config import AxisConfig, ButtonsConfig
 from master.devices.references import Reaches
@@ -105,6 +107,48 @@ def test_a_device_that_is_not_there_is_a_usage_error(monkeypatch):
     monkeypatch.setitem(devices.DEVICES, VirtualConfig, missing)
     with pytest.raises(UsageError, match=r"^master\.device: no such device$"):
         open_device(VirtualConfig())
+
+
+class Misfit:
+    """A device that was opened with as many axes as it likes."""
+
+    def __init__(self, axes):
+        self.axes, self.closed = axes, 0
+
+    def close(self):
+        self.closed += 1
+
+
+@dataclass(frozen=True)
+class MisfitConfig(DeviceExtension):
+    """Its `axis_count` is 1, whatever it opens."""
+
+    type: str = "mylab"
+    device: Misfit | None = None
+
+    def open(self):
+        return self.device
+
+
+@pytest.mark.parametrize("axes", [-1, 0, 9])
+def test_a_device_whose_axes_are_no_joints_is_named_and_closed(axes):
+    device = Misfit(axes)
+    with pytest.raises(
+        UsageError, match=rf"^master\.device: mylab has {axes} axes, must be 1 to 8$"
+    ):
+        open_device(MisfitConfig(device=device))
+    assert device.closed == 1
+
+
+@pytest.mark.parametrize("axes", [0, 6])
+def test_devices_that_have_more_axes_together_than_joints_are_named_and_closed(axes):
+    parts = [Misfit(3), Misfit(axes)]
+    config = CombinedConfig(devices=tuple(MisfitConfig(device=part) for part in parts))
+    with pytest.raises(
+        UsageError, match=rf"^master\.device: devices\.1: mylab has {axes} axes, must be 1 to 5$"
+    ):
+        open_device(config)
+    assert [part.closed for part in parts] == [1, 1]
 
 
 def test_defaults_are_written_as_they_are_read(tmp_path):

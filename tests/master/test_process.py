@@ -215,6 +215,16 @@ def test_a_session_reaches_the_hand_and_ends_without_force():
     assert line.of(COMMAND)[-2].state == State.ENGAGED
 
 
+def test_the_end_is_told_whatever_the_device_does():
+    device = Stylus(write_fails_at=20, error=ZeroDivisionError)  # in the tick, and at the end
+    line = DeviceConnection()
+    with pytest.raises(ZeroDivisionError, match="does not take forces"):
+        driven(device, line)
+    assert line.of(COMMAND)[-1] == Command()
+    assert line.of(REPORT)[-1].ended == 1
+    assert text_of(line.of(EVENT)[-1].text) == "off: ended"
+
+
 def test_events_tell_each_change_once_and_the_end():
     _, line, _ = driven(Stylus())
     texts = [text_of(event.text) for event in line.of(EVENT)]

@@ -701,12 +701,32 @@ def test_a_rig_that_is_not_there_is_told_in_a_line(monkeypatch):
         process.main(arguments("--duration", "1"))
 
 
+TOO_MANY = f"must be 1 to {MAX_JOINTS} joints of 1 or 2 tendons"
+NOT_NUMBERED = "must number these from 0, joint after joint"
+
+
 @pytest.mark.usefixtures("quiet_process")
-def test_a_rig_that_messages_cannot_carry_is_told_in_a_line_and_closed(monkeypatch):
+@pytest.mark.parametrize(
+    ("joints", "tendons", "said"),
+    [
+        (tuple((k,) for k in range(MAX_JOINTS + 1)), MAX_JOINTS + 1, TOO_MANY),
+        ((), 0, TOO_MANY),
+        (((0, 1, 2),), 3, TOO_MANY),
+        (((0,), (99,)), 2, NOT_NUMBERED),
+        (((-1,),), 1, NOT_NUMBERED),
+        (((0,), (0,)), 2, NOT_NUMBERED),
+        (((1, 0),), 2, NOT_NUMBERED),
+        (((0, 1),), 3, NOT_NUMBERED),
+        (((0, 1),), 1, NOT_NUMBERED),
+    ],
+)
+def test_a_rig_that_is_laid_out_wrong_is_told_in_a_line_and_closed(
+    monkeypatch, joints, tendons, said
+):
     rig = FakeRig()
-    rig.joints = tuple((k,) for k in range(MAX_JOINTS + 1))
+    rig.joints, rig.tendons = joints, tendons
     monkeypatch.setitem(rigs.RIGS, SimulatedRigConfig, lambda _: rig)
-    with pytest.raises(UsageError, match=rf"^slave\.rig: .*must be 1 to {MAX_JOINTS} joints"):
+    with pytest.raises(UsageError, match=rf"^slave\.rig: simulated: joints .*{said}$"):
         process.main(arguments("--duration", "1"))
     assert rig.closed == 1
     assert rig.reads == 0

@@ -14,6 +14,7 @@ import pytest
 from teleop.errors import TeleopError, UsageError
 from teleop.output_file import OutputFile
 from teleop.process import (
+    INTERRUPTED,
     SUPERVISED,
     Stop,
     die_with_launcher,
@@ -45,6 +46,50 @@ def test_a_duration_counts_from_the_first_tick_however_long_setting_up_took(monk
     now[0] = 132.0
     assert stop()
     assert stop.reason == "duration reached"
+
+
+STOPPING = """
+import signal, sys
+from teleop.process import Stop
+stop = Stop()
+signal.raise_signal(getattr(signal, sys.argv[1]))
+print(stop(), stop.reason)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_loop_is_stopped_by_each_signal_that_ends_a_command(number):
+    words = [sys.executable, "-c", STOPPING, number.name]
+    assert subprocess.check_output(words, text=True).split() == ["True", number.name]
+
+
+def test_under_nohup_a_loop_outlives_its_terminal():
+    words = ["nohup", sys.executable, "-c", STOPPING, "SIGHUP"]
+    assert subprocess.check_output(words, text=True, stdin=subprocess.DEVNULL).split() == ["False"]
+
+
+INTERRUPTED_COMMAND = """
+import signal, sys
+from teleop import __main__ as program
+from teleop.app import cli
+
+def main(begin):
+    begin()
+    try:
+        signal.raise_signal(getattr(signal, sys.argv[1]))
+    finally:
+        print("closed")
+
+cli.main = main
+sys.exit(program.main())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_command_without_a_loop_closes_what_it_has_opened(number):
+    words = [sys.executable, "-c", INTERRUPTED_COMMAND, number.name]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (INTERRUPTED, "closed\n")
 
 
 def test_a_summary_replaces_the_old_one_whole(tmp_path):

@@ -192,6 +192,8 @@ class Cia402Driver:
             if message.arbitration_id & BUS_OFF:
                 raise DriverFault(f"{self._place}: bus off: check termination, cable and bit rate")
             return
+        if message.is_extended_id:  # no identifier of CANopen
+            return
         identifier, data = message.arbitration_id, bytes(message.data)
         node = self._nodes.get(identifier & 0x7F)
         if node is None:

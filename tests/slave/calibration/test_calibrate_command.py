@@ -16,6 +16,7 @@ from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs import open_rig
 from teleop.app import cli
 from teleop.config import as_tree
+from teleop.process import ENDINGS
 from tests.slave.calibration.calibration_bench import (
     EA,
     GATE,
@@ -145,24 +146,25 @@ def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_ctrl_c_ends_it_without_a_file(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_signal_ends_it_without_a_file(tmp_path, capsys, monkeypatch, number):
     path = config_file(tmp_path, rig_config(SHORT))
 
     def ticks(rate_hz):
         for tick in run.fast_ticks(rate_hz):
             if tick.index == 300:
-                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(number)
             yield tick
 
     monkeypatch.setattr(command, "fast_ticks", ticks)
-    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    handlers = [signal.getsignal(ending) for ending in ENDINGS]
     try:
         code = teleop("--config", path, "--out", tmp_path / "new.yaml")
     finally:
-        for number, handler in zip((signal.SIGINT, signal.SIGTERM), handlers, strict=True):
-            signal.signal(number, handler)
+        for ending, handler in zip(ENDINGS, handlers, strict=True):
+            signal.signal(ending, handler)
     assert code == 130
-    assert "SIGINT: stopped, no file written" in capsys.readouterr().err
+    assert f"{number.name}: stopped, no file written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -1,5 +1,8 @@
 """Driving a rig through the procedure: what goes wrong on the way, and several joints."""
 
+import errno
+import os
+
 import numpy as np
 import pytest
 
@@ -136,6 +139,45 @@ def test_the_operator_ends_it_and_the_tensions_are_let_down():
     end = int(np.argmax(np.array(tension) > 15.0))
     written = np.array(rig.written)
     assert (np.diff(written[end:], axis=0) <= 1e-15).all()  # paid out, never pulled
+
+
+def test_a_terminal_that_is_gone_ends_it_and_the_tensions_are_let_down():
+    rig = HousingOnly(rig_config(SHORT))
+    tension = []
+
+    def progress(_):
+        tension.append(rig.seen[-1].proximal_tension.max())
+        if tension[-1] > 15.0:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with pytest.raises(CalibrationInterrupted, match=r"cannot be printed \(Input/output error\)"):
+        calibrated(rig, rate_hz=500.0, progress=progress)
+    assert tension[-1] > 15.0
+    assert resting(rig)
+
+
+class Watched(HousingOnly):
+    """A rig whose driver waits for its loop; counts what was written before each pause."""
+
+    def __init__(self, fault=None):
+        super().__init__(rig_config(SHORT))
+        self.pauses, self.fault = [], fault
+
+    def announce_pause(self):
+        if self.fault is not None:
+            raise self.fault
+        self.pauses.append(len(self.written))
+
+
+def test_a_rig_that_watches_its_loop_is_told_of_the_pause_after_the_last_position():
+    rig = Watched()
+    calibrated(rig, rate_hz=500.0)
+    assert rig.pauses == [len(rig.written)]
+
+
+def test_a_driver_that_fails_at_the_pause_ends_it_with_its_words():
+    with pytest.raises(TeleopError, match=r"^rig: the driver's process has ended$"):
+        calibrated(Watched(RigFault("the driver's process has ended")), rate_hz=500.0)
 
 
 def test_after_a_refusal_the_tensions_are_let_down_and_the_motors_hold():
