@@ -37,6 +37,8 @@ SEARCH = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched, more in a 
 SPREAD = 32  # share of it between two first guesses, and half of it to either side
 STEPS = 8  # on each of these
 EQUAL = 1e-6  # of a cost
+REDIRECTED = 3  # times at most that a fit goes on from other shapes
+MULTIPLES = (0.4, 0.6, 0.8, 1.25, 1.6, 2.5)  # of a shape that are tried
 TRUSTED = 0.5  # of the fall foreseen: slopes that foresaw a step as well are not taken anew
 WEAK = 1e-8  # information on a number about which there is none
 
@@ -52,12 +54,18 @@ def improved(
     """Return the model of least squares that is found from `start`.
 
     Parameters without a gradient, such as the time at which something begins, are searched in ever
-    smaller steps. When it was and how long it took is then fitted to all samples: those that count
-    may have none of that time. A `robust` fit goes by most of a record, however far it is off the
-    rest.
+    smaller steps; those that only shape an effect are tried at multiples of their values too, since
+    a valley that bends ends a descent. When it was and how long it took is then fitted to all
+    samples: those that count may have none of that time. A `robust` fit goes by most of a record,
+    however far it is off the rest.
     """
     layout = Layout(dataset, start)
     fit = _descended(dataset, about, layout, start, rounds, layout.smooth, robust=robust)
+    for _ in range(REDIRECTED if rounds > ROUNDS else 0):
+        model = _redirected(dataset, about, layout, fit)
+        if model is None:
+            break
+        fit = _descended(dataset, about, layout, model, ROUNDS, layout.smooth)
     jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
     reaches = SEARCH if rounds > ROUNDS else SEARCH[:1] if rounds > QUICK else ()
     for reach in (*far_reaches(dataset), *reaches) if jumping and reaches else ():
@@ -66,6 +74,24 @@ def improved(
         fit = _descended(whole(dataset), about, layout, fit.model, max(2, rounds // 3), layout.when)
         fit = _descended(dataset, about, layout, fit.model, max(2, rounds // 3), ~layout.when)
     return fit
+
+
+def _redirected(
+    dataset: Dataset, about: Sequence[EffectContext], layout: Layout, fit: Fit
+) -> Model | None:
+    """Return a fit's model with its shapes at better multiples of their values; None if none is."""
+    best, least = fit, cost(dataset, fit)
+    for i in np.flatnonzero(layout.shape):
+        x = layout.pack(best.model)
+        low, high = layout.bounds()
+        for multiple in MULTIPLES:
+            moved = x.copy()
+            moved[i] = np.clip(multiple * x[i], low[i], high[i])
+            other = simulated(dataset, about, layout.unpack(moved))
+            found = cost(dataset, other)
+            if found < least:
+                best, least = other, found
+    return None if best is fit else best.model
 
 
 def far_reaches(dataset: Dataset) -> list[float]:

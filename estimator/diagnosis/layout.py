@@ -49,6 +49,11 @@ class Layout:
         return np.array([not p.jumps for p in self.parameters])
 
     @property
+    def shape(self) -> Mask:
+        """Which numbers only shape an effect, and have a slope."""
+        return np.array([p.neutral is None and not p.jumps for p in self.parameters])
+
+    @property
     def when(self) -> Mask:
         """Which numbers say when something happened, and how long it took."""
         mask = np.zeros(len(self.parameters), dtype=np.bool_)
