@@ -52,7 +52,8 @@ class Controller {
   uint16_t sequence_ = 0, answered_ = 0, bad_frames_ = 0;
   uint16_t watchdog_ms_ = kWatchdogMs;
   uint32_t target_us_ = 0;  // when the newest target came
-  uint8_t flags_ = 0;
+  // after a restart encoders count anew: a SET that disables must come before one that moves
+  uint8_t flags_ = kStopped;
   bool on_[kMostMotors] = {};
 };
 

@@ -88,8 +88,28 @@ def test_a_state_that_is_cut_is_refused(size):
         frames.parse_state(STATE[:size])
 
 
+def ready(library, motors, cells):
+    """Return firmware that has taken leave to move."""
+    board = Firmware(library, motors, cells)
+    board.receive(frames.encode(Kind.SET, 0, 0, frames.set_targets((0,) * motors, enabled=False)))
+    return board
+
+
+def test_the_firmware_moves_nothing_after_a_restart_until_it_was_disabled(library):
+    board = Firmware(library, motors=1, cells=1)
+    board.receive(frames.encode(Kind.HELLO, 0, 0, frames.hello(0.03)))
+    for enabled, (flags, power) in (
+        (True, (Flags.STOPPED, False)),
+        (False, (Flags(0), False)),
+        (True, (Flags.ENABLED, True)),
+    ):
+        board.receive(frames.encode(Kind.SET, 1, 0, frames.set_targets((70_000,), enabled)))
+        found, _, powered = board.read_motors()
+        assert (found, bool(powered[0])) == (flags, power)
+
+
 def test_the_firmware_reads_targets_and_we_read_its_states(library):
-    board = Firmware(library, motors=3, cells=2)
+    board = ready(library, motors=3, cells=2)
     board.receive(frames.encode(Kind.HELLO, 0, 0, frames.hello(0.03)))
     (info,) = FrameReader().feed(board.sent())
     assert frames.parse_info(info.body)[:4] == (30, 1000, 3, 2)
@@ -108,7 +128,7 @@ def test_the_firmware_reads_targets_and_we_read_its_states(library):
 
 
 def test_the_firmware_obeys_no_frame_with_a_wrong_byte(library):
-    board = Firmware(library, motors=3, cells=1)
+    board = ready(library, motors=3, cells=1)
     whole = frames.encode(Kind.SET, 1, 2, frames.set_targets((0, 260, -5), enabled=True))
     for at in range(len(whole)):
         for wrong in range(256):
@@ -121,7 +141,7 @@ def test_the_firmware_obeys_no_frame_with_a_wrong_byte(library):
 
 
 def test_the_firmware_stops_its_motors_when_targets_cease(library):
-    board = Firmware(library, motors=1, cells=1)
+    board = ready(library, motors=1, cells=1)
     enable = frames.set_targets((10,), enabled=True)
 
     def after(now_us):
@@ -144,7 +164,7 @@ def test_the_firmware_stops_its_motors_when_targets_cease(library):
 
 
 def test_the_firmware_does_not_read_beyond_its_buffers(library):
-    board = Firmware(library, motors=2, cells=2)
+    board = ready(library, motors=2, cells=2)
     random = np.random.default_rng(5)
     for _ in range(300):
         board.receive(random.integers(0, 256, random.integers(1, 900), np.uint8).tobytes())

@@ -85,6 +85,7 @@ def test_a_motor_is_driven_towards_its_target_and_off_without_one(sketch):
     sketch.lib.sketch_setup()
     sketch.run(0.01)
     assert power() == 0
+    sketch.receive(targets(0, 0, enabled=False))
     for target, sign in ((200, 1), (0, -1), (100, 0)):
         sketch.receive(targets(1, target))
         sketch.run(0.01)
@@ -102,6 +103,7 @@ def test_a_motor_is_driven_towards_its_target_and_off_without_one(sketch):
 
 def test_a_computer_that_does_not_read_does_not_hold_up_the_watchdog(sketch):
     sketch.lib.sketch_setup()
+    sketch.receive(targets(0, 0, enabled=False))
     sketch.receive(targets(1, 1_000_000))
     before_us = sketch.lib.sketch_now_us()
     for _ in range(60):  # nothing is taken from its buffer

@@ -180,7 +180,8 @@ class MicrocontrollerDriver:
                 f"{self._config.watchdog * 1e3:g} ms"
             )
         elif self._obeyed:
-            raise DriverFault(f"{port}: the board stopped the motors by itself")
+            restarted = ": it has restarted" if state.flags & Flags.STOPPED else ""
+            raise DriverFault(f"{port}: the board stopped the motors by itself{restarted}")
         elif now - self._wanted_s > ENABLE_S:
             raise DriverFault(f"{port}: the board does not enable its motors")
 
