@@ -12,7 +12,8 @@ demo: .venv/run.done  ## a whole session on a simulated rig: make demo ARGS="--d
 	@$(BIN)/teleop run --config configs/demo.yaml $(ARGS)
 
 # a busy machine can hold anything up: a test that waits fails if it does so twice in a row, one
-# with a clock if it does so three times; what was run again is counted in the last line
+# with a clock if it does so three times, but gates and sessions at once (tests/conftest.py); what was
+# run again is counted in the last line
 test: QUICK := and not slow
 test test-all: .venv/dev.done
 	@$(BIN)/python -m pytest -n auto --dist loadfile --reruns 1 -m "not real_time $(QUICK)" $(ARGS) || [ $$? = 5 ]

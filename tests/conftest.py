@@ -57,14 +57,25 @@ REAL_TIME = (  # loops, sockets, clocks
     "teleop/ros/test_live.py",
     "teleop/test_view.py",
 )
+NO_CLOCK = (  # of what keeps hands safe: a failure is one, however seldom
+    "coupling",
+    "master/test_gate.py",
+    "slave/fault_detection",
+    "slave/test_gate.py",
+    "teleop/test_black_channel.py",
+    "teleop/test_session.py",
+    "tick",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what must not share the processors with other tests."""
-    alone = tuple(Path(__file__).parent / place for place in REAL_TIME)
+    """Mark what must not share the processors with other tests, and what is never run again."""
+    here = Path(__file__).parent
     for item in items:
-        if any(item.path.is_relative_to(place) for place in alone):
+        if any(item.path.is_relative_to(here / place) for place in REAL_TIME):
             item.add_marker("real_time")
+        if any(item.path.is_relative_to(here / place) for place in NO_CLOCK):
+            item.add_marker(pytest.mark.flaky(reruns=0))
 
 
 @pytest.fixture
