@@ -312,7 +312,7 @@ def _step_ready(session: Session, inputs: Inputs) -> None:
     # engaging takes a tick in READY, so that the peer sees READY too
     if session.state == State.READY and asked and present and open_seen and peer_seen:
         _enter(session, State.ENGAGED, Reason.NONE)
-        session.followed = peer_engaged
+        session.followed = False  # a peer that is engaged already was before: its next word counts
         session.peer = inputs.peer
         return
     _enter(session, State.READY, not_ready)

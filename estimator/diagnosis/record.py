@@ -211,18 +211,18 @@ def prepare(
         drive = np.insert(drive, turns.rows, turns.drive)
         good[PROXIMAL_TENSION], trouble = _between_turns(time, drive, good[PROXIMAL_TENSION])
         troubles += trouble
-    block = _blocks(time)
+    block, speed = _blocks(time), rate(time, drive)
     return Record(
         time=time,
         signals=signals,
         driver=driver,
         drive=drive,
-        speed=rate(time, drive),
+        speed=speed,
         noise=sigma,
         sigma={name: np.full(len(time), sigma[name]) for name in signals if name != driver},
         good=good,
         measured=measured,
-        train=_fitted(block),
+        train=_fitted(block, drive, speed),
         block=block,
         troubles=tuple(one._replace(first=one.first + start) for one in troubles),
         thinned=thinned,
@@ -305,19 +305,41 @@ def in_short_blocks(record: Record) -> Record:
     What is wrong in one block only can be fitted and not judged, or judged and not fitted.
     """
     block = _blocks(record.time, SETTINGS.short_block)
-    return replace(record, train=_fitted(block), block=block)
+    return replace(record, train=_fitted(block, record.drive, record.speed), block=block)
 
 
-def _fitted(block: NDArray[np.int64]) -> Mask:
-    """Return which samples are fitted: of the blocks whose number has an even count of ones.
+def _fitted(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:
+    """Return which samples are fitted: every other block, if both halves see the same motion.
 
-    Every other block would be the same half of a motion that repeats itself; this sequence of Thue
-    and Morse repeats nothing.
+    A motion that repeats itself may be in one half while it pulls and in the other while it lets
+    go. Then it is the blocks whose number has an even count of ones, a sequence (of Thue and Morse)
+    that repeats nothing.
     """
+    alternate = block % 2 == 0
+    if _imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
+        return alternate
     odd = np.zeros_like(block)
     while block.any():
         odd, block = odd ^ (block & 1), block >> 1
-    return np.asarray(odd == 0)
+    aperiodic = np.asarray(odd == 0)
+    return min((alternate, aperiodic), key=lambda one: _imbalance(one, drive, speed))
+
+
+def _imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
+    """Return how differently two halves are moved: 0 if the same, 1 if nothing is in both.
+
+    It is the distance in total variation between what they have of low, middle and high drive,
+    each while it rises, rests and falls.
+    """
+    level = np.searchsorted(np.quantile(drive, [1.0 / 3.0, 2.0 / 3.0]), drive)
+    rest = SETTINGS.rest * float(np.quantile(np.abs(speed), 0.95))
+    way = np.sign(speed) * (np.abs(speed) > rest)
+    state = (3 * level + way + 1.0).astype(np.int64)
+    shares = [
+        np.bincount(state[half], minlength=9) / max(int(half.sum()), 1)
+        for half in (fitted, ~fitted)
+    ]
+    return 0.5 * float(np.abs(shares[0] - shares[1]).sum())
 
 
 def _blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:

@@ -17,6 +17,8 @@ class Settings:
     samples_max: int = 20_000  # that are simulated; a longer record is averaged
     block: float = 5.0  # [s] that are fitted, and as long that are held out
     blocks_min: int = 12  # of a record; in a short one they are shorter
+    imbalance_max: float = 0.5  # of what moves both halves, up to which every other block is fitted
+    rest: float = 0.02  # of a high speed, below which the drive rests
     short_block: float = 0.02  # of a block's length, where the error fills but a block or two
     noise_min: float = 2e-4  # of a channel's range; nothing is simulated more precisely
     reversal: float = 1e-3  # of the drive's range that the motor goes back by, at least

@@ -209,7 +209,8 @@ def _saturation(channel: str) -> Effect:
 
 def _scale(channel: str) -> Effect:
     def scaled(q: Array, by: float, context: EffectContext) -> Array:
-        zero = context.measured[channel][0]  # of the encoder: anywhere, and fitted apart
+        known = context.measured.get(channel)
+        zero = 0.0 if known is None else known[0]  # encoders count from anywhere
         return np.asarray(zero + by * (q - zero))
 
     return _of_sensor(

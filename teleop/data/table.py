@@ -265,7 +265,7 @@ def _finite(
     keep = np.ones(len(next(iter(numbers.values()))), dtype=np.bool_)
     for name, column in numbers.items():
         good = np.isfinite(column)
-        if not good.any():
+        if not drop and not good.any():
             raise UsageError(f"{path}: column {name!r} has no finite value: remove the column")
         if not drop and not good.all():
             bad = np.flatnonzero(~good)

@@ -75,6 +75,15 @@ def test_a_force_that_is_no_number_is_a_fault_in_the_tick_in_which_it_comes(bad)
     assert run.session == (State.FAULT, Reason.NOT_FINITE)
 
 
+def test_a_slave_that_is_engaged_before_the_press_is_not_felt_in_the_tick_of_the_press():
+    run = Run().engaged()
+    run.answered(hand(), force=10.0)
+    both(run, hand(engage=False), later(run, State.READY))
+    assert run.answered(hand(), State.ENGAGED, force=10.0).force == (0.0,)
+    assert run.state == State.ENGAGED
+    assert run.answered(hand(), State.ENGAGED, force=10.0).force[0] < 0.0
+
+
 def test_a_slave_that_was_replaced_meanwhile_is_not_felt():
     run = Run().engaged()
     run.answered(hand())

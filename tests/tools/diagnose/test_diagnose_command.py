@@ -253,7 +253,7 @@ def test_data_that_cannot_be_diagnosed_are_refused_in_one_line(csv, data, tmp_pa
     write_table(
         bad, {"time_s": data.time} | columns(data) | {"distal_tension_N": data.time * math.nan}
     )
-    assert "--drop-nonfinite" in refusal(capsys, bad)
+    assert "no finite value: remove the column" in refusal(capsys, bad)
 
 
 def test_words_that_cannot_be_right_are_refused_before_anything_is_fitted(csv, tmp_path, capsys):
