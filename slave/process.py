@@ -33,7 +33,7 @@ from slave.config import (
 )
 from slave.gate import GateFlags
 from slave.loop import RigModel, SlaveMemory, TickInput
-from slave.rig import Rig, RigFault, RigFinished, RigSample, emergency_stop_of, motors_follow
+from slave.rig import Rig, RigFault, RigFinished, RigSample, emergency_stop_of, enabling
 from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
 from slave.rigs.replayed import ReplayedRig
 from slave.rigs.simulated.effect_text import late
@@ -101,6 +101,7 @@ class SlaveProcess(LoopProcess):
     ) -> None:
         self._rig, self._model = rig, model
         self._emergency_stop = emergency_stop_of(rig)
+        self._enabling = enabling(rig)
         self._is_rig_stopped = False  # its emergency stop was called, nothing written since
         past = past or Past(now_ns(), ())
         self._slave = loop.start(
@@ -210,7 +211,7 @@ class SlaveProcess(LoopProcess):
             requests.reset,
             _CLOCK_SET if commands.settles else self._link_reason,
             commands.settles or self._link_holds,
-            motors_follow(self._rig),
+            self._enabling is None or self._enabling.follows,
         )
         slave, rows, samples = self._slave, self._rows, self._samples
         if not self._is_estimated:

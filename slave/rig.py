@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, cast
 
 from estimator.array_types import Array
 
@@ -131,10 +131,15 @@ def emergency_stop_of(rig: Rig) -> Callable[[], None] | None:
     return getattr(rig, "emergency_stop", None)
 
 
+def enabling(rig: Rig) -> EnablingRig | None:
+    """Return a rig that tells whether its motors follow as one, None for any other."""
+    return cast("EnablingRig", rig) if hasattr(rig, "follows") else None
+
+
 def motors_follow(rig: Rig) -> bool:
     """Return whether the motors of a rig follow what is written; always true if it cannot tell."""
-    follows: bool = getattr(rig, "follows", True)
-    return follows
+    one = enabling(rig)
+    return one is None or one.follows
 
 
 class RigFinished(Exception):
