@@ -315,7 +315,7 @@ def _fitted(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:
     go. Then it is the blocks whose number has an even count of ones, a sequence (of Thue and Morse)
     that repeats nothing.
     """
-    alternate = block % 2 == 0
+    alternate: Mask = block % 2 == 0
     if _imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
         return alternate
     odd = np.zeros_like(block)
