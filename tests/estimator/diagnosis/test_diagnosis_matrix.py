@@ -1,7 +1,7 @@
 """Every effect hidden twice, and nothing, two at once, and what the catalogue does not know.
 
 Short records, and each against a part of the catalogue that differs from case to case. One case in
-eighteen is quick; `make test-all` has all of them, `make bench-diagnosis` the same at full length.
+thirty is quick; `make test-all` has all of them, `make bench-diagnosis` the same at full length.
 """
 
 import zlib
@@ -65,15 +65,15 @@ def named(case):
     return f"{'+'.join(case.effects) or 'clean'}-{case.bench}-{case.seed}"
 
 
-def one_in_eighteen(cases):
-    """Return the cases as parameters, all but every eighteenth marked slow."""
+def one_in_thirty(cases):
+    """Return the cases as parameters, all but every thirtieth marked slow."""
     return [
         pytest.param(case, id=named(case), marks=_marks(k, case)) for k, case in enumerate(cases)
     ]
 
 
 def _marks(number, case):
-    marks = [pytest.mark.slow] if number % 18 else []
+    marks = [pytest.mark.slow] if number % 30 else []
     if case in NOISY_EFFECTS and case.effects == ("cogging_ripple",):
         reason = "three waves in all: found, but the rest stays above the noise"
         marks.append(pytest.mark.xfail(reason=reason, strict=True))
@@ -90,7 +90,7 @@ def quickly(case):
     return judge(case, [effect for effect in CATALOGUE if effect.name in among], oracle=False)
 
 
-@pytest.mark.parametrize("case", one_in_eighteen(NOISY))
+@pytest.mark.parametrize("case", one_in_thirty(NOISY))
 def test_noise_of_the_travel_is_no_cause(case):
     """Any play that follows a noisy travel turns a thousand times where the motor did not."""
     found = judge(case, oracle=False)
@@ -111,7 +111,7 @@ def test_strokes_at_random_on_a_grid_of_plays_are_clean(seed, bench, rate, noise
 
 @pytest.mark.parametrize(
     "case",
-    [*one_in_eighteen(SINGLE), *one_in_eighteen(PAIRS), *one_in_eighteen(NOISY_EFFECTS)],
+    [*one_in_thirty(SINGLE), *one_in_thirty(PAIRS), *one_in_thirty(NOISY_EFFECTS)],
 )
 def test_what_was_hidden_is_in_the_answer(case):
     found = quickly(case)
@@ -120,14 +120,14 @@ def test_what_was_hidden_is_in_the_answer(case):
     assert found.right
 
 
-@pytest.mark.parametrize("case", one_in_eighteen(CLEAN))
+@pytest.mark.parametrize("case", one_in_thirty(CLEAN))
 def test_a_clean_record_is_called_clean(case):
     found = quickly(case)
     print(found)
     assert found.verdict == Verdict.CLEAN
 
 
-@pytest.mark.parametrize("case", one_in_eighteen(OUTSIDE))
+@pytest.mark.parametrize("case", one_in_thirty(OUTSIDE))
 def test_what_the_catalogue_does_not_know_is_not_given_a_name(case):
     found = quickly(case)
     print(found)
