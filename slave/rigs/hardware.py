@@ -167,7 +167,8 @@ class HardwareRig:
 
     `read` hands over what they have received since, each sample once; `write` leaves the newest
     targets with them. Any failure of a driver is a `RigFault` with the driver's own words; its
-    motors are then stopped already. It is a `slave.rig.EnablingRig` and a `StoppableRig`.
+    motors are then stopped already. It is an `EnablingRig`, a `StoppableRig` and a `WatchedRig` of
+    `slave.rig`.
     """
 
     starts_at_zero = False

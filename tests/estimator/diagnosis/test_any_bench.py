@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.api import diagnose
+from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis.carried_over import carried_over
 from estimator.diagnosis.channel_noise import counted_step
-from estimator.diagnosis.dataset import dataset_of
+from estimator.diagnosis.dataset import contexts, dataset_of
 from estimator.diagnosis.fit import SEARCH, SPREAD, far_reaches
 from estimator.diagnosis.held_samples import held
+from estimator.diagnosis.model import plain_physics
 from estimator.diagnosis.record import RecordError, in_short_blocks, prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
@@ -120,3 +123,31 @@ def test_a_search_for_a_time_reaches_from_guess_to_guess(duration):
     reaches = [*far_reaches(dataset_of([prepare(time, channels)])), *SEARCH]
     assert reaches[0] >= duration / SPREAD
     assert all(wide <= 5.0 * narrow for wide, narrow in pairwise(reaches))
+
+
+def test_a_clock_at_the_tip_that_is_early_is_named():
+    made = hidden.make(5, (), bench="spring", duration=30.0, rate=100.0)
+    early = {
+        name: np.interp(made.time + 0.08, made.time, signal) if "distal" in name else signal
+        for name, signal in made.channels.items()
+    }
+    tried = [one for one in CATALOGUE if one.name in ("sensor_lag", "creep", "tip_inertia")]
+    found = diagnose(Samples(made.time, *(early.get(name) for name in CHANNELS)), effects=tried)
+    assert [step.effect.where for step in found.steps] == ["all sensors at the tip, by their clock"]
+    assert found.parameters["sensor_lag.time"].value == pytest.approx(-0.08, abs=0.005)
+
+
+def test_another_day_has_the_friction_of_the_end_and_no_slip_of_that_day(clean):
+    dataset = dataset_of([prepare(clean.time, dict(clean.channels))])
+    plain = baseline(dataset)
+    named = {one.name: one for one in CATALOGUE}
+    values = {"friction_step": (0.5, 12.0), "friction_drift": (0.2,), "encoder_slip": (1e-3, 9.0)}
+    effects = tuple((named[name], one) for name, one in values.items())
+    model = carried_over(dataset, plain.model._replace(effects=effects))
+    assert [effect.name for effect, _ in model.effects] == ["friction_step", "friction_drift"]
+    about = contexts(dataset, plain)[0]
+    physics = plain_physics(dataset.records[0], dataset.base, {"K": 1.0})
+    for effect, one in model.effects:
+        physics = effect.physics(physics, one, about)
+    end = 1.5 * (1.0 + 0.2 * dataset.records[0].time[-1] / 60.0)
+    assert physics.friction == pytest.approx(np.full(len(dataset.records[0].time), end))
