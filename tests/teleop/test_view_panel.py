@@ -36,6 +36,18 @@ def test_text_fills_its_width_and_height_and_no_more():
     assert points.max(axis=0) == pytest.approx([1.0 + text_width("ENGAGED 12", 3.0), 5.0])
 
 
+def test_a_decimal_point_stands_midway_between_its_digits_and_near_to_them():
+    eight = len(text_strips("8", 0.0, 0.0, 6.0))
+    strips = text_strips("8.8", 0.0, 0.0, 6.0)
+    before, point, after = (
+        np.concatenate(part)[:, 0]
+        for part in (strips[:eight], strips[eight:-eight], strips[-eight:])
+    )
+    gaps = point.min() - before.max(), after.min() - point.max()
+    assert gaps[0] == pytest.approx(gaps[1])
+    assert gaps[0] < 2.5  # of a digit that is 4 wide
+
+
 def test_every_letter_of_a_reason_and_a_state_has_a_glyph_and_all_glyphs_differ():
     words = " ".join([reason.text for reason in Reason] + [state.name for state in State])
     assert set(words.upper()) - set(_GLYPHS) - {" "} == set()
