@@ -176,6 +176,24 @@ def test_the_newest_banner_is_that_of_the_last_message_whose_clock_is_behind(tmp
     assert colours[max(colours)][0] == STATES["engaged"]
 
 
+def test_the_whole_banner_is_repeated_while_nothing_changes(tmp_path):
+    """For pages opened later: the server drops the oldest data."""
+    path = tmp_path / "panel.rrd"
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        for k in range(40):
+            session, stamp = Session(0), T0 + k * 250_000_000
+            session.add(HAND, Hand(state=State.ENGAGED, joints=1), stamp)
+            session.add(STATE, SlaveState(state=State.ENGAGED, joints=1), stamp)
+            scene.send(decode(session.messages))
+    entities = read(path)
+    for part in ("area", "state"):
+        drawn = entities[f"/panel/banner/{part}"]["LineStrips2D:strips"]
+        stamps = sorted([*drawn, T0 + 9_750_000_000])
+        assert np.diff(stamps).max() <= 2_250_000_000
+        assert all(drawn.values())
+
+
 def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
     strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-1]
     left, _, right, _ = force_rows(1)[0].bar(0.5, two_way=False)
