@@ -6,7 +6,7 @@ the smallest words 11 mm.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 
 import numpy as np
@@ -15,15 +15,19 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from teleop.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
-from teleop.view.batch import AnyTopic, Rows, split, thinned
+from teleop.view.batch import AnyTopic, Paced, Rows, split
 from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
+from teleop.view.columns import columns
 from teleop.view.config import ViewConfig
 from teleop.view.panel_layout import (
     BANNER,
     LINK_HEIGHT,
+    LINK_LEFT,
     LINK_TOP,
     REASON_HEIGHT,
+    REASON_TOP,
     STATE_HEIGHT,
+    STATE_TOP,
     WIDE,
     ForceRow,
     filled,
@@ -54,6 +58,7 @@ class Panel:
         self._jitter_ms: float | None = None
         self._allowed: dict[Role, str] = {}  # what the link allows, where that is not all
         self._limit_N = math.nan
+        self._bar_rows, self._number_rows = Paced(_BAR_HZ), Paced(_NUMBER_HZ)
         self._framed: tuple[float, list[bool]] | None = None  # limit, and which are two-way
         self.newest_ns = 0
 
@@ -62,7 +67,9 @@ class Panel:
         for rows in batches.values():
             self.newest_ns = max(self.newest_ns, int(rows["stamp_ns"].max(initial=0)))
         if COMMAND in batches:
-            self._limit_N = float(batches[COMMAND]["force_max"][-1])
+            limits = batches[COMMAND]["force_max"]
+            limits = limits[np.isfinite(limits) & (limits > 0)]  # the last command has none
+            self._limit_N = float(limits[-1]) if len(limits) else self._limit_N
         self._banners(batches)
         if not self._whole:
             return
@@ -109,16 +116,15 @@ class Panel:
         # one broad line, whose round ends lie beyond the view's edges
         line = np.array([[-WIDE, middle], [2 * WIDE, middle]])
         self._drawing("panel/banner/area", stamp_ns, [line], background, (bottom - top) / 2)
-        state_top = top + 0.35 if now.reason else middle - STATE_HEIGHT / 2
+        state_top = STATE_TOP if now.reason else middle - STATE_HEIGHT / 2
         self._centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
-        reason_top = state_top + STATE_HEIGHT + 0.3
-        self._centred("panel/banner/reason", stamp_ns, now.reason, reason_top, REASON_HEIGHT, ink)
+        self._centred("panel/banner/reason", stamp_ns, now.reason, REASON_TOP, REASON_HEIGHT, ink)
 
     def _forces(self, rows: Rows) -> None:
         joints = int(rows["joints"][-1])
         if joints == 0:
             return
-        known = math.isfinite(self._limit_N) and self._limit_N > 0
+        known = math.isfinite(self._limit_N)
         limit = self._limit_N if known else self._scale_N
         places = force_rows(joints)
         two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
@@ -126,10 +132,12 @@ class Panel:
             self._framed = limit, two_way
             for joint, place in enumerate(places):
                 self._frame(joint, joints, place, limit, known, two_way[joint])
-        bars, numbers = thinned(rows, _BAR_HZ), thinned(rows, _NUMBER_HZ)
+        bars, numbers = self._bar_rows(rows), self._number_rows(rows)
         for joint, place in enumerate(places):
-            self._bar(joint, place, bars, bars["force"][:, joint] / limit, two_way[joint])
-            self._number(joint, place, numbers, numbers["force"][:, joint])
+            if len(bars):
+                self._bar(joint, place, bars, bars["force"][:, joint] / limit, two_way[joint])
+            if len(numbers):
+                self._number(joint, place, numbers, numbers["force"][:, joint])
 
     def _bar(self, joint: int, place: ForceRow, rows: Rows, shares: Array, two_way: bool) -> None:
         """Draw a force, as shares of its limit, at the stamps of `rows`."""
@@ -160,7 +168,7 @@ class Panel:
         """Draw what stands still: the name, the frame of the bar, and the limit in words."""
         name = "force at the tip" + (f", joint {joint + 1}" if joints > 1 else "")
         words = text_strips(name, _MARGIN, place.name_top, place.name_height)
-        end = f"limit {limit:.0f} N" if known else f"scale {limit:.0f} N"
+        end = f"limit {limit:.3g} N" if known else f"scale {limit:.3g} N"
         unit = place.number_right + place.unit_gap * place.number_height
         unit_top = place.number_top + 0.5 * place.number_height
         unit_strips = text_strips("N", unit, unit_top, 0.5 * place.number_height)
@@ -198,16 +206,14 @@ class Panel:
             self._allowed[role] = "held" if newest["holds"] else scaled
 
     def _quality(self, quality: LinkQuality, stamp_ns: int) -> None:
-        parts = [f"link {quality.word}", f"{100 * quality.loss:.1f} % lost"]
-        if quality.latency_ms is not None:
-            parts.append(f"delay {quality.latency_ms:.1f} ms")
-        if self._jitter_ms is not None:
-            parts.append(f"jitter {self._jitter_ms:.1f} ms")
-        parts += [text for text in self._allowed.values() if text][:1]
-        text = "   ".join(parts)
-        height = fitted_height(text, WIDE - 2 * _MARGIN, LINK_HEIGHT)
-        strips = text_strips(text, _MARGIN, LINK_TOP, height)
-        self._drawing("panel/link", stamp_ns, strips, quality_colour(quality.word), STROKE * height)
+        parts = link_parts(quality, self._jitter_ms, self._allowed.values())
+        strips = [
+            strip
+            for left, text in zip(LINK_LEFT, parts, strict=True)
+            for strip in text_strips(text, left, LINK_TOP, LINK_HEIGHT)
+        ]
+        ink, radius = quality_colour(quality.word), STROKE * LINK_HEIGHT
+        self._drawing("panel/link", stamp_ns, strips, ink, radius)
 
     def _centred(
         self, path: str, stamp_ns: int, text: str, top: float, height: float, colour: int
@@ -234,12 +240,14 @@ class Panel:
         order = 0.0 if path.endswith(("area", "bar")) else 1.0
         self._sender.once(path, rr.LineStrips2D.from_fields(draw_order=order))
         counts = [len(strips) for strips in drawings]
-        columns = rr.LineStrips2D.columns(
+        drawn = columns(
+            rr.LineStrips2D,
+            np.array(counts),
             strips=list(chain.from_iterable(drawings)),
             colors=np.repeat(np.array(inks, np.uint32), counts),
             radii=np.full(sum(counts), radius),
         )
-        self._sender.columns_at(path, stamps_ns, columns.partition(counts))
+        self._sender.columns_at(path, stamps_ns, drawn)
 
 
 def number_text(force: float) -> str:
@@ -247,6 +255,25 @@ def number_text(force: float) -> str:
     if not math.isfinite(force):
         return "---"
     return f"{force:.1f}" if abs(force) < 99.95 else f"{force:.0f}"
+
+
+def link_parts(
+    quality: LinkQuality, jitter_ms: float | None, allowed: Iterable[str]
+) -> tuple[str, str, str, str]:
+    """Return what is said of the link; nothing of what is not known.
+
+    What the link allows, where that is not all, stands in the place of the jitter.
+    """
+    delay, jitter = (
+        f"{word} {_milliseconds(value)}" if value is not None else ""
+        for word, value in (("delay", quality.latency_ms), ("jitter", jitter_ms))
+    )
+    limited = next((text for text in allowed if text), "")
+    return f"link {quality.word}", f"{100 * quality.loss:.1f} % lost", delay, limited or jitter
+
+
+def _milliseconds(value: float) -> str:
+    return f"{value:.1f} ms" if value < 9.95 else f"{min(value, 9999.0):.0f} ms"
 
 
 def _bright(colour: int) -> bool:

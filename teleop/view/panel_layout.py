@@ -7,10 +7,12 @@ import numpy as np
 from estimator.array_types import Array
 
 WIDE, TALL = 16.0, 9.6
-BANNER = (0.0, 0.0, WIDE, 2.6)  # left, top, right, bottom
-STATE_HEIGHT, REASON_HEIGHT = 1.35, 0.45
-_FORCES = (3.0, 8.5)  # top and bottom of the rows of forces
-LINK_TOP, LINK_HEIGHT = 8.9, 0.42
+BANNER = (0.0, 0.0, WIDE, 2.9)  # left, top, right, bottom
+STATE_TOP, STATE_HEIGHT = 0.32, 1.35  # with a reason below
+REASON_TOP, REASON_HEIGHT = 2.09, 0.45
+_FORCES = (3.1, 8.4)  # top and bottom of the rows of forces
+LINK_TOP, LINK_HEIGHT = 8.85, 0.33
+LINK_LEFT = (0.4, 3.6, 7.3, 11.4)  # what is said of the link: each part has its place
 _BAR_LEFT, _BAR_RIGHT, _NUMBER_RIGHT = 7.7, 15.6, 6.4
 _FILL_LINES, _OVERLAP = 16, 1.5  # lines that fill a box, and how much thicker than apart
 
@@ -71,8 +73,9 @@ def force_rows(joints: int) -> list[ForceRow]:
     pitch = (bottom - top) / joints
     name = min(0.4, 0.24 * pitch)
     number = min(1.3, 0.42 * pitch)
-    block = 1.8 * name + number
+    gap = 0.8 * name + 0.1 * (pitch - 1.8 * name - number)  # more where there is room
+    block = name + gap + number
     return [
-        ForceRow(begin, name, begin + 1.8 * name, number, 0.5 * number)
+        ForceRow(begin, name, begin + name + gap, number, 0.5 * number)
         for begin in (top + k * pitch + (pitch - block) / 2 for k in range(joints))
     ]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from teleop.topics import HAND, LEDGER, STATE, TENDONS, Role, role_name
 from teleop.view.batch import AnyTopic, Rows, Thinning, split
 from teleop.view.colours import BAND, TRUTH, lighter
+from teleop.view.columns import columns
 from teleop.view.config import ViewConfig
 from teleop.view.curves import CURVES, Band, Curve, CurveGroup
 from teleop.view.levers import true_force
@@ -103,7 +104,9 @@ class Plots:
             name = f"{curve.name} {label}".rstrip()
             style = rr.SeriesLines(colors=[colour], widths=[curve.width], names=[name])
             self._sender.once(path, style)
-        self._sender.columns(path, rows[known], rr.Scalars.columns(scalars=numbers[known]))
+        self._sender.columns_at(
+            path, rows["stamp_ns"][known], columns(rr.Scalars, scalars=numbers[known])
+        )
 
     def _bands(self, group: CurveGroup, rows: Rows) -> None:
         """Draw the areas of a group over joints."""
@@ -126,7 +129,7 @@ class Plots:
         apart = np.minimum(np.diff(stamps, append=stamps[-1] + 2 * _AFTER_NS), _APART_NS)
         times = np.stack([stamps, stamps + apart // 2], axis=1).ravel()
         ends = np.stack([low[known], high[known]], axis=1).ravel()
-        self._sender.columns_at(path, times, rr.Scalars.columns(scalars=ends))
+        self._sender.columns_at(path, times, columns(rr.Scalars, scalars=ends))
 
     def _true_forces(self, rows: Rows) -> None:
         """Draw what bench sensors say of the force at each tip."""

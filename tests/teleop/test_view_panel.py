@@ -15,12 +15,21 @@ from teleop.view.batch import decode
 from teleop.view.colours import STATES
 from teleop.view.config import ViewConfig
 from teleop.view.pacing import Pacing
-from teleop.view.panel import number_text
-from teleop.view.panel_layout import BANNER, TALL, WIDE, filled, force_rows
+from teleop.view.panel import link_parts, number_text
+from teleop.view.panel_layout import (
+    BANNER,
+    LINK_HEIGHT,
+    LINK_LEFT,
+    LINK_TOP,
+    TALL,
+    WIDE,
+    filled,
+    force_rows,
+)
 from teleop.view.plane import axis_end, ticks, ticks_to_end
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from teleop.view.status import Banner, LinkCounts, banner, link_quality
+from teleop.view.status import Banner, LinkCounts, LinkQuality, banner, link_quality
 from teleop.view.stroke_text import _GLYPHS, STROKE, fitted_height, text_strips, text_width
 from tests.teleop.view_session import T0, Session, read
 
@@ -107,7 +116,27 @@ def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
         _, top, _, bottom = row.bar(1.0, two_way=False)
         assert row.name_top + row.name_height + name_ink < min(top, row.number_top - number_ink)
         edges.append(max(bottom, row.number_top + row.number_height + number_ink))
-    assert edges[-1] < 8.9 < TALL
+    assert edges[-1] < LINK_TOP - 2 * STROKE * LINK_HEIGHT
+    assert LINK_TOP + LINK_HEIGHT < TALL
+
+
+def test_the_name_of_a_single_force_stands_well_above_its_number():
+    (row,) = force_rows(1)
+    assert row.number_top - row.name_top - row.name_height > 1.5 * row.name_height
+
+
+@pytest.mark.parametrize("allowed", [[], ["", "scaled to 50 %"]])
+@pytest.mark.parametrize("delay_ms", [0.04, 123.0, 1e6])
+def test_each_part_of_the_link_line_ends_before_the_next(allowed, delay_ms):
+    parts = link_parts(LinkQuality("good", 1.0, delay_ms), delay_ms, allowed)
+    for text, left, right in zip(parts, LINK_LEFT, [*LINK_LEFT[1:], WIDE], strict=True):
+        assert left + text_width(text, LINK_HEIGHT) < right - 0.1
+
+
+def test_what_is_not_known_of_the_link_is_left_out():
+    assert link_parts(LinkQuality("good", 0.0, None), None, []) == (
+        "link good", "0.0 % lost", "", ""
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("force", [0.0, -12.34, 99.96, -99.96, -9999.0, math.nan])
@@ -146,7 +175,7 @@ def drawn(tmp_path_factory):
         session.add(HAND, Hand(state=state, joints=1), stamp)
         force = padded((6.0,), MAX_JOINTS)
         session.add(STATE, SlaveState(state=state, joints=1, force=force), stamp)
-        session.add(COMMAND, Command(force_max=12.0), stamp)
+        session.add(COMMAND, Command(force_max=12.0 if k < 99 else 0.0), stamp)  # off
     session.add(REPORT, LoopReport(role=Role.MASTER, received=100), stamp)
     path = tmp_path_factory.mktemp("panel") / "panel.rrd"
     with Sink("rrd", SURGEON, "test", path, live=False) as sink:
@@ -200,6 +229,21 @@ def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
     points = np.array(strips).reshape(-1, 2)
     assert points[:, 0].max() == pytest.approx(right, abs=0.1)
     assert points[:, 0].min() == pytest.approx(left, abs=0.1)
+
+
+def test_a_number_changes_four_times_a_second_however_short_the_blocks_are(tmp_path):
+    session = Session(0)
+    for k in range(200):
+        force = padded((0.1 * k,), MAX_JOINTS)
+        session.add(STATE, SlaveState(joints=1, force=force), T0 + k * 10_000_000)
+    path = tmp_path / "panel.rrd"
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        for k in range(0, 200, 7):
+            scene.send(decode(session.messages[k : k + 7]))
+    entities = read(path)
+    assert len(entities["/panel/joint_0/number"]["LineStrips2D:strips"]) in (8, 9)
+    assert len(entities["/panel/joint_0/bar"]["LineStrips2D:strips"]) in (20, 21)
 
 
 def test_a_force_both_ways_has_a_mark_at_zero_also_where_the_sheaths_come_later(tmp_path):
