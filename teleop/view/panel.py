@@ -113,9 +113,9 @@ class Panel:
         background = STATES.get(now.state, STATES["off"])
         ink = 0x000000FF if _bright(background) else 0xFFFFFFFF
         middle = (top + bottom) / 2
-        # one broad line, whose round ends lie beyond the view's edges
-        line = np.array([[-WIDE, middle], [2 * WIDE, middle]])
-        self._drawing("panel/banner/area", stamp_ns, [line], background, (bottom - top) / 2)
+        # one broad line, whose round ends and upper half lie beyond the view's edges
+        line = np.array([[-WIDE, top], [2 * WIDE, top]])
+        self._drawing("panel/banner/area", stamp_ns, [line], background, bottom - top)
         state_top = STATE_TOP if now.reason else middle - STATE_HEIGHT / 2
         self._centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
         self._centred("panel/banner/reason", stamp_ns, now.reason, REASON_TOP, REASON_HEIGHT, ink)
@@ -126,12 +126,15 @@ class Panel:
             return
         known = math.isfinite(self._limit_N)
         limit = self._limit_N if known else self._scale_N
-        places = force_rows(joints)
+        top, height, places = force_rows(joints)
         two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
         if self._framed != (limit, two_way):
             self._framed = limit, two_way
+            self._words(top, height, f"{'limit' if known else 'scale'} {limit:.3g} N")
             for joint, place in enumerate(places):
-                self._frame(joint, joints, place, limit, known, two_way[joint])
+                self._frame(
+                    joint, "" if joints == 1 else f"joint {joint + 1}", place, two_way[joint]
+                )
         bars, numbers = self._bar_rows(rows), self._number_rows(rows)
         for joint, place in enumerate(places):
             if len(bars):
@@ -162,22 +165,23 @@ class Panel:
         inks = [PLAIN] * len(rows)
         self._strips(f"panel/joint_{joint}/number", rows["stamp_ns"], strips, inks, radius)
 
-    def _frame(
-        self, joint: int, joints: int, place: ForceRow, limit: float, known: bool, two_way: bool
-    ) -> None:
-        """Draw what stands still: the name, the frame of the bar, and the limit in words."""
-        name = "force at the tip" + (f", joint {joint + 1}" if joints > 1 else "")
-        words = text_strips(name, _MARGIN, place.name_top, place.name_height)
-        end = f"limit {limit:.3g} N" if known else f"scale {limit:.3g} N"
+    def _words(self, top: float, height: float, end: str) -> None:
+        """Write what the forces are, and where their bars end."""
+        strips = text_strips("force at the tip", _MARGIN, top, height)
+        strips += text_strips(end, ForceRow.bar_right - text_width(end, height), top, height)
+        words = rr.LineStrips2D(strips, colors=PLAIN, radii=STROKE * height, draw_order=2.0)
+        self._sender.static("panel/words", words)
+
+    def _frame(self, joint: int, name: str, place: ForceRow, two_way: bool) -> None:
+        """Draw what of a force stands still: its name, its unit and the frame of the bar."""
+        strips = text_strips(name, _MARGIN, place.name_top, place.name_height)
+        radii = [STROKE * place.name_height] * len(strips)
+        tall = 0.5 * place.number_height
         unit = place.number_right + place.unit_gap * place.number_height
-        unit_top = place.number_top + 0.5 * place.number_height
-        unit_strips = text_strips("N", unit, unit_top, 0.5 * place.number_height)
-        left = place.bar_right - text_width(end, place.name_height)
-        words += text_strips(end, left, place.name_top, place.name_height)
-        radius = STROKE * place.name_height
-        radii = [radius] * len(words) + [STROKE * 0.5 * place.number_height] * len(unit_strips)
-        static = rr.LineStrips2D(words + unit_strips, colors=PLAIN, radii=radii, draw_order=2.0)
-        self._sender.static(f"panel/joint_{joint}/words", static)
+        strips += text_strips("N", unit, place.number_top + tall, tall)
+        radii += [STROKE * tall] * (len(strips) - len(radii))
+        words = rr.LineStrips2D(strips, colors=PLAIN, radii=radii, draw_order=2.0)
+        self._sender.static(f"panel/joint_{joint}/words", words)
         frame = rr.LineStrips2D(place.frame(two_way), colors=0x808080FF, radii=0.03, draw_order=3.0)
         self._sender.static(f"panel/joint_{joint}/frame", frame)
 

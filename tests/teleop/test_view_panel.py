@@ -108,21 +108,30 @@ def test_the_link_is_as_good_as_its_worse_way():
 @pytest.mark.parametrize("joints", range(1, MAX_JOINTS + 1))
 def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
     """Nor do their strokes, with a gap of a stroke's width between them."""
-    rows = force_rows(joints)
-    edges = [BANNER[3]]
+    words_top, height, rows = force_rows(joints)
+    assert words_top - STROKE * height > BANNER[3] + 2 * STROKE * height
+    edges = [words_top + (1 + STROKE) * height]
     for row in rows:
-        name_ink, number_ink = STROKE * row.name_height, STROKE * row.number_height
-        assert row.name_top - name_ink > edges[-1] + 2 * name_ink
+        number_ink = STROKE * row.number_height
         _, top, _, bottom = row.bar(1.0, two_way=False)
-        assert row.name_top + row.name_height + name_ink < min(top, row.number_top - number_ink)
+        assert min(top, row.number_top - number_ink) > edges[-1] + 2 * number_ink
         edges.append(max(bottom, row.number_top + row.number_height + number_ink))
     assert edges[-1] < LINK_TOP - 2 * STROKE * LINK_HEIGHT
     assert LINK_TOP + LINK_HEIGHT < TALL
 
 
 def test_the_name_of_a_single_force_stands_well_above_its_number():
-    (row,) = force_rows(1)
-    assert row.number_top - row.name_top - row.name_height > 1.5 * row.name_height
+    top, height, (row,) = force_rows(1)
+    assert row.number_top - top - height > 1.5 * height
+
+
+@pytest.mark.parametrize("joints", range(2, MAX_JOINTS + 1))
+def test_the_name_of_one_of_several_forces_stands_left_of_its_number_and_within_its_height(joints):
+    for row in force_rows(joints)[2]:
+        right = 0.4 + text_width("joint 8", row.name_height)
+        assert right < row.number_right - text_width("-9999", row.number_height) - 0.1
+        assert row.name_top > row.number_top
+        assert row.name_top + row.name_height < row.number_top + row.number_height
 
 
 @pytest.mark.parametrize("allowed", [[], ["", "scaled to 50 %"]])
@@ -142,7 +151,7 @@ def test_what_is_not_known_of_the_link_is_left_out():
 @pytest.mark.parametrize("force", [0.0, -12.34, 99.96, -99.96, -9999.0, math.nan])
 @pytest.mark.parametrize("joints", [1, 4, 8])
 def test_every_force_fits_between_the_edge_and_its_unit(force, joints):
-    for row in force_rows(joints):
+    for row in force_rows(joints)[2]:
         assert row.number_right - text_width(number_text(force), row.number_height) > 0.2
         unit_right = row.number_right + (row.unit_gap + 0.5 * 4 / 6 + STROKE) * row.number_height
         assert unit_right < row.bar(0.0, two_way=False)[0]
@@ -150,7 +159,7 @@ def test_every_force_fits_between_the_edge_and_its_unit(force, joints):
 
 @given(st.floats(-3, 3), st.booleans())
 def test_a_bar_is_as_long_as_its_share_and_ends_at_the_limit(share, two_way):
-    (row,) = force_rows(1)
+    _, _, (row,) = force_rows(1)
     left, _, right, _ = row.bar(share, two_way)
     full = row.bar(1.0, two_way)
     expected = min(abs(share), 1.0) if share > 0 or two_way else 0.0
@@ -225,7 +234,7 @@ def test_the_whole_banner_is_repeated_while_nothing_changes(tmp_path):
 
 def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
     strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-1]
-    left, _, right, _ = force_rows(1)[0].bar(0.5, two_way=False)
+    left, _, right, _ = force_rows(1)[2][0].bar(0.5, two_way=False)
     points = np.array(strips).reshape(-1, 2)
     assert points[:, 0].max() == pytest.approx(right, abs=0.1)
     assert points[:, 0].min() == pytest.approx(left, abs=0.1)
@@ -254,7 +263,7 @@ def test_a_force_both_ways_has_a_mark_at_zero_also_where_the_sheaths_come_later(
         for topics in ((STATE, COMMAND), (SHEATH,), (STATE,)):
             scene.send(decode([message for message in session.messages if message[0] in topics]))
     (frame,) = read(path)["/panel/joint_0/frame"]["LineStrips2D:strips"].values()
-    assert len(frame) == len(force_rows(1)[0].frame(two_way=True))
+    assert len(frame) == len(force_rows(1)[2][0].frame(two_way=True))
 
 
 @pytest.mark.parametrize(
