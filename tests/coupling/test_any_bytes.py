@@ -21,7 +21,7 @@ from master.operator import OperatorConfig
 from slave import loop as slave_loop
 from slave.config import SlaveConfig
 from slave.gate import GateConfig
-from slave.loop import TickInput
+from slave.loop_records import TickInput
 from slave.rig import RigSample
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
