@@ -303,8 +303,8 @@ def main(args: argparse.Namespace) -> int:
     def start(link: Link, stack: ExitStack) -> tuple[SlaveProcess, EventClock, Stop]:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        for doubt in config_warnings(config, shared.coupling):
-            print(doubt, flush=True)
+        for warning in config_warnings(config, shared.coupling):
+            print(warning, flush=True)
         stop = Stop(args.duration)
         stop.wake = link.wake
         requests = RequestListener(link)

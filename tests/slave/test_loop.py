@@ -16,7 +16,7 @@ from slave.config import SlaveConfig, TendonConfig
 from slave.gate import GateConfig, GateFlags
 from slave.loop_records import NO_POSITION, NO_SAMPLE, NOT_CALIBRATED, EstimatedSample
 from slave.rig import RigSample
-from slave.samples import fill_sample
+from slave.samples import _fill_row, fill_sample
 from teleop import session
 from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command
 from teleop.session import Reason, State
@@ -509,9 +509,9 @@ def test_arrays_of_any_kind_are_taken_without_compiling_anew():
     read_only.flags.writeable = False
     kinds = [numbers, np.repeat(numbers, 3)[::3], read_only, numbers.astype(np.float32)]
     fill_sample(rows, 0, RigSample(0.0, numbers, numbers))
-    compiled_before = len(loop._fill_row.signatures)
+    compiled_before = len(_fill_row.signatures)
     for kind in kinds:
         fill_sample(rows, 0, RigSample(1, kind, kind, kind, kind))
         assert rows["tendons"]["tension"][0, :2].tolist() == [1.5, 2.5]
         assert rows["bench_displacement"][0, :2].tolist() == [1.5, 2.5]
-    assert len(loop._fill_row.signatures) == compiled_before
+    assert len(_fill_row.signatures) == compiled_before
