@@ -15,9 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 KEPT = 3  # folders of earlier states, for switching between versions
-IN_USE_S = (
-    3600.0  # [s] for which a folder may be in use by another process, and is kept in any case
-)
+IN_USE_S = 3600.0  # [s] since its last use, within which another process may use a folder
 _COMPILED = ("estimator", "master", "slave", "teleop")
 _NAME = "tendon-teleop"
 
