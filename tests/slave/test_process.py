@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from slave import loop, process, rigs
+from slave import loop, process, rigs, warm_up
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import Calibration
 from slave.calibration.initialise import InitialiseResult
@@ -16,6 +16,7 @@ from slave.config import SlaveConfig, TendonConfig
 from slave.process import SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated.simulated import SimulatedRigConfig
+from slave.samples import estimate_with_dynamics
 from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Latest, ReceivedMessage
@@ -761,9 +762,9 @@ def test_an_effect_that_never_came_on_is_warned_of_at_the_end(capsys):
 def test_effects_of_models_are_compiled_before_the_loop_begins(with_dynamics, monkeypatch):
     config = SlaveConfig()
     called = []
-    dynamic = loop.estimate_with_dynamics
+    dynamic = estimate_with_dynamics
     monkeypatch.setattr(
-        process.loop, "estimate_with_dynamics", lambda *args: called.append(1) or dynamic(*args)
+        warm_up, "estimate_with_dynamics", lambda *args: called.append(1) or dynamic(*args)
     )
-    process.prepare(config, with_dynamics)
+    warm_up.prepare(config, with_dynamics)
     assert bool(called) == with_dynamics
