@@ -48,10 +48,7 @@ from teleop.events import publish_event
 from teleop.link import Link
 from teleop.link_health import DEFAULT_BOUNDS, HealthConfig
 from teleop.loop_process import LoopProcess, conclude, run_session
-from teleop.messages import (
-    SlaveState,
-    TendonState,
-)
+from teleop.messages import SlaveState, TendonState
 from teleop.meter import format_reason
 from teleop.options import add_option, add_options
 from teleop.packet import Packet
@@ -98,9 +95,10 @@ class SlaveProcess(LoopProcess):
         self._enabling = enabling(rig)
         self._is_rig_stopped = False  # its emergency stop was called, nothing written since
         past = past or Past(now_ns(), ())
-        self._slave = loop.start(
-            model, config, bilateral, rig.starts_at_zero, past.samples, past.motor
-        )
+        with ordinary_scheduling():  # the samples of a calibration take up to seconds
+            self._slave = loop.start(
+                model, config, bilateral, rig.starts_at_zero, past.samples, past.motor
+            )
         self.memory: SlaveMemory = one(self._slave.memory)
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
@@ -311,10 +309,9 @@ def main(args: argparse.Namespace) -> int:
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
-        with ordinary_scheduling():  # the samples of a calibration take up to seconds
-            slave = SlaveProcess(
-                config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
-            )
+        slave = SlaveProcess(
+            config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
+        )
         return slave, clock, stop
 
     slave, summary = run_session(Role.SLAVE, shared, start)

@@ -46,12 +46,6 @@ def prepare(config: SlaveConfig, with_dynamics: bool) -> None:
         import_module("scipy.optimize")  # which the analysis of a calibration uses
 
 
-def warm_up() -> None:
-    """Compile what the loop calls, before it has to be on time."""
-    _compile_tick()
-    _compile_follow_up()
-
-
 def _compile_rest(config: SlaveConfig) -> None:
     """Compile what the session calls beside the tick: as much work again."""
     compile_rig(config.rig)

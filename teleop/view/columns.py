@@ -58,7 +58,8 @@ def columns(
     counts : array_like, optional
         How many of the values are each row's; one if left out.
     **fields
-        The values of all rows, one after another: numbers, texts, points (n, 2 or 3), or `Strips`.
+        The values of all rows, one after another: numbers, texts, points (n, 2 or 3), or `Strips`,
+        of which an empty sequence is of two dimensions.
     """
     made = []
     for name, values in fields.items():

@@ -130,7 +130,7 @@ class Panel:
         two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
         if self._framed != (limit, two_way):
             self._framed = limit, two_way
-            self._words(top, height, f"{'limit' if known else 'scale'} {limit:.3g} N")
+            self._words(top, height, f"{'limit' if known else 'scale'} {number_text(limit)} N")
             for joint, place in enumerate(places):
                 self._frame(
                     joint, "" if joints == 1 else f"joint {joint + 1}", place, two_way[joint]

@@ -19,7 +19,7 @@ from slave.drivers.cia402.state_machine import (
     drive_state,
 )
 from slave.rig import RigFault
-from slave.warm_up import warm_up
+from slave.warm_up import prepare
 from teleop.remote.requests import CALL
 from teleop.session import Reason, State
 from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
@@ -211,7 +211,7 @@ class Watched(Springs):
 
 
 def test_a_drive_that_is_enabled_late_makes_no_step_however_far_the_hand_has_moved(drives):
-    warm_up()
+    prepare(CONFIG, with_dynamics=False)
     drives.plant = plant = Watched(2)
     drive = drives.drives[0]
     drive.enable_s, rate_hz = 0.5, 100.0

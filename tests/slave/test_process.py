@@ -1,6 +1,7 @@
 import itertools
 import json
 import math
+import os
 import time
 from dataclasses import replace
 from functools import partial
@@ -257,6 +258,26 @@ def test_nothing_is_written_before_the_operator_has_engaged():
     assert rig.writes == []
     assert {state.state for state in line.of(STATE)} == {State.OFF, State.READY}
     assert all(math.isnan(m.commanded_displacement[0]) for m in line.of(TENDONS))
+
+
+def test_earlier_samples_are_taken_over_at_ordinary_priority_and_the_loop_is_back_at_its_own(
+    monkeypatch,
+):
+    """They may be those of minutes, and other real-time threads need the processor."""
+    start, policies = loop.start, []
+    monkeypatch.setattr(
+        loop, "start", lambda *args: policies.append(os.sched_getscheduler(0)) or start(*args)
+    )
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        pytest.skip("real-time scheduling is not permitted here")
+    try:
+        started(FakeRig(), FakeLink(), Until(1))
+        policies.append(os.sched_getscheduler(0))
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    assert policies == [os.SCHED_OTHER, os.SCHED_FIFO]
 
 
 def test_engaged_the_motor_is_led_from_where_it_stands():
