@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from rerun import AsComponents
 
 from teleop.view.batch import Rows
-from teleop.view.columns import Stamps
+
+TIMELINE = "time"  # the stamp its sender gave a message
 
 
 class Sender:
@@ -28,7 +29,8 @@ class Sender:
         self, path: str, stamps_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]
     ) -> None:
         """Send `columns`, one row at each stamp [ns since the epoch]."""
-        self._stream.send_columns(path, [Stamps(stamps_ns)], columns)
+        stamps = stamps_ns.astype("datetime64[ns]")
+        self._stream.send_columns(path, [rr.TimeColumn(TIMELINE, timestamp=stamps)], columns)
 
     def static(self, path: str, archetype: AsComponents) -> None:
         """Send static data, replacing earlier ones."""
