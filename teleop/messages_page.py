@@ -37,6 +37,8 @@ not edit.
 | | |
 |---|---|
 | key on the network (Zenoh) | `teleop/<session>/<topic>` |
+| key of copies for viewers | `teleop/<session>/<topic>/sampled`: the same bytes without tags, the \
+first message of each period of the rate below "sampled" |
 | channel in a [recording](recordings.md) | `/<topic>` |
 | bytes | CDR, little-endian: `00 01 00 00`, then each field at its natural alignment, counted \
 from byte 4; the tables below give each field's first byte |
@@ -155,10 +157,11 @@ your own; from another sender, with another stamp, it has another checksum.
 |---|---|
 | connect | open a Zenoh session in peer mode without scouting, to both endpoints of `link`, with \
 mutual TLS and a certificate of `teleop keys issue` ([configuration](configuration.md#the-link)) |
-| listen | subscribe to the topic's key |
+| listen | subscribe to the topic's key, or to that of its copies |
 | stop a session, reset a stop, change a setting | be announced by a token, as `remote`, have a \
 supervisor's certificate with the right, and tag its messages |
 | publish any topic | draw a new `sender` at each start, and count its messages from 1 |
+| be seen by viewers | publish copies of the topics that have a rate "sampled" |
 
 Topics from the master or the slave are accepted from the announced process of that role only. A
 session has one of each (`teleop/link/presence.py`).
@@ -205,8 +208,8 @@ _NUMBERS = """\
 
 def page() -> str:
     """Return the whole page as Markdown."""
-    lines = [_INTRODUCTION, "## Topics\n", "| topic | message | from | rate | kind |"]
-    lines.append("|---|---|---|---|---|")
+    lines = [_INTRODUCTION, "## Topics\n", "| topic | message | from | rate | sampled | kind |"]
+    lines.append("|---|---|---|---|---|---|")
     lines += map(_topic_row, TOPICS)
     head = "\n".join(_field_rows(MESSAGES[0], _HEAD_COMMENTS, slice(_HEAD_FIELDS)))
     tagged = "\n".join(
@@ -230,9 +233,12 @@ def field_comments(cls: type[Message]) -> dict[str, str]:
 def _topic_row(topic: Topic[Any]) -> str:
     sender = ", ".join(role.name.lower() for role in topic.publishers)
     rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "on events"
+    sampled = f"{topic.sampled_hz:g} Hz" if topic.sampled_hz else ""
     kind = "live" if topic.live else "reliable"
     name = topic.message.__name__
-    return f"| `{topic.name}` | [{name}](#{name.lower()}) | {sender} | {rate} | {kind} |"
+    return (
+        f"| `{topic.name}` | [{name}](#{name.lower()}) | {sender} | {rate} | {sampled} | {kind} |"
+    )
 
 
 def _instructions() -> dict[str, str]:

@@ -61,6 +61,7 @@ class Topic(Generic[M]):
     live: bool  # latest value counts: best effort, real-time priority, dropped when congested
     senders: tuple[Role, ...] = ()  # who may publish it, if there are several
     addressees: tuple[Role, ...] = ()  # who acts on it, and on nothing without a tag
+    sampled_hz: float = 0.0  # of the copies of some messages for viewers, of each sender; 0 = none
 
     @property
     def publishers(self) -> tuple[Role, ...]:
@@ -71,13 +72,17 @@ class Topic(Generic[M]):
 _SIDES = (Role.MASTER, Role.SLAVE)
 _SUPERVISORS = (Role.LAUNCHER, Role.REMOTE, Role.WATCH)
 
-COMMAND = Topic("command", Command, Role.MASTER, 1000, live=True, addressees=(Role.SLAVE,))
-STATE = Topic("state", SlaveState, Role.SLAVE, 1000, live=True, addressees=(Role.MASTER,))
-TENDONS = Topic("tendons", TendonState, Role.SLAVE, 1000, live=True)
-HAND = Topic("hand", Hand, Role.MASTER, 1000, live=True)
+COMMAND = Topic(
+    "command", Command, Role.MASTER, 1000, live=True, addressees=(Role.SLAVE,), sampled_hz=50
+)
+STATE = Topic(
+    "state", SlaveState, Role.SLAVE, 1000, live=True, addressees=(Role.MASTER,), sampled_hz=100
+)
+TENDONS = Topic("tendons", TendonState, Role.SLAVE, 1000, live=True, sampled_hz=100)
+HAND = Topic("hand", Hand, Role.MASTER, 1000, live=True, sampled_hz=100)
 PROFILE = Topic("profile", TensionProfile, Role.SLAVE, 50, live=True)
 SHEATH = Topic("sheath", Sheath, Role.SLAVE, 1, live=False)
-LEDGER = Topic("ledger", Ledger, None, 100, live=True, senders=_SIDES)
+LEDGER = Topic("ledger", Ledger, None, 100, live=True, senders=_SIDES, sampled_hz=20)
 EVENT = Topic("event", Event, None, 0, live=False, senders=_SIDES)
 REPORT = Topic("report", LoopReport, None, 2, live=False, senders=_SIDES)
 LATENCY = Topic("latency", Latency, Role.MASTER, 2, live=False)

@@ -17,6 +17,7 @@ from teleop.keys.identity import (
     supervisors,
 )
 from teleop.link.presence import root
+from teleop.link.publisher import sampled_key
 from teleop.topics import SETTING, STOP, TOPICS, Role, Topic
 
 _EVERYTHING = [
@@ -65,7 +66,10 @@ def access_control(sessions: Iterable[str]) -> dict[str, Any]:
         allow(f"{session} proof", ["declare_queryable", "reply"], [f"{tokens}/prove/**"], everybody)
         for topic in TOPICS:
             publishers = names_of_publishers(topic, session)
-            allow(f"{session} {topic.name}", ["put"], [f"{top}/{topic.name}"], publishers)
+            keys = [f"{top}/{topic.name}"]
+            if topic.sampled_hz:
+                keys.append(sampled_key(keys[0]))
+            allow(f"{session} {topic.name}", ["put"], keys, publishers)
         for role in Role:
             keys = [f"{tokens}/{role.name.lower()}/**"]
             if role == Role.SLAVE:

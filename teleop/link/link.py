@@ -1,7 +1,7 @@
 """The link of one process to a session: publish, latest value, listen, presence."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Container, Iterable
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -20,9 +20,10 @@ from teleop.link.handshake import Handshake
 from teleop.link.inbox import Inbox
 from teleop.link.keyring import Keyring, Seals
 from teleop.link.listener import Listener
-from teleop.link.network import Mode, declare_publisher, open_session
+from teleop.link.network import Mode, open_session
 from teleop.link.presence import Stage, Token
 from teleop.link.protection import credentials_of
+from teleop.link.publisher import Publisher, sampled_key
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.refusals import Refusals
 from teleop.link.roster import DECISION_NS, Roster
@@ -55,9 +56,6 @@ class Link:
     at_once : bool
         Whether to skip the detection of peers, which takes up to twice `SETTLE_S`: for listeners
         that repeat their messages until they are answered.
-    limits_hz : mapping, optional
-        [Hz] of topics of which no more messages are received, by their names: for a viewer, which
-        shows a tenth of them. What is dropped is counted as `overwritten`, not lost.
 
     Raises
     ------
@@ -75,12 +73,10 @@ class Link:
         session: str,
         role: Role,
         at_once: bool = False,
-        limits_hz: Mapping[str, float] | None = None,
     ) -> None:
         if at_once and role in presence.EXCLUSIVE:
             raise ValueError(f"a {role!r} must look about before it takes its place")
         self._at_once = at_once
-        self._limits_hz = limits_hz or {}
         self.config, self.session, self.role = config, session, role
         self.credentials = credentials_of(config, session, OFFICE_OF[role])
         self.nonce = presence.new_nonce()
@@ -91,7 +87,7 @@ class Link:
             self._handshake = Handshake(self.credentials, session, self.nonce)
             self._keyring = Keyring(role, self.nonce)
         self._token = Token(role, LAYOUT, self.nonce, Stage.CLAIM)
-        self._publishers: dict[str, _Publisher] = {}
+        self._publishers: dict[str, Publisher] = {}
         self._latest: dict[str, tuple[Latest[Any], Inbox]] = {}
         self._subscribers: list[Any] = []
 
@@ -130,40 +126,29 @@ class Link:
 
     def publish(self, topic: Topic[M], message: M) -> int:
         """Send `message` and return its stamp [ns]; takes microseconds."""
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            publisher = self._publishers[topic.name] = self._declare(topic)
+        publisher = self._publisher(topic)
         stamp = now_ns()
         publisher.sequence += 1
-        publisher.send(topic.message.schema.pack(message, self.nonce, publisher.sequence, stamp))
+        data = topic.message.schema.pack(message, self.nonce, publisher.sequence, stamp)
+        publisher.send(data, stamp)
         return stamp
 
     def publish_packet(self, topic: Topic[M], packet: Packet[M]) -> int:
         """Send `packet` and return its stamp [ns]; the head is filled in."""
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            publisher = self._publishers[topic.name] = self._declare(topic)
+        publisher = self._publishers.get(topic.name) or self._publisher(topic)
         stamp = now_ns()
         publisher.sequence += 1
-        data = packet.seal(self.nonce, publisher.sequence, stamp)
-        tags = b""
-        for addressee, base in publisher.seals.entries:  # as `_Publisher.send`, without its call
-            mac = base.copy()
-            mac.update(data)
-            tags += addressee + mac.digest()
-        publisher.put(data, attachment=tags or None)
+        publisher.send(packet.seal(self.nonce, publisher.sequence, stamp), stamp)
         return stamp
 
     def skip_unsubscribed(self, topic: Topic[Any]) -> bool:
-        """Return whether nobody subscribes to `topic`; its next message then counts as sent.
+        """Return whether nobody needs the next message of `topic`, which then counts as sent.
 
         For messages to listeners only, to save composing them. The sequence number is used up, so
         that a reconnected listener detects the gap.
         """
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            publisher = self._publishers[topic.name] = self._declare(topic)
-        if publisher.has_subscriber:
+        publisher = self._publisher(topic)
+        if publisher.needed:
             return False
         publisher.sequence += 1
         return True
@@ -173,10 +158,7 @@ class Link:
 
         It is rejected unless its sender is our `nonce`. It has no tags, so that nobody acts on it.
         """
-        publisher = self._publishers.get(topic.name)
-        if publisher is None:
-            publisher = self._publishers[topic.name] = self._declare(topic, patient=True)
-        publisher.put(data)
+        self._publisher(topic, patient=True).send(data, now_ns())
 
     def subscribe_latest(self, topic: Topic[M], limit_ns: int = NEVER_NS) -> Latest[M]:
         """Subscribe to the latest value of `topic`; call it before the loop starts.
@@ -222,16 +204,21 @@ class Link:
         latest.take(*inbox.take())
         return latest
 
-    def listen(self, topics: Iterable[Topic[Any]]) -> Listener:
+    def listen(self, topics: Iterable[Topic[Any]], sampled: Container[Topic[Any]] = ()) -> Listener:
         """Return a queue of everything published on `topics` from now on.
 
-        Without a thread in between: that would keep 256 samples a topic, with their buffers.
+        Of those in `sampled`, which have copies, it gets `Topic.sampled_hz` messages a second; the
+        others are counted as `overwritten`, not lost. Without a thread in between: that would keep
+        256 samples a topic, with their buffers.
         """
-        listener = Listener(self._visit, self._keyring, self._limits_hz)
+        listener = Listener(self._visit, self._keyring)
         for topic in topics:
-            direct = zenoh.handlers.Callback(listener.store(topic), indirect=False)
-            subscriber = self._zenoh.declare_subscriber(self._key(topic.name), direct)
-            self._subscribers.append(subscriber)
+            key = self._key(topic.name)
+            if topic in sampled:
+                key = sampled_key(key)
+            store = listener.store(topic, topic in sampled)
+            direct = zenoh.handlers.Callback(store, indirect=False)
+            self._subscribers.append(self._zenoh.declare_subscriber(key, direct))
         return listener
 
     def present(self, role: Role, nonce: int | None = None) -> bool:
@@ -271,15 +258,20 @@ class Link:
     def _visit(self, topic: Topic[Any], nonce: int) -> int:
         return 0 if topic.publisher is None else self._roster.visit(topic.publisher, nonce)
 
-    def _declare(self, topic: Topic[Any], patient: bool = False) -> "_Publisher":
-        """Declare the publisher of a topic of this role."""
-        if topic.publisher not in (None, self.role):
-            raise ValueError(f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}")
-        live = topic.live and not patient
-        publisher = declare_publisher(self._zenoh, self._key(topic.name), live, patient)
-        return _Publisher(
-            publisher, Seals() if self._keyring is None else self._keyring.seals(topic)
-        )
+    def _publisher(self, topic: Topic[Any], patient: bool = False) -> Publisher:
+        """Return the publisher of a topic of this role, declared at its first use."""
+        publisher = self._publishers.get(topic.name)
+        if publisher is None:
+            if topic.publisher not in (None, self.role):
+                raise ValueError(
+                    f"{topic.name} is published by {topic.publisher!r}, not {self.role!r}"
+                )
+            seals = Seals() if self._keyring is None else self._keyring.seals(topic)
+            publisher = self._publishers[topic.name] = Publisher(
+                self._zenoh, self._key(topic.name), seals,
+                live=topic.live and not patient, sampled_hz=topic.sampled_hz, patient=patient,
+            )  # fmt: skip
+        return publisher
 
     def _announce(self) -> Any:
         """Declare our token."""
@@ -300,10 +292,7 @@ class Link:
         listen, connect = self._endpoints()
         mode: Mode = "client" if self.config.routers else "peer"
         try:
-            session = open_session(
-                self.credentials, listen, connect, self._access(), mode,
-                {self._key(name): rate_hz for name, rate_hz in self._limits_hz.items()},
-            )  # fmt: skip
+            session = open_session(self.credentials, listen, connect, self._access(), mode)
         except UsageError:
             if listen:
                 self._blame_rival(listen)
@@ -377,32 +366,3 @@ class Link:
         return waited_s <= SETTLE_S or (
             roster.undecided and waited_s <= SETTLE_S + DECISION_NS * 1e-9
         )
-
-
-class _Publisher:
-    """A publisher, its last sequence number, its tags, and whether it has subscribers.
-
-    Zenoh's thread updates `has_subscriber` and the addressees.
-    """
-
-    __slots__ = ("_listener", "has_subscriber", "put", "seals", "sequence")
-
-    def __init__(self, publisher: zenoh.Publisher, seals: Seals) -> None:
-        self.put: Callable[..., None] = publisher.put
-        self.seals = seals
-        self.sequence = 0
-        self.has_subscriber = False
-        direct = zenoh.handlers.Callback(self._on_change, indirect=False)
-        self._listener: Any = publisher.declare_matching_listener(direct)
-
-    def send(self, data: bytes) -> None:
-        """Send a message with its tags."""
-        tags = b""
-        for addressee, base in self.seals.entries:
-            mac = base.copy()
-            mac.update(data)
-            tags += addressee + mac.digest()
-        self.put(data, attachment=tags or None)
-
-    def _on_change(self, status: zenoh.MatchingStatus) -> None:
-        self.has_subscriber = status.matching

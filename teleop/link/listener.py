@@ -1,7 +1,7 @@
 """Receive all messages in the order of arrival: for the recorder and the viewer."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import zenoh
@@ -47,26 +47,23 @@ class Listener:
         As of `Reception`, with the topic.
     keyring : Keyring, optional
         Our keys; None in an insecure session.
-    sampled : container of str
-        Names of topics of which not every message is received (`Link`, `limits_hz`).
     """
 
     def __init__(
         self,
         visit: Callable[[Topic[Any], int], int],
         keyring: Keyring | None = None,
-        sampled: Container[str] = (),
     ) -> None:
         self._queue = MessageQueue()
-        self._visit, self._keyring, self._sampled = visit, keyring, sampled
+        self._visit, self._keyring = visit, keyring
         self._refused: dict[str, int] = {}
         self._forged: dict[str, int] = {}
         self._senders: dict[str, _Senders] = {}
 
-    def store(self, topic: Topic[Any]) -> Callable[[zenoh.Sample], None]:
-        """Return the callback for Zenoh's samples of `topic`."""
+    def store(self, topic: Topic[Any], sampled: bool = False) -> Callable[[zenoh.Sample], None]:
+        """Return the callback for Zenoh's samples of `topic`, or of copies of some of them."""
         self._queue.add(topic)
-        self._senders[topic.name] = _Senders(topic, self._visit, topic.name in self._sampled)
+        self._senders[topic.name] = _Senders(topic, self._visit, sampled)
         put = self._queue.put
         if self._keyring is not None and self._keyring.senders(topic) is not None:
             return self._verifying(topic, self._keyring.verify)

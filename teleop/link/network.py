@@ -3,7 +3,6 @@
 import json
 import os
 import re
-from collections.abc import Mapping
 from typing import Any, Literal
 
 import zenoh
@@ -31,13 +30,11 @@ def open_session(
     connect: list[str],
     access: dict[str, Any] | None = None,
     mode: Mode = "peer",
-    limits_hz: Mapping[str, float] | None = None,
 ) -> zenoh.Session:
     """Open a Zenoh session on `HOST:PORT`s; `UsageError` if one cannot be listened on.
 
     Without `credentials` everything is plaintext; with `access`, Zenoh's access control, it refuses
-    what the certificate at the other end must not send. Of the keys in `limits_hz` it receives at
-    most so many messages a second, and drops the others before any code of ours runs.
+    what the certificate at the other end must not send.
 
     An unreachable target is not an error: it is retried every `RETRY_MS`. A client needs one of its
     targets at the start; later it connects to the next one when it loses one.
@@ -50,10 +47,7 @@ def open_session(
     if mode != "router":  # that one serves many connections at once
         os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # read when the first session opens
     try:
-        zenoh_config = config_of(settings(credentials, listen, connect, access, mode))
-        if limits_hz:
-            zenoh_config.insert_json5("downsampling", json.dumps([_downsampling(limits_hz)]))
-        return zenoh.open(zenoh_config)
+        return zenoh.open(config_of(settings(credentials, listen, connect, access, mode)))
     except zenoh.ZError as error:
         if mode == "client":
             routers = ", ".join(connect)
@@ -62,12 +56,6 @@ def open_session(
             ) from error
         place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
         raise UsageError(f"{place}: {_reason(str(error))}") from error
-
-
-def _downsampling(limits_hz: Mapping[str, float]) -> dict[str, Any]:
-    """Return Zenoh's form of limits of the rate at which messages are received, by their keys."""
-    rules = [{"key_expr": key, "freq": rate_hz} for key, rate_hz in limits_hz.items()]
-    return {"flows": ["ingress"], "messages": ["put"], "rules": rules}
 
 
 def config_of(settings: dict[str, Any]) -> zenoh.Config:

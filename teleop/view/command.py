@@ -181,9 +181,9 @@ def _feed(
     if file is not None:
         return _show_recording(file, config, show, sink, stop)
     with ExitStack() as stack:
-        limits_hz = {} if config.foxglove else config.receive_hz()
-        link = stack.enter_context(Link(run.link, run.session, Role.VIEWER, limits_hz=limits_hz))
-        listener = link.listen(TOPICS)
+        sampled = frozenset() if config.foxglove else config.sampled()
+        link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
+        listener = link.listen(TOPICS, sampled)
         if not supervised() and not any(map(link.present, (Role.MASTER, Role.SLAVE))):
             print(f"Waiting for session {run.session!r} (`teleop sessions` lists those that run)")
         messages: Messages = listener
@@ -193,12 +193,12 @@ def _feed(
             messages = server.forwarding(listener)
         share = config.processor_share if sink.watched else math.inf
         fed = from_link(messages, show, sink, stop, config.drain_hz, periods(sink, config), share)
-        counts = {topic.name: listener.counts(topic) for topic in TOPICS}
+        counts = {topic: listener.counts(topic) for topic in TOPICS}
         summary["lost"] = {
-            topic: c.lost + (0 if topic in limits_hz else c.overwritten)
+            topic.name: c.lost + (0 if topic in sampled else c.overwritten)
             for topic, c in counts.items()
         }
-        summary["rejected"] = {topic: c.rejected for topic, c in counts.items()}
+        summary["rejected"] = {topic.name: c.rejected for topic, c in counts.items()}
     return fed
 
 

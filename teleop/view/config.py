@@ -6,27 +6,25 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from teleop.config import MAY_BE_INFINITE
-from teleop.topics import COMMAND, HAND, STATE, TENDONS, Topic
+from teleop.topics import COMMAND, HAND, LEDGER, STATE, TENDONS, TOPICS, Topic
 
 Layout = Literal["surgeon", "experiment", "presentation"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 
-FAST: tuple[Topic[Any], ...] = (COMMAND, STATE, TENDONS, HAND)  # each has one sender
-
-
 @dataclass(frozen=True, slots=True)
 class ViewRates:
-    """Display rates of the topics [Hz]; the newest message is always shown.
+    """Display rates of the topics [Hz].
 
-    Other topics are slow and shown completely. A recording keeps every message.
+    Other topics are slow and shown completely. A recording keeps every message. A topic that is to
+    be shown more often than by default is received completely, which takes some 5 % of a processor.
     """
 
-    command: float = 50.0
-    state: float = 100.0
-    tendons: float = 100.0
-    hand: float = 100.0
-    ledger: float = 20.0  # of each side
+    command: float = COMMAND.sampled_hz
+    state: float = STATE.sampled_hz
+    tendons: float = TENDONS.sampled_hz
+    hand: float = HAND.sampled_hz
+    ledger: float = LEDGER.sampled_hz  # of each side
     profile: float = 8.0  # of each tendon: tube, T(x) and X'
     levers: float = 8.0  # joint, hand and their forces in the scene
     loop: float = 30.0  # pieces of each hysteresis loop
@@ -70,12 +68,11 @@ class ViewConfig:
     foxglove_port: int = 8765  # preferred port, as above
     directory: str = "recordings"  # folder of `--view rrd` without `--out`
 
-    def receive_hz(self) -> dict[str, float]:
-        """Return at which rates [Hz] the fast topics are to be received, by name.
-
-        Twice what is shown, so that each period of the display has a message.
-        """
-        return {topic.name: 2.0 * getattr(self.rate_hz, topic.name) for topic in FAST}
+    def sampled(self) -> frozenset[Topic[Any]]:
+        """Return the topics of which copies of some messages are enough for what is shown."""
+        return frozenset(
+            t for t in TOPICS if getattr(self.rate_hz, t.name, math.inf) <= t.sampled_hz
+        )
 
     def __post_init__(self) -> None:
         for name, low, high, unit in (

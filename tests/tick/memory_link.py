@@ -105,8 +105,7 @@ class MemoryLink(Link):
 
     def putting(self, topic):
         """The code of the function that sends messages of `topic`."""
-        if topic.name not in self._publishers:
-            self._publishers[topic.name] = self._declare(topic)
+        self._publisher(topic)
         return self._zenoh.puts[self._key(topic.name)].__code__
 
     def meet(self, peers: "list[Link]") -> None:

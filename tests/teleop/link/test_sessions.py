@@ -15,6 +15,7 @@ from teleop.link import Counts, Link, LinkConfig
 from teleop.link.config import Address
 from teleop.link.handshake import Handshake
 from teleop.link.keyring import Keyring, nonce_bytes
+from teleop.link.listener import Listener
 from teleop.link.network import BATCH_BYTES, open_session
 from teleop.link.ping_pong import ping_pong
 from teleop.link.presence import Stage, Token, new_nonce
@@ -152,11 +153,11 @@ def test_a_machine_that_slept_is_not_silent_after_it_has_come_back(config: LinkC
             master._token = Token(Role.MASTER, LAYOUT, nonce, Stage.CLAIM)
             master._handshake, master._keyring = handshake, keyring
             with master:
-                publisher = master._declare(COMMAND)
+                publisher = master._publisher(COMMAND)
 
                 def fresh(publisher: Any = publisher, behind_ns: int = behind_ns) -> bool:
                     stamp = now_ns() - behind_ns
-                    publisher.send(Command().pack(nonce, next(sequence), stamp))
+                    publisher.send(Command().pack(nonce, next(sequence), stamp), stamp)
                     time.sleep(0.002)
                     slave.latest(COMMAND)
                     return latest.new and latest.is_fresh(now_ns(), 20 * MS)
@@ -218,19 +219,22 @@ def test_what_nobody_subscribes_to_is_skipped_and_leaves_a_gap(config: LinkConfi
         assert again.sequence >= first.sequence + 3
 
 
-def test_a_viewer_receives_no_more_than_it_asked_for_and_calls_none_of_it_lost(
+def test_a_viewer_gets_copies_of_fast_topics_and_calls_the_rest_not_lost(
     config: LinkConfig,
 ) -> None:
+    """At 500 Hz: 100 a second; nobody but the viewer listens, so the rest is not composed."""
     with (
         session(config, Role.SLAVE, Role.MASTER) as (_, master),
-        Link(config, "test", Role.VIEWER, limits_hz={"hand": 50.0}) as viewer,
+        Link(config, "test", Role.VIEWER) as viewer,
     ):
-        listener = viewer.listen([HAND, COMMAND])
-        wait_until(lambda: not master.skip_unsubscribed(HAND))
+        listener = viewer.listen([HAND, COMMAND], sampled={HAND})
         wait_until(lambda: not master.skip_unsubscribed(COMMAND))
-        begin = time.monotonic()
+        wait_until(lambda: not master.skip_unsubscribed(HAND))
+        begin, composed = time.monotonic(), 0
         for _ in range(200):
-            master.publish(HAND, Hand())
+            if not master.skip_unsubscribed(HAND):
+                master.publish(HAND, Hand())
+                composed += 1
             master.publish(COMMAND, Command())
             time.sleep(0.002)
         passed_s = time.monotonic() - begin
@@ -239,10 +243,33 @@ def test_a_viewer_receives_no_more_than_it_asked_for_and_calls_none_of_it_lost(
             listener.drain()
             return listener.counts(topic).received
 
-        wait_until(lambda: received(COMMAND) == 200)  # not limited
-        assert 10 <= received(HAND) <= 50.0 * passed_s + 2
+        wait_until(lambda: received(COMMAND) == 200)  # not sampled
+        wait_until(lambda: received(HAND) == composed)
+        assert 20 <= composed <= 100.0 * passed_s + 2
         assert listener.counts(HAND).lost == 0
-        assert listener.counts(HAND).overwritten > 100
+        assert listener.counts(HAND).overwritten >= 200 - composed - 10
+
+
+def test_copies_come_at_their_rate_though_all_messages_are_sent(config: LinkConfig) -> None:
+    with (
+        session(config, Role.SLAVE, Role.MASTER) as (slave, master),
+        Link(config, "test", Role.VIEWER) as viewer,
+    ):
+        slave.subscribe_latest(COMMAND)
+        copies, everything = viewer.listen([COMMAND], sampled={COMMAND}), viewer.listen([COMMAND])
+        wait_until(lambda: not master.skip_unsubscribed(COMMAND))
+        begin = time.monotonic()
+        for _ in range(200):
+            master.publish(COMMAND, Command())
+            time.sleep(0.002)
+        passed_s = time.monotonic() - begin
+
+        def received(listener: Listener) -> int:
+            listener.drain()
+            return listener.counts(COMMAND).received
+
+        wait_until(lambda: received(everything) == 200)
+        assert 10 <= received(copies) <= 50.0 * passed_s + 2
 
 
 def test_a_topic_subscribed_to_twice_has_one_inbox_that_is_emptied(config: LinkConfig) -> None:
