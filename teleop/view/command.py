@@ -175,7 +175,9 @@ def _feed(
     """Feed an open sink from a recording or the link; adds the link's losses to `summary`."""
     show: Show = Discard()
     if sink.stream is not None:
-        show = Scene(config, sink.stream, sink.lay_out, everything=sink.file is not None)
+        whole = sink.file is not None
+        live = file is None and not whole
+        show = Scene(config, sink.stream, sink.lay_out, everything=whole, live=live)
     _say(sink)
     let_loops_first()  # not before: after a failure the view must be back soon
     if file is not None:

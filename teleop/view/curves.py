@@ -27,6 +27,7 @@ class Curve:
     factor: float = 1.0  # shown = factor * field
     positive_only: bool = False  # 0 and below mean "none"
     entry: int | None = None  # of an array field, where the group is not over its entries
+    behind: bool = False  # in a tab that is not in front at first: a live page grows it less often
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +64,13 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
             Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, 2.0),
             Curve("tension/{}/out_true", "bench_distal_tension", "true", colours.TRUTH),
             Curve("displacement/{}/in", "proximal_displacement", "measured",
-                  colours.HOUSING, factor=MILLI),
+                  colours.HOUSING, factor=MILLI, behind=True),
             Curve("displacement/{}/asked", "commanded_displacement", "commanded",
-                  colours.ASKED, factor=MILLI),
+                  colours.ASKED, factor=MILLI, behind=True),
             Curve("displacement/{}/out_true", "bench_distal_displacement", "true",
                   colours.TRUTH, factor=MILLI),
-            Curve("elongation/{}", "elongation", "estimated", colours.ESTIMATE, factor=MILLI),
+            Curve("elongation/{}", "elongation", "estimated", colours.ESTIMATE, factor=MILLI,
+                  behind=True),
         ),
     ),),
     STATE: (
@@ -83,23 +85,26 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         ),
         CurveGroup(
             "sender",
-            (Curve("age/slave/sample", "sample_age_ns", "newest sample", LATENESS, factor=_MS),),
+            (
+                Curve("age/slave/sample", "sample_age_ns", "newest sample", LATENESS, factor=_MS,
+                      behind=True),
+            ),
         ),
     ),
     HAND: (
         CurveGroup(
             "joint",
             (
-                Curve("hand/{}/force", "force", "commanded", colours.HAND, 2.0),
+                Curve("hand/{}/force", "force", "commanded", colours.HAND, 2.0, behind=True),
             ),
         ),
         CurveGroup(
             "sender",
             (
                 Curve("age/master/state", "state_age_ns", "newest state", colours.HAND,
-                      factor=_MS, positive_only=True),
+                      factor=_MS, positive_only=True, behind=True),
                 Curve("age/master/round_trip", "round_trip_ns", "round trip", colours.ASKED,
-                      factor=_MS, positive_only=True),
+                      factor=_MS, positive_only=True, behind=True),
             ),
         ),
     ),
@@ -112,11 +117,16 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
     LEDGER: (CurveGroup(
         "role and joint",
         (
-            Curve("energy/{}/put_in", "put_in", "put in", colours.HOUSING, factor=MILLI),
-            Curve("energy/{}/taken_out", "taken_out", "taken out", colours.TRUTH, factor=MILLI),
-            Curve("energy/{}/heard", "received", "received", colours.ESTIMATE, factor=MILLI),
-            Curve("energy/{}/dissipated", "dissipated", "dissipated", LOSS, factor=MILLI),
-            Curve("energy/{}/credit", "credit", "credit", colours.HAND, 2.0, factor=MILLI),
+            Curve("energy/{}/put_in", "put_in", "put in", colours.HOUSING,
+                  factor=MILLI, behind=True),
+            Curve("energy/{}/taken_out", "taken_out", "taken out", colours.TRUTH,
+                  factor=MILLI, behind=True),
+            Curve("energy/{}/heard", "received", "received", colours.ESTIMATE,
+                  factor=MILLI, behind=True),
+            Curve("energy/{}/dissipated", "dissipated", "dissipated", LOSS,
+                  factor=MILLI, behind=True),
+            Curve("energy/{}/credit", "credit", "credit", colours.HAND, 2.0,
+                  factor=MILLI, behind=True),
         ),
     ),),
     REPORT: (CurveGroup(

@@ -8,10 +8,10 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TimelineColumn
 
 from teleop.view.colours import BACKGROUND, UNKNOWN
+from teleop.view.columns import TIMELINE
 from teleop.view.config import ViewConfig
 from teleop.view.panel_layout import BANNER, TALL, WIDE
 from teleop.view.profile_view import WIDTH
-from teleop.view.sender import TIMELINE
 from teleop.view.stage import EYE
 
 _DARK = list(BACKGROUND)

@@ -14,6 +14,7 @@ from estimator.array_types import Array
 from teleop.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
 from teleop.view.batch import AnyTopic, Rows, Thinning
+from teleop.view.columns import columns
 from teleop.view.config import ViewConfig
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
@@ -142,16 +143,16 @@ class Levers:
         """Draw the lever; returns its far ends."""
         ends = lever.tip(travel)
         known = np.isfinite(travel)
-        strips = [np.array([lever.pivot, end]) for end in ends[known]]
-        columns = rr.LineStrips3D.columns(strips=strips).partition(known.astype(int))
-        self._sender.columns(path, rows, columns)
+        to = ends[known]
+        strips = np.stack([np.broadcast_to(lever.pivot, to.shape), to], axis=1)
+        self._sender.columns(path, rows, columns(rr.LineStrips3D, known, strips=strips))
         return ends
 
     def _arrow(self, path: str, rows: Rows, origins: Array, vectors: Array) -> None:
         known = np.isfinite(vectors).all(axis=1) & np.isfinite(origins).all(axis=1)
         if known.any():
-            columns = rr.Arrows3D.columns(origins=origins[known], vectors=vectors[known])
-            self._sender.columns(path, rows, columns.partition(known.astype(int)))
+            arrows = columns(rr.Arrows3D, known, origins=origins[known], vectors=vectors[known])
+            self._sender.columns(path, rows, arrows)
 
     def _number(self, path: str, rows: Rows, at: Array, force: Array, joint: int) -> None:
         """Write forces [N] at places clear of what is drawn; of several joints with the number."""
@@ -160,8 +161,8 @@ class Levers:
         known = np.isfinite(at).all(axis=1) & np.isfinite(force)
         if known.any():
             words = [f"{of}{value:.1f} N" for value in force[known]]
-            columns = rr.Points3D.columns(positions=at[known], labels=words)
-            self._sender.columns(path, rows, columns.partition(known.astype(int)))
+            numbers = columns(rr.Points3D, known, positions=at[known], labels=words)
+            self._sender.columns(path, rows, numbers)
 
     def _interval(
         self, path: str, rows: Rows, lever: Lever, ends: Array, back: Array, low: Array, high: Array
@@ -181,8 +182,7 @@ class Levers:
 
         (begin, a), (to, b) = end(low), end(high)
         strips = np.stack([begin - a, begin + a, begin, to, to - b, to + b], axis=1)
-        columns = rr.LineStrips3D.columns(strips=list(strips)).partition(known.astype(int))
-        self._sender.columns(path, rows, columns)
+        self._sender.columns(path, rows, columns(rr.LineStrips3D, known, strips=strips))
 
     def _environment(self, path: str, joint: int, lever: Lever) -> None:
         """Draw a wedge from the travel at contact."""

@@ -6,6 +6,7 @@ import rerun as rr
 from teleop.messages import PHASE_NAMES
 from teleop.view.batch import Rows
 from teleop.view.colours import PHASES
+from teleop.view.columns import columns
 from teleop.view.config import ViewConfig
 from teleop.view.plane import Plane, axis_end
 from teleop.view.sender import Sender
@@ -50,14 +51,12 @@ class LoopView:
             known = near & np.isfinite(begin).all(axis=1) & np.isfinite(end).all(axis=1)
             if not known.any():
                 continue
-            strips = list(np.stack([begin, end], axis=1)[known])
+            strips = np.stack([begin, end], axis=1)[known]
             phase = np.minimum(after["phase"][known, tendon], len(PHASES) - 1)
-            pieces = rr.LineStrips2D.columns(
-                strips=strips, colors=palette[phase], radii=np.full(len(strips), 0.006)
-            )
-            self._sender.columns(
-                f"loop/tendon_{tendon}/curve", after[known], pieces.partition([1] * len(strips))
-            )
+            radii = np.full(len(strips), 0.006)
+            pieces = columns(rr.LineStrips2D, strips=strips, colors=palette[phase], radii=radii)
+            path = f"loop/tendon_{tendon}/curve"
+            self._sender.columns_at(path, after["stamp_ns"][known], pieces)
 
     def _legend(self) -> None:
         """Name the phases, each in its colour."""

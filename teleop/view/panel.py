@@ -17,6 +17,7 @@ from estimator.array_types import Array
 from teleop.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
 from teleop.view.batch import AnyTopic, Paced, Rows, split
 from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
+from teleop.view.columns import columns
 from teleop.view.config import ViewConfig
 from teleop.view.panel_layout import (
     BANNER,
@@ -243,12 +244,14 @@ class Panel:
         order = 0.0 if path.endswith(("area", "bar")) else 1.0
         self._sender.once(path, rr.LineStrips2D.from_fields(draw_order=order))
         counts = [len(strips) for strips in drawings]
-        columns = rr.LineStrips2D.columns(
+        drawn = columns(
+            rr.LineStrips2D,
+            np.array(counts),
             strips=list(chain.from_iterable(drawings)),
             colors=np.repeat(np.array(inks, np.uint32), counts),
             radii=np.full(sum(counts), radius),
         )
-        self._sender.columns_at(path, stamps_ns, columns.partition(counts))
+        self._sender.columns_at(path, stamps_ns, drawn)
 
 
 def number_text(force: float) -> str:

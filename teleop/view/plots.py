@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from teleop.topics import HAND, LEDGER, STATE, TENDONS, Role, role_name
 from teleop.view.batch import AnyTopic, Rows, Thinning, split
 from teleop.view.colours import BAND, TRUTH, lighter
+from teleop.view.columns import columns
 from teleop.view.config import ViewConfig
 from teleop.view.curves import CURVES, Band, Curve, CurveGroup
 from teleop.view.levers import true_force
@@ -18,15 +19,23 @@ from teleop.view.sheaths import Sheaths
 _TRUE_FORCE = Curve("force/{}/true", "", "true", TRUTH)
 _AFTER_NS = 1000  # [ns] from the newest row to its high end
 _APART_NS = 20_000_000  # [ns] from a row, at most, within which its high end is drawn
+_BEHIND_NS = 1_000_000_000  # [ns] after which a live page's curves in tabs behind grow
 _BAND_WIDTH = 2.5  # [points], about a row of 100 Hz in a plot of 10 s on 600 points
 
 
 class Plots:
-    """Draws the numbers against time."""
+    """Draws the numbers against time; with `live` curves in tabs behind grow less often."""
 
     def __init__(
-        self, config: ViewConfig, sender: Sender, sheaths: Sheaths, thinned: Thinning
+        self,
+        config: ViewConfig,
+        sender: Sender,
+        sheaths: Sheaths,
+        thinned: Thinning,
+        live: bool = False,
     ) -> None:
+        self._live = live
+        self._held: dict[AnyTopic, list[Rows]] = {}  # not yet drawn behind
         self._rates = config.rate_hz
         self._sender = sender
         self._sheaths = sheaths
@@ -43,14 +52,28 @@ class Plots:
             if topic not in CURVES:
                 continue
             kept = self._at_rate(topic, batch)
+            for behind, some in ((False, kept), (True, self._behind(topic, kept))):
+                for group in CURVES[topic]:
+                    for line in self._lines(topic, group, some, behind):
+                        self._line(*line)
             for group in CURVES[topic]:
-                for curve, owner, label, rows, values in self._lines(topic, group, kept):
-                    self._line(curve, owner, label, rows, values)
                 self._bands(group, kept)
             if topic is TENDONS:
                 self._true_forces(kept)
             shown += len(kept)
         return shown
+
+    def _behind(self, topic: AnyTopic, rows: Rows) -> Rows:
+        """Return what is due of the curves that are in tabs behind."""
+        if not self._live:
+            return rows
+        held = self._held.setdefault(topic, [])
+        held.append(rows)
+        whole = np.concatenate(held)
+        if len(whole) == 0 or np.ptp(whole["stamp_ns"]) < _BEHIND_NS:
+            return rows[:0]
+        held.clear()
+        return whole
 
     def _at_rate(self, topic: AnyTopic, rows: Rows) -> Rows:
         rate = getattr(self._rates, topic.name, None)
@@ -62,15 +85,16 @@ class Plots:
         return self._thinned(rows, rate)
 
     def _lines(
-        self, topic: AnyTopic, group: CurveGroup, rows: Rows
+        self, topic: AnyTopic, group: CurveGroup, rows: Rows, behind: bool
     ) -> Iterator[tuple[Curve, str, str, Rows, NDArray[np.generic]]]:
         """Yield each line of a group: its curve, owner, label, rows and values."""
-        if len(rows) == 0:
+        curves = [curve for curve in group.curves if curve.behind == behind]
+        if len(rows) == 0 or not curves:
             return
         if group.over in ("role", "role and joint"):
             for number, own in split(rows, "role").items():
                 role = role_name(number)
-                for curve in group.curves:
+                for curve in curves:
                     if group.over == "role":
                         yield curve, role, role, own, own[curve.field]
                         continue
@@ -79,7 +103,7 @@ class Plots:
                         yield curve, f"{role}/joint_{joint}", role, own, values
         elif group.over == "sender":
             sender = role_name(topic.publisher or Role.LAUNCHER)
-            for curve in group.curves:
+            for curve in curves:
                 field = rows[curve.field]
                 values = field if curve.entry is None else field[:, curve.entry]
                 yield curve, sender, sender, rows, values
@@ -87,7 +111,7 @@ class Plots:
             tendons = group.over == "tendon"
             for index in range(int(rows["tendons"][-1]) if tendons else self._joints):
                 label = self._sheaths.name(index) if tendons else ""  # a view is of one joint
-                for curve in group.curves:
+                for curve in curves:
                     yield curve, f"{group.over}_{index}", label, rows, rows[curve.field][:, index]
 
     def _line(
@@ -103,7 +127,9 @@ class Plots:
             name = f"{curve.name} {label}".rstrip()
             style = rr.SeriesLines(colors=[colour], widths=[curve.width], names=[name])
             self._sender.once(path, style)
-        self._sender.columns(path, rows[known], rr.Scalars.columns(scalars=numbers[known]))
+        self._sender.columns_at(
+            path, rows["stamp_ns"][known], columns(rr.Scalars, scalars=numbers[known])
+        )
 
     def _bands(self, group: CurveGroup, rows: Rows) -> None:
         """Draw the areas of a group over joints."""
@@ -126,7 +152,7 @@ class Plots:
         apart = np.minimum(np.diff(stamps, append=stamps[-1] + 2 * _AFTER_NS), _APART_NS)
         times = np.stack([stamps, stamps + apart // 2], axis=1).ravel()
         ends = np.stack([low[known], high[known]], axis=1).ravel()
-        self._sender.columns_at(path, times, rr.Scalars.columns(scalars=ends))
+        self._sender.columns_at(path, times, columns(rr.Scalars, scalars=ends))
 
     def _true_forces(self, rows: Rows) -> None:
         """Draw what bench sensors say of the force at each tip."""

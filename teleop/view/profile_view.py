@@ -8,6 +8,7 @@ from teleop.messages import PROFILE_POINTS
 from teleop.view.band import tension_band
 from teleop.view.batch import Rows
 from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, rgba
+from teleop.view.columns import columns
 from teleop.view.config import ViewConfig
 from teleop.view.plane import Plane, axis_end
 from teleop.view.sender import Sender
@@ -85,10 +86,10 @@ class ProfileView:
             behind, ahead = row < f, row > f
             pieces.append(np.concatenate([points[behind], [point, point][: 2 - behind.any()]]))
             pieces.append(np.concatenate([[point, point][: 2 - ahead.any()], points[ahead]]))
-        curve = rr.LineStrips2D.columns(strips=pieces).partition([2] * len(rows))
+        curve = columns(rr.LineStrips2D, np.full(len(rows), 2), strips=pieces)
         self._sender.columns(f"{path}/curve", rows, curve)
         known = np.isfinite(rows["front"])
-        marks = rr.Points2D.columns(positions=fronts[known]).partition(known.astype(int))
+        marks = columns(rr.Points2D, known, positions=fronts[known])
         self._sender.columns(f"{path}/front", rows, marks)
 
     def _band(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
@@ -114,12 +115,12 @@ class ProfileView:
             axis=2,
         )
         bars[:, 1::2] = bars[:, 1::2, ::-1]
-        strips = rr.LineStrips2D.columns(strips=list(bars.reshape(-1, 2 * PROFILE_POINTS, 2)))
-        columns = [*strips.partition(known.astype(int))]
+        strips = bars.reshape(-1, 2 * PROFILE_POINTS, 2)
+        drawn = columns(rr.LineStrips2D, known, strips=strips)
         if self._values:
             values = rr.AnyValues.columns(low=low.ravel(), high=high.ravel())
-            columns += values.partition([PROFILE_POINTS] * len(rows))
-        self._sender.columns(path, rows, columns)
+            drawn += values.partition([PROFILE_POINTS] * len(rows))
+        self._sender.columns(path, rows, drawn)
 
     def _ends(self, tendon: int, rows: Rows) -> tuple[Array, Array] | None:
         """Return the interval of T_out at each profile; NaN without one near it."""

@@ -51,6 +51,9 @@ class Scene:
     everything : bool
         Also send what the layout does not show, for a file: it may be opened in another layout, or
         read by Rerun's tools.
+    live : bool
+        Grow the curves in tabs that are behind at first once a second; at the end less than a
+        second of them is missing.
     """
 
     def __init__(
@@ -59,6 +62,7 @@ class Scene:
         stream: rr.RecordingStream,
         lay_out: Callable[[Mapping[int, list[int]]], None] = lambda _: None,
         everything: bool = True,
+        live: bool = False,
     ) -> None:
         self._config = config
         self._lay_out = lay_out
@@ -72,7 +76,7 @@ class Scene:
         self._levers = Levers(config, self._sender, self._sheaths, self._thinned)
         self._profiles = ProfileView(config, self._sender, self._sheaths, values=everything)
         self._loops = LoopView(config, self._sender)
-        self._plots = Plots(config, self._sender, self._sheaths, self._thinned)
+        self._plots = Plots(config, self._sender, self._sheaths, self._thinned, live)
         self._lanes = StateLanes(self._sender)
         self._panel = Panel(config, self._sender, self._sheaths)
 

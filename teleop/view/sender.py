@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from rerun import AsComponents
 
 from teleop.view.batch import Rows
-
-TIMELINE = "time"  # the stamp its sender gave a message
+from teleop.view.columns import Stamps
 
 
 class Sender:
@@ -29,8 +28,7 @@ class Sender:
         self, path: str, stamps_ns: NDArray[np.int64], columns: Iterable[rr.ComponentColumn]
     ) -> None:
         """Send `columns`, one row at each stamp [ns since the epoch]."""
-        stamps = stamps_ns.astype("datetime64[ns]")
-        self._stream.send_columns(path, [rr.TimeColumn(TIMELINE, timestamp=stamps)], columns)
+        self._stream.send_columns(path, [Stamps(stamps_ns)], columns)
 
     def static(self, path: str, archetype: AsComponents) -> None:
         """Send static data, replacing earlier ones."""

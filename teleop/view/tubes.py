@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from teleop.view.batch import Rows
 from teleop.view.colours import FRONT, rgba
+from teleop.view.columns import columns
 from teleop.view.config import ViewConfig
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
@@ -56,14 +57,14 @@ class Tubes:
         self._sender.columns(
             f"scene/tendon_{tendon}/tube",
             rows,
-            rr.Capsules3D.columns(colors=colours, radii=radii).partition([SEGMENTS] * len(rows)),
+            columns(rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii),
         )
         known = np.isfinite(front)
         at = along(stage.lines[tendon], (front / length)[known])
         self._sender.columns(
             f"scene/tendon_{tendon}/front",
             rows,
-            rr.Points3D.columns(positions=at).partition(known.astype(int)),
+            columns(rr.Points3D, known, positions=at),
         )
 
 

@@ -3,6 +3,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+import rerun as rr
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +13,7 @@ from teleop.view.band import friction_along, tension_band
 from teleop.view.batch import decode, thinned
 from teleop.view.colours import BACKGROUND as DARK
 from teleop.view.colours import UNKNOWN, rgba
+from teleop.view.columns import Stamps, columns
 from teleop.view.config import ViewConfig
 from teleop.view.plane import Plane, ticks
 from teleop.view.shape import centreline
@@ -73,6 +75,55 @@ def test_a_thousand_a_second_become_a_hundred(session):
     rows = decode(session.messages)[TENDONS]
     assert len(thinned(rows, 100)) == pytest.approx(100, abs=2)
     assert len(thinned(rows, 1000)) == len(rows)
+
+
+# columns
+
+POINTS = np.arange(18.0).reshape(6, 3)
+COUNTS = [2, 0, 1, 3]
+LINES = [POINTS[:2], POINTS[2:3], POINTS[2:], POINTS, POINTS[1:3], POINTS[::-1]]
+
+
+@pytest.mark.parametrize(
+    ("archetype", "fields"),
+    [
+        (rr.Scalars, {"scalars": POINTS[:, 0]}),
+        (rr.Points3D, {"positions": POINTS, "labels": list("abcdef")}),
+        (rr.Points2D, {"positions": POINTS[:, :2]}),
+        (rr.Arrows3D, {"origins": POINTS, "vectors": -POINTS}),
+        (rr.Capsules3D, {"colors": np.arange(6, dtype=np.uint32), "radii": POINTS[:, 1]}),
+        (rr.LineStrips3D, {"strips": LINES}),
+        (rr.LineStrips2D, {"strips": [line[:, :2] for line in LINES]}),
+    ],
+)
+def test_columns_are_those_of_the_archetype_itself(archetype, fields):
+    made, known = (
+        {str(column.component_descriptor()): column.as_arrow_array() for column in some}
+        for some in (
+            columns(archetype, COUNTS, **fields),
+            archetype.columns(**fields).partition(COUNTS),
+        )
+    )
+    assert made == known
+    assert {name: values.type for name, values in made.items()} == {
+        name: values.type for name, values in known.items()
+    }
+
+
+def test_lines_of_as_many_points_can_be_stacked_and_a_row_has_one_value_by_default():
+    stacked = POINTS.reshape(3, 2, 3)
+    (made,) = columns(rr.LineStrips3D, strips=stacked)
+    (known,) = columns(rr.LineStrips3D, [1, 1, 1], strips=list(stacked))
+    assert made.as_arrow_array() == known.as_arrow_array()
+    (nothing,) = columns(rr.LineStrips2D, [0, 0], strips=[])
+    assert nothing.as_arrow_array().to_pylist() == [[], []]
+
+
+def test_stamps_are_the_times_of_rows(session):
+    stamps = decode(session.messages)[TENDONS]["stamp_ns"]
+    known = rr.TimeColumn("time", timestamp=stamps.astype("datetime64[ns]"))
+    assert Stamps(stamps).as_arrow_array() == known.as_arrow_array()
+    assert Stamps(stamps).timeline_name() == known.timeline_name()
 
 
 # colours

@@ -44,7 +44,7 @@ from teleop.view.layouts import blueprint
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from teleop.view.stage import PIECES, SEGMENTS, Shape, stage
-from tests.teleop.view_session import CONFIG, T0, Session, front_of, reader, save, sheath
+from tests.teleop.view_session import CONFIG, T0, Session, front_of, read, reader, save, sheath
 
 
 @pytest.fixture(scope="module")
@@ -377,6 +377,22 @@ def test_curves_hold_the_values_that_were_sent(session, saved, entity, topic, va
     assert rate - 2 <= len(shown) <= rate + 27  # of one second, in 26 blocks
     for stamp, (number,) in shown.items():
         assert number == pytest.approx(sent[stamp], rel=1e-12)
+
+
+def test_a_live_page_gets_the_curves_behind_once_a_second_and_complete(tmp_path):
+    session, path = Session(3.0), tmp_path / "live.rrd"
+    with Sink("rrd", CONFIG, "test", path, live=True) as sink:
+        scene = Scene(CONFIG, sink.stream, sink.lay_out, everything=False, live=True)
+        for k in range(0, len(session.messages), 300):
+            scene.curves(decode(session.messages[k : k + 300]))
+    saved = read(path)
+    newest = max(m.stamp_ns for m in session.of(LEDGER))
+    for entity, rate in (("/energy/slave/joint_0/credit", 20), ("/elongation/tendon_0", 100)):
+        stamps = np.sort(list(saved[entity]["Scalars:scalars"]))
+        assert newest - 1_300_000_000 < stamps[-1]
+        assert np.diff(stamps).max() <= 2e9 / rate, "rows between two times are missing"
+    front = max(saved["/tension/tendon_0/in"]["Scalars:scalars"])
+    assert front >= max(saved["/elongation/tendon_0"]["Scalars:scalars"])
 
 
 def test_the_interval_is_one_area_from_its_low_to_its_high_end(session, saved):
