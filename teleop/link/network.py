@@ -9,6 +9,7 @@ import zenoh
 
 from teleop.errors import TeleopError, UsageError
 from teleop.keys import Credentials
+from teleop.link.linger import close_at_once
 
 RETRY_MS = 100  # between attempts to connect to a peer
 QUEUE = 16  # messages of one priority waiting to be sent to one peer
@@ -47,7 +48,7 @@ def open_session(
     if mode != "router":  # that one serves many connections at once
         os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # read when the first session opens
     try:
-        return zenoh.open(config_of(settings(credentials, listen, connect, access, mode)))
+        session = zenoh.open(config_of(settings(credentials, listen, connect, access, mode)))
     except zenoh.ZError as error:
         if mode == "client":
             routers = ", ".join(connect)
@@ -56,6 +57,8 @@ def open_session(
             ) from error
         place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
         raise UsageError(f"{place}: {_reason(str(error))}") from error
+    close_at_once(session)
+    return session
 
 
 def config_of(settings: dict[str, Any]) -> zenoh.Config:

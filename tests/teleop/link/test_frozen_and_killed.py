@@ -10,8 +10,9 @@ from contextlib import contextmanager
 
 from teleop.clock import now_ns
 from teleop.link import Link, LinkConfig
-from teleop.messages import Event, SlaveState
-from teleop.topics import COMMAND, EVENT, STATE, Role
+from teleop.link.network import LEASE_MS
+from teleop.messages import Event, SlaveState, TendonState
+from teleop.topics import COMMAND, EVENT, STATE, TENDONS, Role
 from tests.root import ROOT
 from tests.teleop.link.bench import MS, wait_until
 
@@ -30,12 +31,25 @@ with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "test", Role.MASTER
         time.sleep(0.001)
 """
 
+VIEWER = """
+import sys, time
+from teleop.process import die_with_parent
+die_with_parent(int(sys.argv[3]))
+from teleop.link import Link, LinkConfig
+from teleop.topics import TOPICS, Role
+with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "test", Role.VIEWER) as link:
+    listener = link.listen(TOPICS)
+    while True:
+        listener.drain()
+        time.sleep(0.02)
+"""
+
 
 @contextmanager
-def other_process(config: LinkConfig) -> Iterator[subprocess.Popen[bytes]]:
-    """A master in a process of its own."""
+def other_process(config: LinkConfig, code: str = PEER) -> Iterator[subprocess.Popen[bytes]]:
+    """A master, or other code, in a process of its own."""
     process = subprocess.Popen(
-        [sys.executable, "-c", PEER, config.master, config.slave, str(os.getpid())],
+        [sys.executable, "-c", code, config.master, config.slave, str(os.getpid())],
         cwd=ROOT,
     )
     try:
@@ -82,3 +96,27 @@ def test_publishing_to_a_frozen_peer_goes_on(config: LinkConfig) -> None:
                 slave.publish(topic, message)
                 longest = max(longest, time.monotonic() - began)
         assert longest < 1.0  # one that waits for room does so for 5 s
+
+
+def test_a_viewer_that_stops_reading_does_not_delay_commands(config: LinkConfig) -> None:
+    """Bytes are left to send when its connection, silent for a lease, is closed."""
+    with Link(config, "test", Role.SLAVE) as slave, other_process(config):
+        latest = slave.subscribe_latest(COMMAND)
+        wait_until(lambda: slave.latest(COMMAND).counts.received > 0)
+        with other_process(config, VIEWER) as viewer:
+            wait_until(lambda: slave.present(Role.VIEWER))
+            time.sleep(1.0)  # its connections carry messages
+            viewer.send_signal(signal.SIGSTOP)
+            begin = fresh = now_ns()
+            longest = left = 0
+            while now_ns() - begin < (LEASE_MS + 1500) * MS:
+                if left < 500:  # more than the viewer's buffer holds, less than ours does
+                    left += 1
+                    slave.publish(TENDONS, TendonState())
+                time.sleep(0.001)
+                if slave.latest(COMMAND).new:
+                    fresh = now_ns()
+                longest = max(longest, now_ns() - fresh)
+            assert not slave.present(Role.VIEWER)
+        assert latest.counts.received > 1000
+        assert longest < 500 * MS  # SO_LINGER was ten seconds

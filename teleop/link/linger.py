@@ -1,0 +1,50 @@
+"""Close connections to processes that no longer read without waiting for them.
+
+Zenoh closes a connection that has been silent for a lease within its one receiving thread, with
+SO_LINGER of ten seconds: if bytes are left to send, because the other process was stopped or its
+machine sleeps, the thread receives nothing from anyone for so long (eclipse-zenoh/zenoh issues 1101
+and 2718). A viewer that was stopped so ended the session it watched. Without SO_LINGER the kernel
+sends what it can and closing takes no time.
+"""
+
+import os
+import re
+import socket
+import struct
+from pathlib import Path
+
+import zenoh
+
+_OPEN_FILES = Path("/dev/fd")  # of this process; absent on Windows
+_OFF = struct.pack("ii", 0, 0)
+_ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]]+?)\]?:(?P<port>\d+)")
+
+
+def close_at_once(session: zenoh.Session) -> None:
+    """Turn SO_LINGER off for the connections that a session has and will have."""
+    direct = zenoh.handlers.Callback(_on_link, indirect=False)
+    session.info.declare_link_events_listener(direct, history=True)
+
+
+def _on_link(event: zenoh.LinkEvent) -> None:
+    ends = {_address(event.link.src), _address(event.link.dst)}
+    if event.kind != zenoh.SampleKind.PUT or not _OPEN_FILES.exists():
+        return
+    for name in os.listdir(_OPEN_FILES):
+        try:
+            with socket.socket(fileno=os.dup(int(name))) as connection:
+                if {_ours(connection.getsockname()), _ours(connection.getpeername())} == ends:
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
+        except OSError:  # not a socket, not connected, or closed since it was listed
+            continue
+
+
+def _address(endpoint: str) -> tuple[str, int] | None:
+    """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
+    match = _ENDPOINT.fullmatch(endpoint)
+    return None if match is None else (match["host"], int(match["port"]))
+
+
+def _ours(address: tuple[str, int] | tuple[str, int, int, int] | str) -> tuple[str, int] | None:
+    """Return host and port of a socket's address; None if it is no internet address."""
+    return None if isinstance(address, str) else (address[0], address[1])
