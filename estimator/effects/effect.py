@@ -56,6 +56,7 @@ class EffectContext(NamedTuple):
     simulated: Signals  # by the model without the effect
     compliance: Array  # dq_p/dT_in [m/N] of that model
     elongation_per_newton: float  # L/EA [m/N] of that model
+    newton: float = 1.0  # of the records, in the unit of force here (diagnosis.bench_scale)
 
     @property
     def peak(self) -> float:
@@ -78,6 +79,10 @@ def _same_signals(signals: Signals, _values: Values, _context: EffectContext) ->
 
 def _same_drive(drive: Array, _values: Values, _context: EffectContext) -> Array:
     return drive
+
+
+def _same_values(values: Values, _zero: float) -> Values:
+    return values
 
 
 def _as_they_are(parameters: tuple[Parameter, ...], _span: float) -> tuple[Parameter, ...]:
@@ -113,6 +118,8 @@ class Effect:
     correction
         Of a sensor at the housing: how its readings are put right one by one, in another session
         too; None where they cannot be.
+    from_zero
+        Its values for readings of the motor's encoder that are more by `zero`.
     brief
         Whether it shows in the first samples of a motion only, which a thin record does not have.
     """
@@ -131,6 +138,7 @@ class Effect:
     needs: frozenset[str] = frozenset()
     within: Callable[[tuple[Parameter, ...], float], tuple[Parameter, ...]] = _as_they_are
     correction: CorrectionKind | None = None
+    from_zero: Callable[[Values, float], Values] = _same_values
     brief: bool = False
 
     @property

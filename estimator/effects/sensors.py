@@ -301,6 +301,14 @@ def _common(context: EffectContext) -> tuple[Array, Array, Array]:
     return context.drive, residual, others
 
 
+def _turned(values: Values, zero: float) -> Values:
+    """Return a wave's values for an encoder that reads `zero` more: sine, cosine and radius."""
+    sine, cosine, radius = values
+    at = zero / radius
+    c, s = float(np.cos(at)), float(np.sin(at))
+    return sine * c + cosine * s, cosine * c - sine * s, radius
+
+
 def _eccentric_starts(context: EffectContext) -> Iterable[Values]:
     q, residual, others = _common(context)
     return [
@@ -333,6 +341,7 @@ PULLEY_ECCENTRICITY = Effect(
     invert=_eccentric,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
     correction=CorrectionKind.PULLEY_ECCENTRICITY,
+    from_zero=_turned,
 )
 
 
@@ -373,6 +382,10 @@ COGGING_RIPPLE = Effect(
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
     within=_rippling,
     correction=CorrectionKind.TENSION_RIPPLE,
+    from_zero=lambda values, zero: (
+        *_turned((*values[:2], 1.0 / values[2]), zero)[:2],
+        values[2],
+    ),
 )
 
 

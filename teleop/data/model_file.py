@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
+from estimator.diagnosis.bench_scale import dimension
 from estimator.diagnosis.dataset import Model
 from estimator.diagnosis.model import COMPLIANCE, TIP
 from estimator.diagnosis.outcome import Diagnosis, Verdict
@@ -42,6 +43,7 @@ BASE = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP}
 DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
 
 SLACK = 1e-6  # of a range, tolerance of fitted values
+SIZES = 1e6  # by which a bench may be larger or smaller than the one that ranges are of
 
 
 class SavedModel(NamedTuple):
@@ -186,12 +188,20 @@ def _number(path: Path, place: str, value: Any, parameter: Parameter) -> float:
         raise UsageError(f"{path}: {place}: is missing")
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise UsageError(f"{path}: {place}: {value!r} is not a finite number")
-    low, high = parameter.low, parameter.high
+    low, high = _range(parameter)
     slack = SLACK * (high - low)
     if not low - slack <= value <= high + slack:
         unit = f" {parameter.unit}".rstrip()
         raise UsageError(f"{path}: {place}: {value:g}{unit}, must be {low:g} to {high:g}{unit}")
     return float(value)
+
+
+def _range(parameter: Parameter) -> tuple[float, float]:
+    """Return between which values a parameter may be, on a bench of any size."""
+    low, high = parameter.low, parameter.high
+    if dimension(parameter.unit) == (0, 0):
+        return low, high
+    return low * (1.0 / SIZES if low > 0.0 else SIZES), high * SIZES
 
 
 def _mapping(path: Path, place: str, value: Any) -> dict[str, Any]:
