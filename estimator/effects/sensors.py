@@ -23,6 +23,7 @@ from estimator.effects.ends import play
 from estimator.online.reading_correction import CorrectionKind
 
 ONSETS = 12
+MOST_TURNS = 10.0  # of the pulley in a record
 WAVE = 5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
 WORDS = {
     PROXIMAL_TENSION: "the load cell at the housing",
@@ -311,12 +312,20 @@ def _turned(values: Values, zero: float) -> Values:
 
 def _eccentric_starts(context: EffectContext) -> Iterable[Values]:
     q, residual, others = _common(context)
+    few = 1.0 / np.geomspace(5e-2, 2e-3, 24)
+    span = max(float(np.ptp(q)), 1e-6)
+    many = np.arange(few[-1], MOST_TURNS * 2.0 * np.pi / span, 0.6 / span)[1:]
+    numbers = np.concatenate([few, many])
     return [
         (-sine, -cosine, 1.0 / number)
-        for sine, cosine, number in waves(
-            q, residual, others[:, 0], others, 1.0 / np.geomspace(2e-3, 5e-2, 24)
-        )
+        for sine, cosine, number in waves(q, residual, others[:, 0], others, numbers)
     ]
+
+
+def _turning(parameters: tuple[Parameter, ...], span: float) -> tuple[Parameter, ...]:
+    *amplitudes, radius = parameters
+    least = span / (MOST_TURNS * 2.0 * np.pi)
+    return (*amplitudes, radius._replace(low=min(radius.low, least)))
 
 
 def _eccentric(travel: Array, values: Values, _context: EffectContext) -> Array:
@@ -340,6 +349,7 @@ PULLEY_ECCENTRICITY = Effect(
     starts=_eccentric_starts,
     invert=_eccentric,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
+    within=_turning,
     correction=CorrectionKind.PULLEY_ECCENTRICITY,
     from_zero=_turned,
 )
