@@ -18,13 +18,15 @@ from estimator.measured_data import Samples
 from estimator.units import LINEAR, ROTARY
 from tests import hidden
 
+REFERENCE = "reference"
 SIZES = {
-    "reference": (1.0, 1.0, LINEAR),
+    REFERENCE: (1.0, 1.0, LINEAR),
     "micro-surgical, 0.5 N and 0.3 mm": (1.0 / 40.0, 1.0 / 30.0, LINEAR),
     "heavy cable, 500 N and 80 mm": (25.0, 8.0, LINEAR),
     "instrument, 0.2 N m and 1 rad": (0.01, 100.0, ROTARY),
     "drive, 20 N m and 1 rad": (1.0, 100.0, ROTARY),
 }
+WORDS = {name.split(",")[0]: name for name in SIZES if name != REFERENCE}
 CASES = (
     "",
     "friction_step",
@@ -107,8 +109,9 @@ def main():
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", nargs="*", default=CASES, help="of the effects; '' for none")
+    parser.add_argument("--sizes", nargs="*", choices=WORDS, default=list(WORDS))
     args = parser.parse_args()
-    tasks = list(itertools.product(args.only, SIZES))
+    tasks = list(itertools.product(args.only, [REFERENCE, *(WORDS[word] for word in args.sizes)]))
     answers = {}
     with get_context("spawn").Pool(args.jobs) as pool:
         for name, size, answer in pool.imap(partial(_one, seed=args.seed), tasks):
