@@ -91,9 +91,10 @@ def unlike(answer, reference):
     out = []
     if answer[:2] != reference[:2]:
         out.append(f"{answer.verdict} {'+'.join(answer.causes)}")
-    for name, (value, _) in answer.numbers.items():
-        true, half = reference.numbers.get(name, (np.nan, np.nan))
-        if abs(value - true) > max(0.5 * half, SPARED * abs(true)):
+    missing = np.nan, np.nan
+    for name in {**reference.numbers, **answer.numbers}:
+        (value, _), (true, half) = (one.numbers.get(name, missing) for one in (answer, reference))
+        if not abs(value - true) <= max(0.5 * half, SPARED * abs(true)):  # nan: missing in one
             out.append(f"{name} {value:.4g} not {true:.4g}")
     return out
 

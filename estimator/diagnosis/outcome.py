@@ -36,10 +36,6 @@ class Number(NamedTuple):
     unit: str
     at_bound: bool = False  # the value is as far as the parameter may go: it may be further
 
-    def moved(self, by: float) -> "Number":
-        """Return the number and its interval, more by so much."""
-        return self._replace(value=self.value + by, low=self.low + by, high=self.high + by)
-
 
 class Fitnesses(NamedTuple):
     """The same on what was fitted and on what was held out, by channel."""

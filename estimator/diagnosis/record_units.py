@@ -1,7 +1,8 @@
 """Records in the units of their bench, and what a diagnosis says in those of its records."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 
 from estimator.diagnosis.bench_scale import UNSCALED, BenchScale, scale_of
 from estimator.diagnosis.dataset import Dataset, Fit, Model
@@ -149,7 +150,7 @@ def _predicted(one: Predicted, scale: BenchScale) -> Predicted:
 
 
 def _numbers(found: Diagnosis, scale: BenchScale) -> dict[str, Number]:
-    """Return all numbers with their intervals, which an encoder's other zero does not widen."""
+    """Return all numbers with their intervals."""
     numbers = {}
     for name, one in found.parameters.items():
         size = scale.size(one.unit)
@@ -159,12 +160,38 @@ def _numbers(found: Diagnosis, scale: BenchScale) -> dict[str, Number]:
             high=size * one.high,
             unit=found.units.name(one.unit),
         )
-    for effect, values in found.extended.model.effects:
-        for p, value in zip(effect.parameters, _of_effect(effect, values, scale), strict=True):
-            name = f"{effect.name}.{p.name}"
-            by = value - numbers[name].value
-            numbers[name] = numbers[name].moved(by)
+    for effect, values in found.extended.model.effects if scale.zero else ():
+        numbers |= numbers_from_zero(
+            effect, _values(effect.parameters, values, scale), numbers, scale.zero
+        )
     return numbers
+
+
+def numbers_from_zero(
+    effect: Effect, values: Values, numbers: Mapping[str, Number], zero: float
+) -> dict[str, Number]:
+    """Return an effect's numbers for the readings of the motor's encoder that are more by `zero`.
+
+    The intervals of its amplitudes include those of all pairs within theirs, its shape as it is:
+    what another radius or wave number would do to a phase so far away is not in them.
+    """
+    moved = effect.from_zero(values, zero)
+    if moved == values:
+        return {}
+    names = [f"{effect.name}.{p.name}" for p in effect.parameters]
+    ends = [
+        (value,) if p.neutral is None else (numbers[name].low, numbers[name].high)
+        for p, name, value in zip(effect.parameters, names, values, strict=True)
+    ]
+    corners = [effect.from_zero(corner, zero) for corner in product(*ends)]
+    at_bound = any(
+        numbers[name].at_bound for name, end in zip(names, ends, strict=True) if len(end) > 1
+    )
+    return {
+        name: numbers[name]._replace(value=value, low=min(of), high=max(of), at_bound=at_bound)
+        for name, value, end, *of in zip(names, moved, ends, *corners, strict=True)
+        if len(end) > 1
+    }
 
 
 def _ranking(ranking: tuple[Ranked, ...], scale: BenchScale) -> tuple[Ranked, ...]:

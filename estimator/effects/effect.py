@@ -85,7 +85,9 @@ def _same_values(values: Values, _zero: float) -> Values:
     return values
 
 
-def _as_they_are(parameters: tuple[Parameter, ...], _span: float) -> tuple[Parameter, ...]:
+def _as_they_are(
+    parameters: tuple[Parameter, ...], _span: float, _values: Values
+) -> tuple[Parameter, ...]:
     return parameters
 
 
@@ -114,7 +116,8 @@ class Effect:
     needs
         Channels without which the effect is not defined.
     within
-        Its parameters, for records whose motor goes through a span [m]: what needs a way to show.
+        Its parameters, for records whose motor goes through a span [m] and a fit from values: what
+        needs a way to show.
     correction
         Of a sensor at the housing: how its readings are put right one by one, in another session
         too; None where they cannot be.
@@ -136,7 +139,7 @@ class Effect:
     invert: Callable[[Array, Values, EffectContext], Array] = _same_drive
     where: str = ""
     needs: frozenset[str] = frozenset()
-    within: Callable[[tuple[Parameter, ...], float], tuple[Parameter, ...]] = _as_they_are
+    within: Callable[[tuple[Parameter, ...], float, Values], tuple[Parameter, ...]] = _as_they_are
     correction: CorrectionKind | None = None
     from_zero: Callable[[Values, float], Values] = _same_values
     brief: bool = False

@@ -24,6 +24,7 @@ from estimator.online.reading_correction import CorrectionKind
 
 ONSETS = 12
 MOST_TURNS = 10.0  # of the pulley in a record
+PHASE_STEP = 5.0  # [rad] over a record, that a step of the pulley's radius is at most
 WAVE = 5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
 WORDS = {
     PROXIMAL_TENSION: "the load cell at the housing",
@@ -322,10 +323,14 @@ def _eccentric_starts(context: EffectContext) -> Iterable[Values]:
     ]
 
 
-def _turning(parameters: tuple[Parameter, ...], span: float) -> tuple[Parameter, ...]:
+def _turning(
+    parameters: tuple[Parameter, ...], span: float, values: Values
+) -> tuple[Parameter, ...]:
     *amplitudes, radius = parameters
-    least = span / (MOST_TURNS * 2.0 * np.pi)
-    return (*amplitudes, radius._replace(low=min(radius.low, least)))
+    least = min(span / (MOST_TURNS * 2.0 * np.pi), 0.5 * radius.high)
+    at = max(values[2], least)
+    step = min(radius.step, PHASE_STEP * at**2 / max(span, 1e-6))  # a part of a turn, at the end
+    return (*amplitudes, radius._replace(low=max(radius.low, least), step=step))
 
 
 def _eccentric(travel: Array, values: Values, _context: EffectContext) -> Array:
@@ -342,7 +347,7 @@ PULLEY_ECCENTRICITY = Effect(
     parameters=(
         Parameter("sine", "m", -2e-3, 2e-3, 1e-5),
         Parameter("cosine", "m", -2e-3, 2e-3, 1e-5),
-        Parameter("radius", "m", 1e-3, 0.2, 1e-3, None),
+        Parameter("radius", "m", 1e-5, 0.2, 1e-3, None),
     ),
     source="range assumed: 10 to 200 um",
     advice="Turn the pulley twice or more in a record, then true it or keep the table.",
@@ -363,7 +368,9 @@ def _ripple_starts(context: EffectContext) -> Iterable[Values]:
     return waves(q[::step], residual[::step], np.ones(len(q))[::step], others[::step], numbers)
 
 
-def _rippling(parameters: tuple[Parameter, ...], span: float) -> tuple[Parameter, ...]:
+def _rippling(
+    parameters: tuple[Parameter, ...], span: float, _values: Values
+) -> tuple[Parameter, ...]:
     *amplitudes, number = parameters
     low = min(WAVE / max(span, 1e-6), 0.5 * number.high)
     return (*amplitudes, number._replace(low=low))

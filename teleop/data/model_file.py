@@ -42,8 +42,8 @@ BASE = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP}
 
 DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
 
-SLACK = 1e-6  # of a range, tolerance of fitted values
-SIZES = 1e6  # by which a bench may be larger or smaller than the one that ranges are of
+SLACK = 1e-6  # of a bound, tolerance of fitted values
+SIZES = 100.0  # by which forces or travels may be larger or smaller than on the bench of the ranges
 
 
 class SavedModel(NamedTuple):
@@ -189,8 +189,7 @@ def _number(path: Path, place: str, value: Any, parameter: Parameter) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise UsageError(f"{path}: {place}: {value!r} is not a finite number")
     low, high = _range(parameter)
-    slack = SLACK * (high - low)
-    if not low - slack <= value <= high + slack:
+    if not low - SLACK * abs(low) <= value <= high + SLACK * abs(high):
         unit = f" {parameter.unit}".rstrip()
         raise UsageError(f"{path}: {place}: {value:g}{unit}, must be {low:g} to {high:g}{unit}")
     return float(value)
@@ -198,10 +197,9 @@ def _number(path: Path, place: str, value: Any, parameter: Parameter) -> float:
 
 def _range(parameter: Parameter) -> tuple[float, float]:
     """Return between which values a parameter may be, on a bench of any size."""
-    low, high = parameter.low, parameter.high
-    if dimension(parameter.unit) == (0, 0):
-        return low, high
-    return low * (1.0 / SIZES if low > 0.0 else SIZES), high * SIZES
+    wider = SIZES ** sum(map(abs, dimension(parameter.unit)))
+    low = parameter.low * (wider if parameter.low < 0.0 else 1.0 / wider)  # no sign is lost
+    return low, parameter.high * (wider if parameter.high > 0.0 else 1.0 / wider)
 
 
 def _mapping(path: Path, place: str, value: Any) -> dict[str, Any]:

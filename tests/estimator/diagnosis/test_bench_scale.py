@@ -8,8 +8,13 @@ import pytest
 
 from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.bench_scale import UNSCALED, BenchScale, scale_of
+from estimator.diagnosis.fit import STEP
+from estimator.diagnosis.intervals import Named
+from estimator.diagnosis.outcome import Number
+from estimator.diagnosis.record_units import numbers_from_zero
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
+from estimator.effects.sensors import PULLEY_ECCENTRICITY
 from estimator.measured_data import Samples
 from estimator.units import LINEAR, ROTARY
 from tests import hidden
@@ -61,6 +66,54 @@ def test_a_bench_of_usual_size_is_counted_in_newtons_and_metres():
     assert scale_of([tension], [np.array([0.001, 0.009])]) == UNSCALED
     assert scale_of([tension], []) == UNSCALED
     assert scale_of([40.0 * tension], [np.array([0.0, 0.08])]) == BenchScale(10.0, 10.0)
+
+
+def test_a_small_bench_is_diagnosed():
+    a, b = 1.0 / 40.0, 1.0 / 30.0
+    made = hidden.make(3, ("constant_drag",), bench="spring", duration=12.0, rate=40.0)
+    tried = [one for one in CATALOGUE if one.name in ("constant_drag", "presliding")]
+    found = diagnose(multiplied(made, a, b), effects=tried)
+    assert found.causes == ("constant_drag",)
+    sheath = made.truth["sheath"]
+    of = {"K": sheath["K"], "L/EA": b / a * sheath["L"] / sheath["EA"]}
+    for name, true in of.items():
+        assert found.parameters[name].value == pytest.approx(true, rel=0.02)
+
+
+@pytest.mark.parametrize("span", [1.1e-3, 3.5e-3, 11e-3])
+def test_a_pulley_may_turn_ten_times_and_is_at_its_bound_no_earlier(span):
+    for turns, at_bound in ((0.5, False), (3.0, False), (9.0, False), (10.0, True)):
+        value = span / (2.0 * np.pi * turns)
+        values = (1e-5, 0.0, value)
+        radius = PULLEY_ECCENTRICITY.within(PULLEY_ECCENTRICITY.parameters, span, values)[2]
+        assert Named("radius", radius, value, value, value, 0.0).at_bound == at_bound
+        other = value + STEP * radius.step
+        assert abs(span / other - span / value) < 0.2  # [rad]: a slope, not a jump
+
+
+def test_intervals_of_a_wave_go_along_with_the_phase_of_a_zero_far_away():
+    zero, radius = 0.3, 5e-3
+    values = (3e-5, 1e-5, radius)
+    names = [f"pulley_eccentricity.{name}" for name in ("sine", "cosine", "radius")]
+    half = (1e-7, 4e-6, 1e-5)
+    numbers = {
+        name: Number(value, value - h, value + h, "m")
+        for name, value, h in zip(names, values, half, strict=True)
+    }
+    moved = numbers | numbers_from_zero(PULLEY_ECCENTRICITY, values, numbers, zero)
+    assert moved[names[2]] == numbers[names[2]]
+    rng = np.random.default_rng(0)
+    for u, v in rng.uniform(-1.0, 1.0, (50, 2)):
+        sine, cosine = values[0] + u * half[0], values[1] + v * half[1]
+        angle = zero / radius
+        turned = (
+            sine * np.cos(angle) + cosine * np.sin(angle),
+            cosine * np.cos(angle) - sine * np.sin(angle),
+        )
+        for name, value in zip(names, turned, strict=False):
+            assert moved[name].low <= value <= moved[name].high
+    widths = [moved[name].high - moved[name].low for name in names[:2]]
+    assert sum(widths) < 2.0 * np.sqrt(2.0) * (half[0] + half[1])
 
 
 @pytest.mark.slow
