@@ -68,16 +68,27 @@ def test_a_bench_of_usual_size_is_counted_in_newtons_and_metres():
     assert scale_of([40.0 * tension], [np.array([0.0, 0.08])]) == BenchScale(10.0, 10.0)
 
 
-def test_a_small_bench_is_diagnosed():
-    a, b = 1.0 / 40.0, 1.0 / 30.0
-    made = hidden.make(3, ("constant_drag",), bench="spring", duration=12.0, rate=40.0)
-    tried = [one for one in CATALOGUE if one.name in ("constant_drag", "presliding")]
-    found = diagnose(multiplied(made, a, b), effects=tried)
-    assert found.causes == ("constant_drag",)
-    sheath = made.truth["sheath"]
-    of = {"K": sheath["K"], "L/EA": b / a * sheath["L"] / sheath["EA"]}
-    for name, true in of.items():
-        assert found.parameters[name].value == pytest.approx(true, rel=0.02)
+@pytest.mark.parametrize(
+    "size",
+    [
+        pytest.param((1.0 / 40.0, 8.0), id="0.5 N, a soft tendon"),
+        pytest.param((25.0, 1.0 / 8.0), id="500 N, a stiff tendon"),
+        pytest.param((0.01, 100.0, ROTARY), id="0.2 N m and rad"),
+    ],
+)
+def test_a_bench_of_another_size_has_its_cause_and_its_numbers(size):
+    made = hidden.make(3, ("presliding",), bench="spring", duration=12.0, rate=40.0)
+    tried = [one for one in CATALOGUE if one.name == "presliding"]
+    found = diagnose(multiplied(made, *size), effects=tried)
+    assert found.causes == ("presliding",)
+    sheath, (force, travel) = made.truth["sheath"], size[:2]
+    assert found.parameters["K"].value == pytest.approx(sheath["K"], rel=2e-3)
+    compliance = sheath["L"] / sheath["EA"]
+    assert found.parameters["L/EA"].value == pytest.approx(travel / force * compliance, rel=2e-3)
+    distance = found.parameters["presliding.distance"]
+    bristle = made.truth["presliding"]["bristle"]  # [m] at 10 N
+    assert distance.unit in ("m/10 N", "rad/(10 N m)")
+    assert distance.value == pytest.approx(travel / force * bristle, rel=0.05)
 
 
 @pytest.mark.parametrize("span", [1.1e-3, 3.5e-3, 11e-3])
