@@ -24,6 +24,7 @@ from estimator.online.reading_correction import CorrectionKind
 
 ONSETS = 12
 MOST_TURNS = 10.0  # of the pulley in a record
+BANDS = 3  # of wave numbers of a pulley that turns often, each with starts of its own
 PHASE_STEP = 5.0  # [rad] over a record, that a step of the pulley's radius is at most
 WAVE = 5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
 WORDS = {
@@ -316,10 +317,10 @@ def _eccentric_starts(context: EffectContext) -> Iterable[Values]:
     few = 1.0 / np.geomspace(5e-2, 2e-3, 24)
     span = max(float(np.ptp(q)), 1e-6)
     many = np.arange(few[-1], MOST_TURNS * 2.0 * np.pi / span, 0.6 / span)[1:]
-    numbers = np.concatenate([few, many])
-    return [
+    return [  # each band of its own: a wave that is large is in the residual with its harmonics
         (-sine, -cosine, 1.0 / number)
-        for sine, cosine, number in waves(q, residual, others[:, 0], others, numbers)
+        for band in (few, *np.array_split(many, BANDS))
+        for sine, cosine, number in waves(q, residual, others[:, 0], others, band)
     ]
 
 

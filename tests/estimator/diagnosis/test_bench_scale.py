@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.api import diagnose
+from estimator.diagnosis.baseline import baseline
 from estimator.diagnosis.bench_scale import UNSCALED, BenchScale, scale_of
+from estimator.diagnosis.dataset import dataset_of
 from estimator.diagnosis.fit import STEP
 from estimator.diagnosis.intervals import Named
 from estimator.diagnosis.outcome import Number
+from estimator.diagnosis.progress import quiet
+from estimator.diagnosis.record import prepare
 from estimator.diagnosis.record_units import numbers_from_zero
+from estimator.diagnosis.search import candidates
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
 from estimator.effects.sensors import PULLEY_ECCENTRICITY
@@ -100,6 +105,21 @@ def test_a_pulley_may_turn_ten_times_and_is_at_its_bound_no_earlier(span):
         assert Named("radius", radius, value, value, value, 0.0).at_bound == at_bound
         other = value + STEP * radius.step
         assert abs(span / other - span / value) < 0.2  # [rad]: a slope, not a jump
+
+
+@pytest.mark.parametrize("turns", [2.5, 8.0])
+def test_a_pulley_is_fitted_that_turns_often(turns):
+    made = hidden.make(3, (), bench="spring", duration=20.0, rate=40.0)
+    travel = made.channels["proximal_displacement"]
+    true = np.ptp(travel) / (2.0 * np.pi * turns)
+    wave = 0.1 * true * np.sin(travel / true + 0.5)
+    dataset = dataset_of(
+        [prepare(made.time, made.channels | {"proximal_displacement": travel + wave})]
+    )
+    found, *_ = candidates(dataset, baseline(dataset), [PULLEY_ECCENTRICITY], quiet)
+    ((_, (sine, cosine, radius)),) = found.fit.model.effects
+    assert radius == pytest.approx(true, rel=0.01)
+    assert np.hypot(sine, cosine) == pytest.approx(0.1 * true, rel=0.05)
 
 
 def test_intervals_of_a_wave_go_along_with_the_phase_of_a_zero_far_away():
