@@ -6,6 +6,7 @@ Records are those of the hidden benches (tests.hidden), which know nothing of a 
 import numpy as np
 import pytest
 
+from estimator.diagnosis import engine
 from estimator.diagnosis.api import diagnose
 from estimator.diagnosis.baseline import baseline
 from estimator.diagnosis.bench_scale import UNSCALED, BenchScale, scale_of
@@ -84,7 +85,9 @@ def test_a_bench_of_usual_size_is_counted_in_newtons_and_metres():
 def test_a_bench_of_another_size_has_its_cause_and_its_numbers(size):
     made = hidden.make(3, ("presliding",), bench="spring", duration=12.0, rate=40.0)
     tried = [one for one in CATALOGUE if one.name == "presliding"]
-    found = diagnose(multiplied(made, *size), effects=tried)
+    data = multiplied(made, *size)
+    signals = {name: getattr(data, name) for name in CHANNELS}
+    found = engine.diagnose([prepare(data.time, signals, units=data.units)], tried)
     assert found.causes == ("presliding",)
     sheath, (force, travel) = made.truth["sheath"], size[:2]
     assert found.parameters["K"].value == pytest.approx(sheath["K"], rel=2e-3)
