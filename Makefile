@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 ARGS ?=
 
-.PHONY: help demo test test-all test-kernel test-ros check docs bench bench-diagnosis pictures clean
+.PHONY: help demo test test-all test-kernel test-ros check docs bench bench-diagnosis bench-scales pictures clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
@@ -42,6 +42,9 @@ bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the
 
 bench-diagnosis: .venv/dev.done  ## hide effects, diagnose, count what is found (hours); ARGS as in --help
 	@$(BIN)/python -m benchmarks.hidden.campaign $(ARGS)
+
+bench-scales: .venv/dev.done  ## one hidden bench in five sizes, from 0.5 N to 500 N, torque and angle: what the diagnosis says of each
+	@$(BIN)/python -m benchmarks.hidden.scales $(ARGS)
 
 pictures: .venv/dev.done  ## the pictures of the live view in docs/images, from real runs (needs Chromium)
 	@$(BIN)/python -m docs.pictures

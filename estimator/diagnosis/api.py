@@ -8,7 +8,7 @@ from estimator.diagnosis import engine
 from estimator.diagnosis.force import file_force, rival_force
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.diagnosis.progress import quiet
-from estimator.diagnosis.record import Record, RecordError, efforts_of, is_loop, prepare
+from estimator.diagnosis.record import Record, RecordError, is_loop, prepare
 from estimator.diagnosis.rivals import CauseError
 from estimator.diagnosis.transmission_law import Law
 from estimator.effects import CATALOGUE, CHANNELS, Effect
@@ -152,9 +152,8 @@ def records_of(
     if not raw:
         return [one for one in data if isinstance(one, Record)]
     units = units_of(raw[0])
-    if any(units_of(one)[:2] != units[:2] for one in raw):
+    if any(units_of(one) != units for one in raw):
         raise RecordError("torque and angle beside tension and travel: give data of one bench")
-    units = units.scaled_to(effort for one in signals for effort in efforts_of(one))
     loop = is_loop(units, signals) if loop is None else loop
     records = []
     for one in data:

@@ -46,7 +46,7 @@ from estimator.diagnosis.record import (
     in_short_blocks,
     with_driver_noise,
 )
-from estimator.diagnosis.record_units import in_record_units
+from estimator.diagnosis.record_units import bench_scale, in_bench_units, in_record_units
 from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (
     Errors,
@@ -113,6 +113,9 @@ def diagnose(
         raise RecordError("the records have different channels: give those of one dataset")
     if len({(record.units, record.loop) for record in [*records, *validate]}) > 1:
         raise RecordError("the records have different units: give those of one dataset")
+    scale = bench_scale(records)
+    records = [in_bench_units(record, scale) for record in records]
+    validate = [in_bench_units(record, scale) for record in validate]
     dataset = dataset_of([in_full(record) for record in records] if fit_all else records)
     report("fitting the base law", 0.0)
     plain = baseline(dataset)
@@ -173,7 +176,7 @@ def diagnose(
         report("leaving one file out", 1.0)
         others = left_out(dataset, outcome.baseline, outcome.extended)
         outcome = outcome._replace(left_out=others)
-    return in_record_units(outcome._replace(laws=law, loads=loads))
+    return in_record_units(outcome._replace(laws=law, loads=loads), scale)
 
 
 def _by_two(

@@ -240,10 +240,9 @@ def _of(found: Diagnosis, k: int, channel: str) -> tuple[Array, tuple[Array, Arr
 
 
 def _scaled(units: Units, channel: str, signal: Array) -> tuple[Array, float, str]:
-    """Return a signal in newtons or metres scaled for drawing, the factor, and its unit."""
+    """Return a signal scaled for drawing, the factor, and its unit."""
     unit = units.of(channel)
     factor, shown = (1e3, "mm") if unit == "m" else (1.0, unit)
-    factor *= units.size(units.base(channel))
     return factor * signal, factor, shown
 
 

@@ -42,7 +42,7 @@ def predicted(records: Sequence[Predicted], names: Sequence[str]) -> Table:
 
 
 def _in_units(units: Units, channel: str, error: float) -> str:
-    return quantity(units.size(units.base(channel)) * error, units.of(channel), 3)
+    return quantity(error, units.of(channel), 3)
 
 
 def forces(found: Diagnosis, names: Sequence[str]) -> Table:
@@ -87,14 +87,14 @@ def rival_parameters(found: Diagnosis) -> Table:
     for one in found.rivals:
         model = one.fit.model
         values = [
-            f"{name} {quantity(units.size(parameter.unit) * value, units.name(parameter.unit))}"
+            f"{name} {quantity(value, units.name(parameter.unit))}"
             for name, value, parameter in zip(
                 names, model.shared, found.dataset.base.shared, strict=True
             )
         ]
         for effect, numbers in model.effects:
             values += [
-                f"{effect.name}.{p.name} {quantity(units.size(p.unit) * value, units.name(p.unit))}"
+                f"{effect.name}.{p.name} {quantity(value, units.name(p.unit))}"
                 for p, value in zip(effect.parameters, numbers, strict=True)
             ]
         rows.append((one.effect.label, one.replaces, ", ".join(values)))

@@ -24,9 +24,9 @@ class Layout:
         self.names = [p.name for p in base.shared]
         self.parameters = list(base.shared)
         span = max(float(np.ptp(record.drive)) for record in dataset.records)
-        for effect in effects:
+        for effect, values in model.effects:
             self.names += [f"{effect.name}.{p.name}" for p in effect.parameters]
-            self.parameters += effect.within(effect.parameters, span)
+            self.parameters += effect.within(effect.parameters, span, values)
         self.common = len(self.parameters)  # those of the dataset come first
         for k, record in enumerate(dataset.records):
             self.names += [f"{p.name} ({k + 1})" for p in base.own]

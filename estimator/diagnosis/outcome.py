@@ -3,6 +3,7 @@
 from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
+from estimator.diagnosis.bench_scale import UNSCALED, BenchScale
 from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.force import FileForce, RivalForce
 from estimator.diagnosis.law_choice import Choice
@@ -100,7 +101,7 @@ class DetectionLimit(NamedTuple):
 class Diagnosis(NamedTuple):
     """What is wrong with the model of a dataset, why, and the gain of correcting it.
 
-    Numbers are in the units of the records; `dataset` and fits count in newtons and metres.
+    All numbers are in the units of the records.
     """
 
     verdict: Verdict
@@ -130,6 +131,7 @@ class Diagnosis(NamedTuple):
     left_out: tuple[Predicted, ...] = ()  # each record, by the fit of the others
     forces: tuple[FileForce, ...] = ()  # error of the force that the loop would estimate
     rival_forces: tuple[RivalForce, ...] = ()  # what each rival would do to that force
+    scale: BenchScale = UNSCALED  # of the bench, at which it was made
 
     @property
     def units(self) -> Units:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.diagnosis.bench_scale import UNSCALED, BenchScale
 from estimator.diagnosis.channel_noise import counted_step, white_noise
 from estimator.diagnosis.drive import (
     Drive,
@@ -100,11 +101,13 @@ class Record:
     thinned
         How many measured samples became one.
     units
-        Of the measured data; all here is in newtons and metres (`Units.inward`).
+        Of the measured data.
     loop
         Whether it is of a closed loop of two cables, with effort of either sign, not of one tendon.
     start
         Time of the first sample in the data [s].
+    scale
+        Of what the signals are counted in, to `units`.
     """
 
     time: Array
@@ -123,6 +126,7 @@ class Record:
     units: Units = LINEAR
     loop: bool = False
     start: float = 0.0
+    scale: BenchScale = UNSCALED
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -181,10 +185,7 @@ def prepare(
             raise RecordError(
                 f"{units.word(name)}: negative where the tendon pulls; change its sign"
             )
-    if not units.radius > 0.0:
-        units = units.scaled_to(efforts_of(signals))
-    signals = {name: units.inward(name, signal) for name, signal in signals.items()}
-    noise = {name: float(units.inward(name, np.array(s))) for name, s in noise.items()}
+    signals, noise = dict(signals), dict(noise)
     start = float(time[0])
     time = time - start
     good, rounded, troubles = {}, {}, list(_repeated(time, signals))

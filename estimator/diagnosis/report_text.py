@@ -281,7 +281,7 @@ def next_steps(found: Diagnosis) -> list[str]:
     steps += [f"{name}: {words}" for words, name in reversed(advice.items())]
     if found.dataset.records[0].driver == PROXIMAL_TENSION and (rough := _with_lengths(found)):
         units, motor = found.units, "angle" if found.units.rotary else "travel"
-        assumed = SETTINGS.assumed_compliance * units.size("m/N")
+        assumed = SETTINGS.assumed_compliance * found.scale.size("m/N")
         steps.append(
             f"Record the motor's {motor}: without it {', '.join(rough)} "
             f"hold for an L/EA of {quantity(assumed, units.name('m/N'))} only."

@@ -235,9 +235,10 @@ def _off_bounds(model: Model, context: EffectContext) -> Model | None:
     whole records would not have led it to, and would not lead it away from. None if there is none.
     """
     *rest, (effect, values) = model.effects
+    allowed = effect.within(effect.parameters, float(np.ptp(context.drive)), values)
     stopped = [
         p.neutral is None and not p.jumps and _at_bound(value, p)
-        for value, p in zip(values, effect.parameters, strict=True)
+        for value, p in zip(values, allowed, strict=True)
     ]
     starts = list(effect.starts(context)) if any(stopped) else []
     if not starts:

@@ -56,6 +56,7 @@ class EffectContext(NamedTuple):
     simulated: Signals  # by the model without the effect
     compliance: Array  # dq_p/dT_in [m/N] of that model
     elongation_per_newton: float  # L/EA [m/N] of that model
+    newton: float = 1.0  # of the records, in the unit of force here (diagnosis.bench_scale)
 
     @property
     def peak(self) -> float:
@@ -80,7 +81,13 @@ def _same_drive(drive: Array, _values: Values, _context: EffectContext) -> Array
     return drive
 
 
-def _as_they_are(parameters: tuple[Parameter, ...], _span: float) -> tuple[Parameter, ...]:
+def _same_values(values: Values, _zero: float) -> Values:
+    return values
+
+
+def _as_they_are(
+    parameters: tuple[Parameter, ...], _span: float, _values: Values
+) -> tuple[Parameter, ...]:
     return parameters
 
 
@@ -109,10 +116,13 @@ class Effect:
     needs
         Channels without which the effect is not defined.
     within
-        Its parameters, for records whose motor goes through a span [m]: what needs a way to show.
+        Its parameters, for records whose motor goes through a span [m] and a fit from values: what
+        needs a way to show.
     correction
         Of a sensor at the housing: how its readings are put right one by one, in another session
         too; None where they cannot be.
+    from_zero
+        Its values for readings of the motor's encoder that are more by `zero`.
     brief
         Whether it shows in the first samples of a motion only, which a thin record does not have.
     """
@@ -129,8 +139,9 @@ class Effect:
     invert: Callable[[Array, Values, EffectContext], Array] = _same_drive
     where: str = ""
     needs: frozenset[str] = frozenset()
-    within: Callable[[tuple[Parameter, ...], float], tuple[Parameter, ...]] = _as_they_are
+    within: Callable[[tuple[Parameter, ...], float, Values], tuple[Parameter, ...]] = _as_they_are
     correction: CorrectionKind | None = None
+    from_zero: Callable[[Values, float], Values] = _same_values
     brief: bool = False
 
     @property

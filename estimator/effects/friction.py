@@ -142,7 +142,7 @@ PRESLIDING_STIFF = Effect(
     cause=PRESLIDING.cause,
     equation="friction rises to its limit as a spring of constant stiffness, which gives the "
     "distance where the tension is 10 N",
-    parameters=PRESLIDING.parameters,
+    parameters=(PRESLIDING.parameters[0]._replace(unit="m/10 N"),),
     source=PRESLIDING.source,
     advice=PRESLIDING.advice,
     starts=PRESLIDING.starts,
@@ -236,7 +236,9 @@ TENSION_DEPENDENT_POWER = Effect(
     source="power-law capstan: Jung, Pan, Kang, Tribology Int. 2008; 0.7 to 1",
     advice="Calibrate over the tensions you use; polymer tendons do this.",
     starts=lambda _: [(0.95,)],
-    physics=lambda physics, values, _: physics._replace(exponent=values[0]),
+    physics=lambda physics, values, context: physics._replace(
+        exponent=values[0], reference=10.0 * context.newton
+    ),
     where="a power of the tension",
 )
 

@@ -23,6 +23,9 @@ from estimator.effects.ends import play
 from estimator.online.reading_correction import CorrectionKind
 
 ONSETS = 12
+MOST_TURNS = 10.0  # of the pulley in a record
+BANDS = 3  # of wave numbers of a pulley that turns often, each with starts of its own
+PHASE_STEP = 5.0  # [rad] over a record, that a step of the pulley's radius is at most
 WAVE = 5.0  # [rad] that a ripple turns through in a record: a part of a wave may be anything
 WORDS = {
     PROXIMAL_TENSION: "the load cell at the housing",
@@ -301,14 +304,34 @@ def _common(context: EffectContext) -> tuple[Array, Array, Array]:
     return context.drive, residual, others
 
 
+def _turned(values: Values, zero: float) -> Values:
+    """Return a wave's values for an encoder that reads `zero` more: sine, cosine and radius."""
+    sine, cosine, radius = values
+    at = zero / radius
+    c, s = float(np.cos(at)), float(np.sin(at))
+    return sine * c + cosine * s, cosine * c - sine * s, radius
+
+
 def _eccentric_starts(context: EffectContext) -> Iterable[Values]:
     q, residual, others = _common(context)
-    return [
+    few = 1.0 / np.geomspace(5e-2, 2e-3, 24)
+    span = max(float(np.ptp(q)), 1e-6)
+    many = np.arange(few[-1], MOST_TURNS * 2.0 * np.pi / span, 0.6 / span)[1:]
+    return [  # each band of its own: a wave that is large is in the residual with its harmonics
         (-sine, -cosine, 1.0 / number)
-        for sine, cosine, number in waves(
-            q, residual, others[:, 0], others, 1.0 / np.geomspace(2e-3, 5e-2, 24)
-        )
+        for band in (few, *np.array_split(many, BANDS))
+        for sine, cosine, number in waves(q, residual, others[:, 0], others, band)
     ]
+
+
+def _turning(
+    parameters: tuple[Parameter, ...], span: float, values: Values
+) -> tuple[Parameter, ...]:
+    *amplitudes, radius = parameters
+    least = min(span / (MOST_TURNS * 2.0 * np.pi), 0.5 * radius.high)
+    at = max(values[2], least)
+    step = min(radius.step, PHASE_STEP * at**2 / max(span, 1e-6))  # a part of a turn, at the end
+    return (*amplitudes, radius._replace(low=max(radius.low, least), step=step))
 
 
 def _eccentric(travel: Array, values: Values, _context: EffectContext) -> Array:
@@ -325,14 +348,16 @@ PULLEY_ECCENTRICITY = Effect(
     parameters=(
         Parameter("sine", "m", -2e-3, 2e-3, 1e-5),
         Parameter("cosine", "m", -2e-3, 2e-3, 1e-5),
-        Parameter("radius", "m", 1e-3, 0.2, 1e-3, None),
+        Parameter("radius", "m", 1e-5, 0.2, 1e-3, None),
     ),
     source="range assumed: 10 to 200 um",
     advice="Turn the pulley twice or more in a record, then true it or keep the table.",
     starts=_eccentric_starts,
     invert=_eccentric,
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
+    within=_turning,
     correction=CorrectionKind.PULLEY_ECCENTRICITY,
+    from_zero=_turned,
 )
 
 
@@ -344,7 +369,9 @@ def _ripple_starts(context: EffectContext) -> Iterable[Values]:
     return waves(q[::step], residual[::step], np.ones(len(q))[::step], others[::step], numbers)
 
 
-def _rippling(parameters: tuple[Parameter, ...], span: float) -> tuple[Parameter, ...]:
+def _rippling(
+    parameters: tuple[Parameter, ...], span: float, _values: Values
+) -> tuple[Parameter, ...]:
     *amplitudes, number = parameters
     low = min(WAVE / max(span, 1e-6), 0.5 * number.high)
     return (*amplitudes, number._replace(low=low))
@@ -373,6 +400,10 @@ COGGING_RIPPLE = Effect(
     needs=frozenset({PROXIMAL_DISPLACEMENT}),
     within=_rippling,
     correction=CorrectionKind.TENSION_RIPPLE,
+    from_zero=lambda values, zero: (
+        *_turned((*values[:2], 1.0 / values[2]), zero)[:2],
+        values[2],
+    ),
 )
 
 

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
+from estimator.diagnosis.bench_scale import dimension
 from estimator.diagnosis.dataset import Model
 from estimator.diagnosis.model import COMPLIANCE, TIP
 from estimator.diagnosis.outcome import Diagnosis, Verdict
@@ -41,7 +42,8 @@ BASE = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP}
 
 DURATION = Parameter("duration", "s", 0.0, 1e7, 1.0)
 
-SLACK = 1e-6  # of a range, tolerance of fitted values
+SLACK = 1e-6  # of a bound, tolerance of fitted values
+SIZES = 100.0  # by which forces or travels may be larger or smaller than on the bench of the ranges
 
 
 class SavedModel(NamedTuple):
@@ -186,12 +188,18 @@ def _number(path: Path, place: str, value: Any, parameter: Parameter) -> float:
         raise UsageError(f"{path}: {place}: is missing")
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise UsageError(f"{path}: {place}: {value!r} is not a finite number")
-    low, high = parameter.low, parameter.high
-    slack = SLACK * (high - low)
-    if not low - slack <= value <= high + slack:
+    low, high = _range(parameter)
+    if not low - SLACK * abs(low) <= value <= high + SLACK * abs(high):
         unit = f" {parameter.unit}".rstrip()
         raise UsageError(f"{path}: {place}: {value:g}{unit}, must be {low:g} to {high:g}{unit}")
     return float(value)
+
+
+def _range(parameter: Parameter) -> tuple[float, float]:
+    """Return between which values a parameter may be, on a bench of any size."""
+    wider = SIZES ** sum(map(abs, dimension(parameter.unit)))
+    low = parameter.low * (wider if parameter.low < 0.0 else 1.0 / wider)  # no sign is lost
+    return low, parameter.high * (wider if parameter.high > 0.0 else 1.0 / wider)
 
 
 def _mapping(path: Path, place: str, value: Any) -> dict[str, Any]:

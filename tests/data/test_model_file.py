@@ -67,6 +67,19 @@ def test_numbers_that_cannot_be_right_are_refused(tmp_path, tree):
     assert "not a model file" in refusal(tmp_path, tree)
 
 
+def test_numbers_of_benches_of_other_sizes_are_read_and_none_without_a_meaning(tmp_path, tree):
+    path = tmp_path / "model.yaml"
+    for compliance in (1e-9, 1.0):  # of 500 N over 0.3 mm, of 0.5 N over 80 mm
+        tree["base"]["compliance"] = compliance
+        path.write_text(yaml.safe_dump(tree))
+        assert model_file.load(path).model.shared[1] == compliance
+    for compliance in (0.0, -1e-12, 1e4):
+        tree["base"]["compliance"] = compliance
+        assert "base.compliance: " in refusal(tmp_path, tree)
+    tree["base"] |= {"compliance": 1e-4, "tip_compliance": -1e-9}
+    assert "base.tip_compliance: -1e-09 m/N, must be 0 to" in refusal(tmp_path, tree)
+
+
 def test_unknown_words_are_refused_with_what_may_be_meant(tmp_path, tree):
     (row,) = tree["effects"]
     row["parameters"]["chnge"] = row["parameters"].pop("change")

@@ -1,20 +1,12 @@
-"""Units of a record: what is counted in newtons and metres comes back in its own."""
+"""Units of a record, and how its numbers go along with them."""
 
-import numpy as np
 import pytest
 
+from estimator.diagnosis.bench_scale import BenchScale, dimension
 from estimator.units import FORCE, LINEAR, ROTARY, quantity
 
 R = 0.01
-UNITS = ROTARY.scaled_to([np.array([0.02, -0.1])])
-
-
-def test_a_rotary_record_goes_through_newtons_and_metres_unchanged():
-    signal = np.array([-0.1, 0.0, 0.07])
-    for channel in ("proximal_tension", "distal_displacement"):
-        inside = UNITS.inward(channel, signal)
-        assert UNITS.outward(channel, inside) == pytest.approx(signal)
-    assert UNITS.inward("proximal_tension", signal).tolist() == pytest.approx([-10.0, 0.0, 7.0])
+SCALE = BenchScale(R, 1.0 / R)  # N to N m and m to rad on a pulley of radius R
 
 
 @pytest.mark.parametrize(
@@ -28,22 +20,25 @@ def test_a_rotary_record_goes_through_newtons_and_metres_unchanged():
         ("kg", "kg m^2", R**2),
         ("N/min", "N m/min", R),
         ("1/N", "1/(N m)", 1 / R),
+        ("m/10 N", "rad/(10 N m)", R**-2),
         ("s", "s", 1.0),
         ("", "", 1.0),
         ("of K", "of K", 1.0),
     ],
 )
 def test_numbers_of_a_model_have_the_records_units(unit, name, size):
-    assert UNITS.name(unit) == name
-    assert UNITS.size(unit) == pytest.approx(size)
-    assert (LINEAR.name(unit), LINEAR.size(unit)) == (unit, 1.0)
+    assert ROTARY.name(unit) == name
+    assert SCALE.size(unit) == pytest.approx(size)
+    assert SCALE.inverse.size(unit) == pytest.approx(1.0 / size)
+    assert LINEAR.name(unit) == unit
 
 
 def test_units_of_the_catalogue_are_all_known():
     from estimator.effects import CATALOGUE
 
     for unit in {p.unit for effect in CATALOGUE for p in effect.parameters}:
-        assert ("m/" not in f"{unit}/") or UNITS.name(unit) != unit
+        assert ("m/" not in f"{unit}/") or ROTARY.name(unit) != unit
+        assert (dimension(unit) != (0, 0)) == (ROTARY.name(unit) != unit)
 
 
 def test_channels_are_called_by_what_they_are():

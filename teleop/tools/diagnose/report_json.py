@@ -72,10 +72,7 @@ def tree(
         "noise": dict(found.noise),
         "driver": {
             "channel": found.dataset.records[0].driver,
-            "noise": [
-                record.noise[record.driver] * record.units.size(record.units.base(record.driver))
-                for record in found.dataset.records
-            ],
+            "noise": [record.noise[record.driver] for record in found.dataset.records],
         },
         "left": found.left,
         "wanders": found.wanders,
@@ -110,8 +107,8 @@ def _predicted(records: Sequence[Predicted], names: Sequence[str]) -> list[dict[
                 channel: {
                     "samples": int(one.record.good[channel].sum()),
                     "spikes": one.spikes[channel],
-                    "baseline": _fitness(before, _size(one, channel)),
-                    "extended": _fitness(one.fitness(one.after)[channel], _size(one, channel)),
+                    "baseline": _fitness(before),
+                    "extended": _fitness(one.fitness(one.after)[channel]),
                 }
                 for channel, before in one.fitness(one.before).items()
             },
@@ -120,17 +117,10 @@ def _predicted(records: Sequence[Predicted], names: Sequence[str]) -> list[dict[
     ]
 
 
-def _size(one: Predicted, channel: str) -> float:
-    """Return how much of a record's unit one of newtons or metres is."""
-    units = one.record.units
-    return units.size(units.base(channel))
-
-
 def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
     """Return the models of equally good causes, and what they would do to the force."""
     forces = {(one.replaces, one.label): one for one in found.rival_forces}
     tree = []
-    size = found.units.size
     for one in found.rivals:
         force = forces.get((one.replaces, one.effect.label))
         model = one.fit.model
@@ -140,13 +130,12 @@ def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
                 "label": one.effect.label,
                 "replaces": one.replaces,
                 "base": {
-                    p.name: size(p.unit) * value
+                    p.name: value
                     for p, value in zip(found.dataset.base.shared, model.shared, strict=True)
                 },
                 "effects": {
                     effect.name: {
-                        p.name: size(p.unit) * value
-                        for p, value in zip(effect.parameters, values, strict=True)
+                        p.name: value for p, value in zip(effect.parameters, values, strict=True)
                     }
                     for effect, values in model.effects
                 },
@@ -193,9 +182,9 @@ def _fitnesses(all_of: Fitnesses) -> dict[str, Any]:
     }
 
 
-def _fitness(one: Fitness, size: float = 1.0) -> dict[str, float]:
+def _fitness(one: Fitness) -> dict[str, float]:
     return {
-        "rmse": size * one.rmse,
+        "rmse": one.rmse,
         "max_percent": 100.0 * one.largest,
         "mean_percent": 100.0 * one.mean,
     }

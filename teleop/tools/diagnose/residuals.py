@@ -19,17 +19,12 @@ def write(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
         panels = []
         for channel in record.compared:
             rows = record.measured
-            units = record.units
-            measured = units.outward(channel, record.signals[channel][rows])
+            measured = record.signals[channel][rows]
             models = {
-                ("before", BEFORE): units.outward(
-                    channel, found.baseline.simulated[k].signals[channel][rows]
-                ),
-                ("after", AFTER): units.outward(
-                    channel, found.extended.simulated[k].signals[channel][rows]
-                ),
+                ("before", BEFORE): found.baseline.simulated[k].signals[channel][rows],
+                ("after", AFTER): found.extended.simulated[k].signals[channel][rows],
             }
-            title = f"{units.word(channel)} [{units.of(channel)}]"
+            title = f"{record.units.word(channel)} [{record.units.of(channel)}]"
             lines = {("measured", MEASURED): measured} | models
             off = {key: measured - values for key, values in models.items()}
             panels.append(_panel(f"{title}, {file}", record.time[rows], lines))

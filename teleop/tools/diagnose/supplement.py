@@ -207,10 +207,9 @@ def _write_record(path: Path, one: Predicted) -> None:
     rows = one.record.measured
     columns = {"time_s": (one.record.time + one.record.start)[rows]}
     for channel in one.record.compared:
-        units = one.record.units
-        unit = units.of(channel).replace(" ", "")
+        unit = one.record.units.of(channel).replace(" ", "")
         measured, before, after = (
-            units.outward(channel, signals[channel])
+            signals[channel]
             for signals in (one.record.signals, one.before.signals, one.after.signals)
         )
         columns[f"{channel}_{unit}"] = measured[rows]
