@@ -31,9 +31,12 @@ def tension_drive(tension: Array, sigma: float) -> Drive:
     return Drive(monotone(tension, turning_points(tension, jitter), jitter), jitter)
 
 
-def travel_drive(travel: Array, sigma: float) -> Drive:
-    """Return the drive of a travel [m] with white noise `sigma`: smooth, monotone between turns."""
-    smoothed, left = smooth(travel, sigma)
+def travel_drive(travel: Array, sigma: float, time: Array | None = None) -> Drive:
+    """Return the drive of a travel [m] with white noise `sigma`: smooth, monotone between turns.
+
+    It was sampled at `time` [s], evenly by default.
+    """
+    smoothed, left = smooth(travel, sigma, time)
     jitter = max(
         SETTINGS.jitter * float(np.quantile(left, SETTINGS.jitter_quantile)),
         SETTINGS.reversal_noise * sigma,

@@ -25,6 +25,7 @@ from estimator.diagnosis.drive import (
     turns_between_samples,
 )
 from estimator.diagnosis.held_samples import held
+from estimator.diagnosis.sampling import LONG, times_of
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     CHANNELS,
@@ -42,6 +43,8 @@ from estimator.units import LINEAR, Units
 Mask = NDArray[np.bool_]
 
 DRAWS = 8  # of the driver's noise
+STEPS_OFF = 0.05  # of the period: a time step is uneven
+UNEVEN_SHARE = 0.02  # of the time steps, that are uneven before it is said
 NEARBY = 5  # samples over which the variance that it makes is averaged
 
 
@@ -150,7 +153,7 @@ def prepare(
     Parameters
     ----------
     time : ndarray
-        [s], shape (n,), strictly rising.
+        Stamps [s], shape (n,), strictly rising; see `estimator.diagnosis.sampling.times_of`.
     signals : dict
         By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
         `units`, shape (n,).
@@ -186,8 +189,11 @@ def prepare(
     signals = {name: units.inward(name, signal) for name, signal in signals.items()}
     noise = {name: float(units.inward(name, np.array(s))) for name, s in noise.items()}
     start = float(time[0])
-    time = time - start
+    time, late = times_of(time - start, signals)
     good, rounded, troubles = {}, {}, list(_repeated(time, signals))
+    if late > 0.0:
+        what = f"time stamps jitter by {1e3 * late:.2g} ms where samples are even: taken as even"
+        troubles.append(Trouble(what, "all channels", len(time), 0.0))
     for name, signal in signals.items():
         good[name], found = _counted(time, name, signal)
         rounded[name] = counted_step(signal[good[name]]) / math.sqrt(12.0)
@@ -199,9 +205,9 @@ def prepare(
         {name: value / math.sqrt(thinned) for name, value in each.items()}
         for each in (rounded, noise)
     )
-    sigma = _noise_of(driver, signals, good, rounded, given)
+    sigma = _noise_of(driver, time, signals, good, rounded, given)
     measured = np.ones(len(time), dtype=np.bool_)
-    drive, jitter = _drive(driver, signals[driver], sigma[driver])
+    drive, jitter = _drive(driver, time, signals[driver], sigma[driver])
     if driver != PROXIMAL_TENSION:
         turns = turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
@@ -246,6 +252,7 @@ def is_loop(units: Units, records: Sequence[Signals]) -> bool:
 
 def _noise_of(
     driver: str,
+    time: Array,
     signals: Signals,
     good: dict[str, Mask],
     rounded: dict[str, float],
@@ -257,7 +264,7 @@ def _noise_of(
     """
     sigma = {}
     for name, signal in signals.items():
-        told = max(white_noise(signal[good[name]]), rounded[name])
+        told = max(white_noise(signal[good[name]], time[good[name]]), rounded[name])
         sigma[name] = given.get(name, told)
         if name != driver:  # nothing is simulated more precisely
             sigma[name] = max(sigma[name], SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
@@ -364,7 +371,7 @@ def with_driver_noise(record: Record, simulate: Callable[[Record], Simulation]) 
     variance = {channel: np.zeros_like(record.time) for channel in record.compared}
     for _ in range(DRAWS):
         noisy = record.drive + sigma * rng.standard_normal(len(record.time))
-        drive = _drive(record.driver, noisy, sigma).signal
+        drive = _drive(record.driver, record.time, noisy, sigma).signal
         other = simulate(replace(record, drive=drive)).signals
         for channel in variance:
             variance[channel] += (other[channel] - same[channel]) ** 2 / DRAWS
@@ -378,9 +385,10 @@ def with_driver_noise(record: Record, simulate: Callable[[Record], Simulation]) 
     )
 
 
-def _drive(driver: str, measured: Array, sigma: float) -> Drive:
-    made = tension_drive if driver == PROXIMAL_TENSION else travel_drive
-    return made(measured, sigma)
+def _drive(driver: str, time: Array, measured: Array, sigma: float) -> Drive:
+    if driver == PROXIMAL_TENSION:
+        return tension_drive(measured, sigma)
+    return travel_drive(measured, sigma, time)
 
 
 def first_look(record: Record, most: int) -> Mask:
@@ -450,9 +458,15 @@ def _repeated(time: Array, signals: Signals) -> list[Trouble]:
         first = float(time[1:][same][0])
         found.append(Trouble("repeated samples", "all channels", int(same.sum()), first))
     steps = np.diff(time)
-    gaps = steps > 1.75 * np.median(steps)
-    if gaps.any():
-        missing = int(np.rint(steps[gaps] / np.median(steps) - 1.0).sum())
+    period = float(np.median(steps))
+    uneven = np.abs(steps - period) > STEPS_OFF * period
+    gaps = steps > LONG * period
+    if np.mean(uneven & ~gaps) > UNEVEN_SHARE:
+        what = f"uneven time steps, from {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
+        first = float(time[1:][uneven][0])
+        found.append(Trouble(what, "all channels", int(uneven.sum()), first))
+    elif gaps.any():
+        missing = int(np.rint(steps[gaps] / period - 1.0).sum())
         found.append(Trouble("missing samples", "all channels", missing, float(time[1:][gaps][0])))
     return found
 
