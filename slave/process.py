@@ -61,6 +61,7 @@ from teleop.meter import format_reason
 from teleop.options import add_option, add_options
 from teleop.packet import Packet
 from teleop.process import Stop
+from teleop.realtime import ordinary_scheduling
 from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.run_config import load_section
 from teleop.session import Reason, SessionOutline, State
@@ -317,9 +318,10 @@ def main(args: argparse.Namespace) -> int:
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
-        slave = SlaveProcess(
-            config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
-        )
+        with ordinary_scheduling():  # the samples of a calibration take up to seconds
+            slave = SlaveProcess(
+                config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
+            )
         return slave, clock, stop
 
     slave, summary = run_session(Role.SLAVE, shared, start)

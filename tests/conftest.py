@@ -3,6 +3,7 @@
 import atexit
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from tests.root import ROOT
 # keys of this test run, also of the processes that it starts; not those of the user
 KEYS = os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="teleop-tests-")
 atexit.register(shutil.rmtree, KEYS, ignore_errors=True)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup, commands would go on ignoring it
 settings.register_profile("short", deadline=None, max_examples=50)  # a busy machine takes long
 settings.load_profile("short")
 REAL_TIME = (  # loops, sockets, clocks

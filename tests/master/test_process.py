@@ -25,6 +25,7 @@ from teleop.messages import (
     Hand,
     Latency,
     Ledger,
+    LinkReport,
     LoopReport,
     Setting,
     SlaveState,
@@ -41,6 +42,7 @@ from teleop.topics import (
     HAND,
     LATENCY,
     LEDGER,
+    LINK,
     REPORT,
     SETTING,
     STATE,
@@ -728,5 +730,5 @@ def test_the_help_shows_settings_that_exist():
 def test_what_goes_out_is_what_the_table_says():
     _, line, _ = driven(Stylus())
     kinds = {COMMAND: Command, HAND: Hand, EVENT: Event, REPORT: LoopReport, LEDGER: Ledger}
-    kinds[LATENCY] = Latency
+    kinds |= {LATENCY: Latency, LINK: LinkReport}
     assert all(type(message) is kinds[topic] is topic.message for topic, message in line.sent)

@@ -13,6 +13,7 @@ from tests.system.processes import OURS, START_S, ended_well
 def test_two_runs_side_by_side_share_nothing(tmp_path, demo_config):
     words = [sys.executable, "-m", "teleop", "run", "--config", str(demo_config)]
     words += ["--view", "none", "--duration", "5"]
+    words += ["--set", "rate_hz=250"]  # two sessions at 1 kHz are more than two cores carry
     runs = [
         subprocess.Popen(
             [*words, "--json", str(tmp_path / f"{i}.json"), "--record", str(tmp_path / str(i))],
@@ -35,7 +36,7 @@ def test_two_runs_side_by_side_share_nothing(tmp_path, demo_config):
     for i, name in enumerate(names):
         summary = json.loads((tmp_path / f"{i}.json").read_text())
         for side in ("master", "slave"):
-            assert summary[side]["ticks_in"]["engaged"] > 1000
+            assert summary[side]["ticks_in"]["engaged"] > 500
             assert summary[side]["rejected"] == dict.fromkeys(summary[side]["rejected"], 0)
         assert name in summary["record"]["file"]
     assert not list((tmp_path / "tendon-teleop").glob("*"))

@@ -53,8 +53,10 @@ class Tendons:
         )
 
         tendons = (TendonPlantConfig(),) * (2 if paired else 1)
-        # one tendon must reach its stop well below the tension of a calibration
-        body = BodyConfig() if paired else BodyConfig(spring=60.0, stops=(-0.002, 0.030))
+        # a tendon must reach its stop well below the tension of a calibration
+        body = BodyConfig(spring=60.0, stops=(-0.002, 0.030))
+        if paired:
+            body = BodyConfig(stops=(-0.018, 0.018))
         joint = JointConfig(tendons=tendons, body=body, environment=FreeConfig())
         self._rig = SimulatedRig(SimulatedRigConfig(joints=(joint,) * joints))
         self._sample = self._rig.read(0.0)[0]
