@@ -7,7 +7,7 @@ are, without filters.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
@@ -25,6 +25,7 @@ from estimator.diagnosis.drive import (
     turns_between_samples,
 )
 from estimator.diagnosis.held_samples import held
+from estimator.diagnosis.missing_values import known, only_rows, outside, stretches
 from estimator.diagnosis.sampling import LONG, times_of
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
@@ -108,6 +109,8 @@ class Record:
         Whether it is of a closed loop of two cables, with effort of either sign, not of one tendon.
     start
         Time of the first sample in the data [s].
+    missing
+        Between which times [s] values of a channel are missing for long, by channel, shape (m, 2).
     """
 
     time: Array
@@ -126,6 +129,7 @@ class Record:
     units: Units = LINEAR
     loop: bool = False
     start: float = 0.0
+    missing: dict[str, Array] = field(default_factory=dict)
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -134,9 +138,17 @@ class Record:
 
     @property
     def starts_slack(self) -> bool:
-        """Whether there is no tension at the first sample."""
-        T = self.signals[PROXIMAL_TENSION]
-        return not self.loop and bool(np.median(T[:5]) <= 5.0 * self.noise[PROXIMAL_TENSION])
+        """Whether there is no tension at the first sample, as far as it was measured."""
+        T = self.signals[PROXIMAL_TENSION][:5][self.good[PROXIMAL_TENSION][:5]]
+        if self.loop or not len(T):
+            return False
+        return bool(np.median(T) <= 5.0 * self.noise[PROXIMAL_TENSION])
+
+    def shown(self, channel: str) -> Mask:
+        """Return which rows of a channel are to be drawn: not those where values are missing."""
+        if channel not in self.missing:
+            return self.measured
+        return self.measured & outside(self.time, self.missing[channel])
 
 
 def prepare(
@@ -156,7 +168,7 @@ def prepare(
         Stamps [s], shape (n,), strictly rising; see `estimator.diagnosis.sampling.times_of`.
     signals : dict
         By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
-        `units`, shape (n,).
+        `units`, shape (n,), NaN where a value is missing.
     most : int
         Samples that are kept of a longer record.
     noise : mapping
@@ -180,7 +192,10 @@ def prepare(
             f"the {units.word(PROXIMAL_DISPLACEMENT)} is needed, which drives the loop"
         )
     for name in (PROXIMAL_TENSION, DISTAL_TENSION):
-        if not loop and name in signals and -signals[name].min() > signals[name].max():
+        if loop or name not in signals:
+            continue
+        effort = known(signals[name])
+        if -effort.min() > effort.max():
             raise RecordError(
                 f"{units.word(name)}: negative where the tendon pulls; change its sign"
             )
@@ -189,8 +204,11 @@ def prepare(
     signals = {name: units.inward(name, signal) for name, signal in signals.items()}
     noise = {name: float(units.inward(name, np.array(s))) for name, s in noise.items()}
     start = float(time[0])
-    time, late = times_of(time - start, signals)
-    good, rounded, troubles = {}, {}, list(_repeated(time, signals))
+    driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
+    time, signals, absent = _rows_with(driver, time - start, signals, units)
+    time, late = times_of(time, signals)
+    missing = {name: stretches(time, signal) for name, signal in signals.items()}
+    good, rounded, troubles = {}, {}, absent + _repeated(time, signals)
     if late > 0.0:
         what = f"time stamps jitter by {1e3 * late:.2g} ms where samples are even: taken as even"
         troubles.append(Trouble(what, "all channels", len(time), 0.0))
@@ -200,7 +218,6 @@ def prepare(
         signals[name] = np.interp(time, time[good[name]], signal[good[name]])
         troubles += found
     time, signals, good, thinned = _thinned(time, signals, good, most)
-    driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
     rounded, given = (
         {name: value / math.sqrt(thinned) for name, value in each.items()}
         for each in (rounded, noise)
@@ -235,12 +252,13 @@ def prepare(
         units=units,
         loop=loop,
         start=start,
+        missing=missing,
     )
 
 
 def efforts_of(signals: Signals) -> list[Array]:
-    """Return the tensions, forces or torques among signals."""
-    return [signals[name] for name in (PROXIMAL_TENSION, DISTAL_TENSION) if name in signals]
+    """Return what is known of the tensions, forces or torques among signals."""
+    return [known(signals[name]) for name in (PROXIMAL_TENSION, DISTAL_TENSION) if name in signals]
 
 
 def is_loop(units: Units, records: Sequence[Signals]) -> bool:
@@ -292,13 +310,39 @@ def _check(time: Array, signals: Signals, units: Units) -> None:
     for name, signal in signals.items():
         if name not in CHANNELS:
             raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
-        if signal.shape != time.shape or not np.isfinite(signal).all():
-            raise RecordError(f"{name}: {time.shape} finite values are needed")
-    if not np.ptp(signals[PROXIMAL_TENSION]) > 0.0:
+        if signal.shape != time.shape:
+            raise RecordError(f"{name}: {time.shape} values are needed, NaN where one is missing")
+        if not np.isfinite(signal).any():
+            raise RecordError(f"{name}: has no finite value: remove the channel")
+    if not np.ptp(known(signals[PROXIMAL_TENSION])) > 0.0:
         raise RecordError("proximal_tension never changes: pull and release while you record")
     q_p, T_out, q_d = (signals.get(name) for name in CHANNELS[1:])
     if wrong := doubts(Samples(time, signals[PROXIMAL_TENSION], q_p, T_out, q_d), units):
         raise RecordError("; ".join(wrong))
+
+
+def _rows_with(
+    driver: str, time: Array, signals: Signals, units: Units
+) -> tuple[Array, Signals, list[Trouble]]:
+    """Return the rows in which the driver was measured, and what is said of missing values."""
+    driven = np.isfinite(signals[driver])
+    removed = "missing values of what drives the simulation, their rows removed"
+    troubles = []
+    for name, signal in signals.items():
+        absent = ~driven if name == driver else driven & ~np.isfinite(signal)
+        if absent.any():
+            what = removed if name == driver else "missing values, not compared"
+            first = float(time[int(np.argmax(absent))])
+            troubles.append(Trouble(what, name, int(absent.sum()), first))
+    time, signals = only_rows(time, signals, driven)
+    for name, signal in signals.items():
+        if (count := len(known(signal))) < SETTINGS.samples_min:
+            beside = "" if name == driver else f" in rows that have the {units.word(driver)}"
+            raise RecordError(
+                f"{name}: {count} values{beside}, at least {SETTINGS.samples_min} are needed: "
+                "record all channels at the same times, or remove this one"
+            )
+    return time, signals, troubles
 
 
 def in_full(record: Record) -> Record:
@@ -435,16 +479,16 @@ def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Tr
 
 def _counted(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:
     """Return which samples of a channel count, and what is said of the others."""
-    excluded = {
-        "single-sample spikes": single_spikes(signal),
-        "held samples excluded": held(signal, counted_step(signal)),
-    }
+    present = np.isfinite(signal)
+    repeats = np.zeros(len(signal), dtype=np.bool_)
+    repeats[present] = held(signal[present], counted_step(signal[present]))
+    excluded = {"single-sample spikes": single_spikes(signal), "held samples excluded": repeats}
     troubles = [
         Trouble(what, name, int(rows.sum()), float(time[int(np.argmax(rows))]))
         for what, rows in excluded.items()
         if rows.any()
     ]
-    return ~np.logical_or.reduce(list(excluded.values())), troubles
+    return present & ~np.logical_or.reduce(list(excluded.values())), troubles
 
 
 def _repeated(time: Array, signals: Signals) -> list[Trouble]:
@@ -452,8 +496,9 @@ def _repeated(time: Array, signals: Signals) -> list[Trouble]:
     found = []
     same = np.ones(len(time) - 1, dtype=np.bool_)
     for signal in signals.values():
-        same &= np.diff(signal) == 0.0
-    noisy = any(noise_sigma(signal) > 0.0 for signal in signals.values())
+        change = np.diff(signal)
+        same &= (change == 0.0) | np.isnan(change)
+    noisy = any(noise_sigma(known(signal)) > 0.0 for signal in signals.values())
     if noisy and same.any():
         first = float(time[1:][same][0])
         found.append(Trouble("repeated samples", "all channels", int(same.sum()), first))
@@ -474,7 +519,10 @@ def _repeated(time: Array, signals: Signals) -> list[Trouble]:
 def _thinned(
     time: Array, signals: Signals, good: dict[str, Mask], most: int
 ) -> tuple[Array, Signals, dict[str, Mask], int]:
-    """Return every k-th sample, the compared channels averaged over the k around it."""
+    """Return every k-th sample, the compared channels averaged over the k around it.
+
+    A channel counts where it has more than half as many values as it usually has.
+    """
     k = math.ceil(len(time) / most)
     if k <= 1:
         return time, signals, good, 1
@@ -484,8 +532,8 @@ def _thinned(
     kept, masks = {}, {}
     for name, signal in signals.items():
         weight = good[name][window].astype(np.float64)
-        masks[name] = weight.sum(axis=1) > 0.5 * k
-        total = np.maximum(weight.sum(axis=1), 1.0)
-        kept[name] = (signal[window] * weight).sum(axis=1) / total
+        total = weight.sum(axis=1)
+        masks[name] = total > 0.5 * float(np.median(total[total > 0.0]))
+        kept[name] = (signal[window] * weight).sum(axis=1) / np.maximum(total, 1.0)
         kept[name][~masks[name]] = signal[rows][~masks[name]]
     return time[window].mean(axis=1), kept, masks, k

@@ -76,7 +76,7 @@ def times_of(time: Array, signals: Signals) -> Times:
     time : ndarray
         Stamps [s], shape (n,), strictly rising.
     signals : dict
-        By channel, shape (n,) each.
+        By channel, shape (n,) each, NaN where a value is missing.
     """
     steps = np.diff(time)
     period = float(np.median(steps))
@@ -96,10 +96,12 @@ def _roughness(time: Array, signals: Signals) -> float:
     """Return ln of how rough channels are over a time, all together."""
     total = 0.0
     for signal in signals.values():
-        if not np.ptp(signal) > 0.0:
+        present = np.isfinite(signal)
+        span = float(np.ptp(signal[present]))
+        if not span > 0.0:
             continue
-        rough = blocks_rms(divided_differences(time, signal, ORDER), BLOCK)
-        total += math.log(max(float(np.quantile(rough, MOVING)), 1e-12 * float(np.ptp(signal))))
+        rough = blocks_rms(divided_differences(time[present], signal[present], ORDER), BLOCK)
+        total += math.log(max(float(np.quantile(rough, MOVING)), 1e-12 * span))
     return total
 
 

@@ -80,6 +80,15 @@ def test_stamps_rounded_to_milliseconds_are_made_even(fine):
     assert_noise_is_told(record)
 
 
+def test_a_channel_that_never_changes_tells_no_times(fine):
+    true, channels = sampled(fine, rows_of(fine))
+    stamps = np.sort(true + 0.3 * PERIOD * np.random.default_rng(3).uniform(-1.0, 1.0, len(true)))
+    channels["distal_displacement"] = np.full(len(true), 2e-3)
+    record = prepare(stamps, channels)
+    assert_noise_is_told(record)
+    assert np.std(record.time[record.measured] - true) < 0.25 * np.std(stamps - true)
+
+
 def test_noise_and_smoothing_go_by_the_time():
     rng = np.random.default_rng(5)
     time = np.arange(4000) + rng.uniform(-0.45, 0.45, 4000)
