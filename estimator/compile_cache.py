@@ -10,16 +10,18 @@ import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 KEPT = 3  # folders of earlier states, for switching between versions
+IN_USE_S = 3600.0  # [s] since its last use, within which another process may use a folder
 _COMPILED = ("estimator", "master", "slave", "teleop")
 _NAME = "tendon-teleop"
 
 
 def choose() -> Path | None:
-    """Set the folder in the environment, before numba is imported, and delete the oldest ones.
+    """Set the folder in the environment, before numba is imported, and delete old ones.
 
     `NUMBA_CACHE_DIR` set by the user has precedence. Returns None, with numba's default, if no
     folder can be created.
@@ -33,7 +35,8 @@ def choose() -> Path | None:
             folder.mkdir(parents=True, exist_ok=True)
             os.utime(folder)
             for old in sorted(caches.iterdir(), key=_last_used)[: -1 - KEPT]:
-                shutil.rmtree(old, ignore_errors=True)
+                if time.time_ns() - _last_used(old) > IN_USE_S * 1e9:
+                    shutil.rmtree(old, ignore_errors=True)
         except OSError:
             continue
         os.environ["NUMBA_CACHE_DIR"] = str(folder)

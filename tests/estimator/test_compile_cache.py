@@ -42,9 +42,12 @@ def test_each_state_of_the_sources_has_a_folder_of_its_own(unnamed, monkeypatch)
         time.sleep(0.01)
 
     assert len(set(folders)) == 6
-    kept = set(folders[0].parent.iterdir())
-    assert folders[-1] in kept
-    assert len(kept) == 1 + compile_cache.KEPT
+    assert set(folders[0].parent.iterdir()) == set(folders)  # other processes may use them
+    unused_s = time.time() - 1.1 * compile_cache.IN_USE_S
+    for age, folder in enumerate(reversed(folders)):
+        os.utime(folder, (unused_s - age, unused_s - age))
+    assert chosen(monkeypatch) == folders[-1]
+    assert set(folders[0].parent.iterdir()) == set(folders[-1 - compile_cache.KEPT :])
 
 
 def test_a_folder_named_by_the_user_is_left_alone(unnamed, monkeypatch):

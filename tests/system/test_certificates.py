@@ -210,6 +210,7 @@ def test_a_run_with_keys_of_the_command(tmp_path: Path, demo_config: Path) -> No
         assert summary[side]["rejected"] == dict.fromkeys(summary[side]["rejected"], 0)
     # without the certificate of one of its processes: one line, and nothing is left running
     (keys / f"{SESSION}.slave.pem").unlink()
+    (tmp_path / "run.json").unlink()
     done = subprocess.run(
         words, env=OURS, timeout=START_S, check=False, capture_output=True, text=True
     )
