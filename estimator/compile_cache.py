@@ -10,7 +10,6 @@ import os
 import shutil
 import stat
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,7 +34,7 @@ def choose() -> Path | None:
             folder.mkdir(parents=True, exist_ok=True)
             os.utime(folder)
             for old in sorted(caches.iterdir(), key=_last_used)[: -1 - KEPT]:
-                if time.time_ns() - _last_used(old) > IN_USE_S * 1e9:
+                if _last_used(folder) - _last_used(old) > IN_USE_S * 1e9:
                     shutil.rmtree(old, ignore_errors=True)
         except OSError:
             continue

@@ -65,13 +65,13 @@ def change(live: Live, key: str, value: str) -> tuple[Live, str]:
             return live._replace(force_scale=wanted, rate=gap / SLEW_S), f"{name} = {wanted:g}"
         if name == "operator.lock":
             operator = replace(config.operator, lock=_axes(value))
-            told = str(list(operator.lock))
+            text = str(list(operator.lock))
         else:
             operator = replace(config.operator, position_scale=_number("position_scale", value))
-            told = f"{operator.position_scale:g}"
+            text = f"{operator.position_scale:g}"
     except ValueError as error:
         raise UsageError(f"master.{name.partition('.')[0]}.{error}") from error
-    return live._replace(config=replace(config, operator=operator)), f"{name} = {told}"
+    return live._replace(config=replace(config, operator=operator)), f"{name} = {text}"
 
 
 def _number(field: str, text: str) -> float:
@@ -112,12 +112,12 @@ def press(live: Live, hand: HandState | None) -> tuple[Live, str]:
     held, before = tuple(map(any, down)), live.held
     if held == before:
         return live, ""
-    live, told = live._replace(held=held), []
+    live, changes = live._replace(held=held), []
     for (key, *_), (less, more), was in zip(BUTTONS, down, before, strict=True):
         if less != more and not was:
             live, words = change(live, key, f"{_stepped(_scale(live, key), less):.6g}")
-            told.append(words)
-    return live, ", ".join(told)
+            changes.append(words)
+    return live, ", ".join(changes)
 
 
 def scaled(config: MasterConfig, scale: float) -> MasterConfig:

@@ -170,20 +170,20 @@ class Master(LoopProcess):
         self, settings: Records, dt: float, fault: Reason, requests: Requests
     ) -> None:
         """Run the first phase; again, from where it began, if it stalled."""
-        told, late_ns = self._phase_input(dt, fault, requests), 0
+        phase, late_ns = self._phase_input(dt, fault, requests), 0
         for again in (False, True):
             if again:
                 self._now[:] = self._before
-                told = self._phase_input(dt + late_ns * 1e-9, fault, requests)
+                phase = self._phase_input(dt + late_ns * 1e-9, fault, requests)
             loop.run_command(
                 settings,
                 self._memory,
                 self._ticks,
                 self._states.packet.records,
-                told,
+                phase,
                 self._command.records,
             )
-            late_ns = now_ns() - told.now_ns
+            late_ns = now_ns() - phase.now_ns
             if late_ns <= STALL_NS:
                 return
 
@@ -234,25 +234,25 @@ class Master(LoopProcess):
 
         The time of a stall before it, while the answer was waited for, counts as passed.
         """
-        verdict, dt, told, late_ns = 0, tick.dt, self._phase_input(tick.dt, fault, requests), 0
-        waited_ns = told.now_ns - tick.stamp_ns
+        verdict, dt, phase, late_ns = 0, tick.dt, self._phase_input(tick.dt, fault, requests), 0
+        waited_ns = phase.now_ns - tick.stamp_ns
         if waited_ns > STALL_NS + self._wait_ns:
             dt += waited_ns * 1e-9
-            told = self._phase_input(dt, fault, requests)
+            phase = self._phase_input(dt, fault, requests)
         for again in (False, True):
             if again:
                 self._now[:] = self._commanded
-                told = self._phase_input(dt + late_ns * 1e-9, fault, requests)
+                phase = self._phase_input(dt + late_ns * 1e-9, fault, requests)
             verdict = loop.run_force(
                 settings,
                 self._memory,
                 self._ticks,
                 self._states.packet.records,
-                told,
+                phase,
                 is_new,
                 self._force,
             )
-            late_ns = now_ns() - told.now_ns
+            late_ns = now_ns() - phase.now_ns
             if late_ns <= STALL_NS:
                 break
         return verdict
@@ -389,9 +389,9 @@ def warm_up() -> None:
     settings = SettingsRecord(MasterConfig(), DIRECT).records
     state, command, hand = Packet(SlaveState), Packet(Command), Packet(Hand)
     hand_input.fill(ticks["hand"], HandState((0.0,), (0.0,), engage=False))
-    told = loop.PhaseInput(False, NEVER_NS, 0, 1e-3)
-    loop.run_command(settings, memory, ticks, state.records, told, command.records)
-    loop.run_force(settings, memory, ticks, state.records, told, False, np.zeros(MAX_JOINTS))
+    phase = loop.PhaseInput(False, NEVER_NS, 0, 1e-3)
+    loop.run_command(settings, memory, ticks, state.records, phase, command.records)
+    loop.run_force(settings, memory, ticks, state.records, phase, False, np.zeros(MAX_JOINTS))
     loop.fill_hand_message(memory, ticks, -1, 0, hand.records)
     command.seal(0, 0, 0)
     compile_observer()

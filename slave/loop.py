@@ -10,123 +10,40 @@ apply the gate, fill the state message. The calibration monitor is not time-crit
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from estimator.array_types import Array
 from estimator.arrays import copy
 from estimator.compiled import compiled
 from estimator.online import online
-from estimator.online.tendon_estimate import INVALID_INPUT
-from estimator.records import F64, I64, Field, Flag, Record, Records, as_records, one, record_dtype
+from estimator.records import Records, as_records, one
 from slave import control, coupling_adapter, fault_detection, gate, initial_position
 from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.config import SlaveConfig
-from slave.control.joint import JointEstimate
+from slave.loop_records import (
+    NO_POSITION,
+    NO_SAMPLE,
+    NOT_CALIBRATED,
+    USABLE,
+    EstimatedSample,
+    Scratch,
+    SlaveMemory,
+    SlaveSettings,
+    TickInput,
+)
 from slave.rig import RigSample
+from slave.samples import estimate, estimate_with_dynamics, fill_sample
 from slave.tendons import EstimatedTendon, RigLayout, rig_layout
 from teleop import coupling, session
 from teleop.bounds import MOTION_MAX
-from teleop.coupling import Bilateral, Side
-from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command, SlaveState
-from teleop.session import Reason, Session, State
+from teleop.coupling import Bilateral
+from teleop.messages import MAX_JOINTS, Command, SlaveState
+from teleop.session import Reason, State
 
 DIRECT = Bilateral()
 
 OVERLOAD = 1.2  # times the gate's tension limit; noise and stretch exceed the limit itself
 OVERLOAD_S = 0.020  # [s] the peak of a collision is shorter
-
-# SlaveMemory.not_ready: why the rig is not usable
-USABLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION = range(4)
-NOT_READY_TEXT = (
-    "",
-    "no sample from the rig yet",
-    "no calibration fits the rig",
-    "no encoder reading yet, and the rig does not start at zero",
-)
-
-
-class SlaveSettings(Record):
-    """Settings of a tick, from the config."""
-
-    control: Annotated[control.ControlConfig, Field(record_dtype(control.ControlConfig))]
-    fault_detection: Annotated[
-        fault_detection.FaultDetectionConfig,
-        Field(record_dtype(fault_detection.FaultDetectionConfig)),
-    ]
-    gate: Annotated[gate.GateConfig, Field(record_dtype(gate.GateConfig))]
-    monitor: Annotated[monitor.MonitorConfig, Field(record_dtype(monitor.MonitorConfig))]
-    bilateral: coupling.BilateralSettings
-    sample_timeout: F64 = 0.1  # [s]
-    rig_obeys: Flag = True  # the motors follow commands
-    calibrated: Flag = True  # a calibration fits the rig
-
-
-class EstimatedSample(Record):
-    """One sample of the rig with the estimates from it."""
-
-    time_s: F64 = 0.0  # [s] on the rig's clock
-    elapsed: F64 = 0.0  # [s] since the sample before
-    has_displacement: Flag = False  # whether the rig has encoders
-    tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]
-    bench_tension: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [N] at the tip
-    bench_displacement: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
-
-
-class SlaveMemory(Record):
-    """State of the slave between ticks, except for the tendons' estimators."""
-
-    session: Session
-    initial_position: initial_position.InitialPosition
-    detector: fault_detection.FaultDetector
-    motors: fault_detection.MotorChecks
-    control: control.Control
-    coupling: Side
-    tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]  # newest
-    monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
-    joints: Annotated[Sequence[JointEstimate], Field(JointEstimate, MAX_JOINTS)]
-    reach: Annotated[Sequence[gate.Reach], Field(gate.Reach, MAX_TENDONS)]
-    offsets: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of each joint's tendons
-    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] last output of the gate
-    has_sample: Flag = False
-    has_offsets: Flag = False
-    has_motor: Flag = False  # something was written: engaged at least once, or calibrated
-    sample_time: F64 = 0.0  # [s] of the newest sample
-    silence: F64 = 0.0  # [s] since the last new and usable sample
-    overload: F64 = 0.0  # [s] for which a tension has been far over its limit while engaged
-    found: I64 = Reason.NONE  # last Reason of the fault detection
-    found_tendon: I64 = -1
-    advice: I64 = Advice.NONE
-    not_ready: I64 = NO_SAMPLE
-
-
-class Scratch(Record):
-    """Work arrays of a tick."""
-
-    inputs: session.Inputs
-    requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
-    speed: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
-    force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] rendered to the hand
-    displacement: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of the motors in a sample
-    tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] used for the limits
-    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor positions
-    wanted: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor targets
-
-
-class TickInput(NamedTuple):
-    """Inputs of a tick besides samples and command."""
-
-    dt: float  # [s] since the last tick
-    has_command: bool  # whether a command ever came
-    fresh: bool  # whether the newest command is younger than its timeout
-    fault: int = int(Reason.NONE)  # Reason: fault on this side detected by the caller
-    stop: int = int(Reason.NONE)  # Reason of an emergency stop by another process
-    reset: bool = False  # whether a stop is reset
-    link: int = int(Reason.NONE)  # Reason: bound that the link exceeds
-    link_holds: bool = False  # whether the session must hold because of it
-    motors_follow: bool = True  # `slave.rig.motors_follow`
 
 
 class RigModel(NamedTuple):
@@ -229,64 +146,6 @@ def start(
     return slave
 
 
-def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
-    """Write a sample of the rig into a row for `tick`.
-
-    Missing entries are NaN, which the estimator rejects.
-    """
-    travel = sample.proximal_displacement
-    tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
-    _fill_row(
-        rows,
-        index,
-        float(sample.time_s),
-        travel is not None,
-        np.array(sample.proximal_tension, np.float64, order="C"),
-        _MISSING if travel is None else np.array(travel, np.float64, order="C"),
-        _MISSING if tip_tension is None else np.array(tip_tension, np.float64, order="C"),
-        _MISSING if tip_travel is None else np.array(tip_travel, np.float64, order="C"),
-    )
-
-
-# Copies of one array type, whatever the rig returns: numba would compile again for any other type,
-# in the middle of a session.
-_MISSING = np.full(MAX_TENDONS, math.nan)
-
-
-@compiled
-def _fill_row(
-    rows: Records,
-    index: int,
-    time_s: float,
-    has_displacement: bool,
-    tension: Array,
-    displacement: Array,
-    bench_tension: Array,
-    bench_displacement: Array,
-) -> None:
-    row = rows[index]
-    row.time_s, row.has_displacement = time_s, has_displacement
-    for i in range(MAX_TENDONS):
-        row.tendons[i].tension = _entry(tension, i)
-        row.tendons[i].displacement = _entry(displacement, i)
-        row.bench_tension[i] = _entry(bench_tension, i)
-        row.bench_displacement[i] = _entry(bench_displacement, i)
-
-
-@compiled
-def _entry(values: Array, i: int) -> float:
-    """Return an entry, NaN beyond the end (compiled code has no bounds check)."""
-    return values[i] if i < len(values) else math.nan
-
-
-def sample_rows(samples: Sequence[RigSample]) -> Records:
-    """Return samples as rows for `tick`, shape (samples,); see `fill_sample`."""
-    rows = EstimatedSample.array(len(samples))
-    for k, sample in enumerate(samples):
-        fill_sample(rows, k, sample)
-    return rows
-
-
 @compiled
 def tick(
     settings_records: Records,
@@ -336,80 +195,6 @@ def tick(
         memory.has_motor = True
     _fill_state(setting, layout, memory, command, tick_input, states[0])
     return verdict
-
-
-@compiled
-def estimate(
-    layouts: Records,
-    prepared: Records,
-    estimators: Records,
-    memories: Records,
-    rows: Records,
-    samples: int,
-) -> None:
-    """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates."""
-    layout, memory = layouts[0], memories[0]
-    for s in range(samples):
-        row = rows[s]
-        _begin_sample(memory, row)
-        for i in range(layout.tendons):
-            tendon = row.tendons[i]
-            tendon.corrected_tension, tendon.corrected_displacement = online.advance_law(
-                prepared[i],
-                estimators[i],
-                tendon.tension,
-                tendon.displacement,
-                row.elapsed,
-                tendon.estimate,
-            )
-        _end_sample(layout, memory, row)
-
-
-@compiled
-def estimate_with_dynamics(
-    layouts: Records,
-    prepared: Records,
-    estimators: Records,
-    memories: Records,
-    rows: Records,
-    samples: int,
-) -> None:
-    """Like `estimate`, for models with dynamic effects; takes longer to compile."""
-    layout, memory = layouts[0], memories[0]
-    for s in range(samples):
-        row = rows[s]
-        _begin_sample(memory, row)
-        for i in range(layout.tendons):
-            tendon = row.tendons[i]
-            tendon.corrected_tension, tendon.corrected_displacement = online.advance(
-                prepared[i],
-                estimators[i],
-                tendon.tension,
-                tendon.displacement,
-                row.elapsed,
-                tendon.estimate,
-            )
-        _end_sample(layout, memory, row)
-
-
-@compiled
-def _begin_sample(memory: SlaveMemory, row: EstimatedSample) -> None:
-    row.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
-    memory.sample_time = row.time_s
-    memory.has_sample = True
-
-
-@compiled
-def _end_sample(layout: RigLayout, memory: SlaveMemory, row: EstimatedSample) -> None:
-    usable = True
-    newest: Any = memory.tendons
-    for i in range(layout.tendons):
-        tendon = row.tendons[i]
-        tendon.valid = tendon.estimate.status & INVALID_INPUT == 0
-        usable = usable and tendon.valid
-        newest[i] = tendon
-    if usable and not memory.has_offsets:
-        memory.has_offsets = control.joint_offsets(layout, row.tendons, memory.offsets)
 
 
 @compiled

@@ -15,14 +15,10 @@ import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
-from importlib import import_module
 from typing import Any, NamedTuple, NoReturn
 
-import numpy as np
-
-from estimator.records import Records, as_bytes, one
+from estimator.records import as_bytes, one
 from slave import loop, model_files
-from slave.calibration import run as calibration_run
 from slave.calibration.initialise import initialise
 from slave.config import (
     SlaveConfig,
@@ -32,31 +28,27 @@ from slave.config import (
     tendon_configs,
 )
 from slave.gate import GateFlags
-from slave.loop import RigModel, SlaveMemory, TickInput
+from slave.loop import RigModel
+from slave.loop_records import EstimatedSample, SlaveMemory, TickInput
 from slave.rig import Rig, RigFault, RigFinished, RigSample, emergency_stop_of, enabling
-from slave.rigs import RIG_COMPILE_S, compile_rig, open_rig
+from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRig
 from slave.rigs.simulated.effect_text import late
 from slave.rigs.simulated.simulated import SimulatedRigConfig
+from slave.samples import fill_sample
 from slave.score import Score
-from slave.state_messages import fill_tendon_state, fill_tension_profile
+from slave.state_messages import fill_tendon_state
 from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
-from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns, quiet_garbage
-from teleop.compiling import announced
+from slave.warm_up import prepare
+from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.link import Link
-from teleop.link_health import DEFAULT_BOUNDS, HealthConfig, compile_observer
+from teleop.link_health import DEFAULT_BOUNDS, HealthConfig
 from teleop.loop_process import LoopProcess, conclude, run_session
-from teleop.messages import (
-    PROFILE_POINTS,
-    Command,
-    SlaveState,
-    TendonState,
-    TensionProfile,
-)
+from teleop.messages import SlaveState, TendonState
 from teleop.meter import format_reason
 from teleop.options import add_option, add_options
 from teleop.packet import Packet
@@ -68,11 +60,9 @@ from teleop.session import Reason, SessionOutline, State
 from teleop.summary import force_line
 from teleop.topics import COMMAND, STATE, TENDONS, Role
 
-DYNAMICS_COMPILE_S = 14.0  # [s] more
 ROWS = 32  # samples that a tick takes at first; more are made room for
 
 _CLOCK_SET = int(Reason.CLOCK_SET)
-COMPILE_S = 24.0  # [s] of a processor for the tick, without a cache
 
 
 class Past(NamedTuple):
@@ -105,9 +95,10 @@ class SlaveProcess(LoopProcess):
         self._enabling = enabling(rig)
         self._is_rig_stopped = False  # its emergency stop was called, nothing written since
         past = past or Past(now_ns(), ())
-        self._slave = loop.start(
-            model, config, bilateral, rig.starts_at_zero, past.samples, past.motor
-        )
+        with ordinary_scheduling():  # the samples of a calibration take up to seconds
+            self._slave = loop.start(
+                model, config, bilateral, rig.starts_at_zero, past.samples, past.motor
+            )
         self.memory: SlaveMemory = one(self._slave.memory)
         joints = len(model.joints)
         super().__init__(link, clock.stats, self._slave.memory, joints, requests, health)
@@ -116,7 +107,7 @@ class SlaveProcess(LoopProcess):
         self._estimated, self._ticked = self._slave.estimated, self._slave.ticked
         self._changing = [as_bytes(part) for part in (self._slave.memory, self._slave.estimators)]
         self._before = [part.copy() for part in self._changing]
-        self._rows = loop.EstimatedSample.array(ROWS)
+        self._rows = EstimatedSample.array(ROWS)
         self._samples = 0
         self._ahead: RigSample | None = None  # that the memory is estimated from already
         self._is_estimated = False  # whether the rows of this tick are
@@ -240,9 +231,9 @@ class SlaveProcess(LoopProcess):
                 return fault
             self._take_back()  # it was not given: it came too early or too late for that
         if len(samples) > len(self._rows):  # behind a stall; it stays that long
-            self._rows = loop.EstimatedSample.array(2 * len(samples))
+            self._rows = EstimatedSample.array(2 * len(samples))
         for sample in samples:
-            loop.fill_sample(self._rows, self._samples, sample)
+            fill_sample(self._rows, self._samples, sample)
             self._samples += 1
         return fault
 
@@ -279,7 +270,7 @@ class SlaveProcess(LoopProcess):
 
     def _estimate_ahead(self, sample: RigSample) -> None:
         """Estimate from the sample that the rig gives next; last, as the memory then has it."""
-        loop.fill_sample(self._rows, 0, sample)
+        fill_sample(self._rows, 0, sample)
         self._slave.estimate(*self._estimated, self._rows, 1)
         self._ahead = sample
 
@@ -310,18 +301,17 @@ def main(args: argparse.Namespace) -> int:
     def start(link: Link, stack: ExitStack) -> tuple[SlaveProcess, EventClock, Stop]:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
-        for doubt in config_warnings(config, shared.coupling):
-            print(doubt, flush=True)
+        for warning in config_warnings(config, shared.coupling):
+            print(warning, flush=True)
         stop = Stop(args.duration)
         stop.wake = link.wake
         requests = RequestListener(link)
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
-        with ordinary_scheduling():  # the samples of a calibration take up to seconds
-            slave = SlaveProcess(
-                config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
-            )
+        slave = SlaveProcess(
+            config, link, rig, model, clock, past, shared.bilateral, requests, shared.health
+        )
         return slave, clock, stop
 
     slave, summary = run_session(Role.SLAVE, shared, start)
@@ -414,63 +404,3 @@ def introduced(tendons: Sequence[TendonConfig]) -> list[str]:
             line = f"WARNING: {tendon.model_file}: no tension_noise is known beside it: noise is"
             said[f"{line} taken for tension, and a stuck load cell may not be noticed"] = None
     return list(said)
-
-
-def prepare(config: SlaveConfig, with_dynamics: bool) -> None:
-    """Compile and import what the session calls, before it runs at real-time priority.
-
-    Models of a diagnosis may have effects `with_dynamics`, which take longer.
-    """
-    about_s = (
-        COMPILE_S + RIG_COMPILE_S.get(type(config.rig), 0.0) + DYNAMICS_COMPILE_S * with_dynamics
-    )
-    # the collector would look in vain through a million objects of the compiler: 10 % of its time
-    with quiet_garbage(), announced("the slave's loop", about_s, partial(_compile_rest, config)):
-        _compile_tick()
-        if with_dynamics:
-            slave, rows, _ = _example()
-            loop.estimate_with_dynamics(*slave.estimated, rows, 1)
-        if config.initialise.at_start:
-            calibration_run.warm_up()
-    if config.initialise.at_start:
-        import_module("scipy.optimize")  # which the analysis of a calibration uses
-
-
-def warm_up() -> None:
-    """Compile what the loop calls, before it has to be on time."""
-    _compile_tick()
-    _compile_follow_up()
-
-
-def _compile_rest(config: SlaveConfig) -> None:
-    """Compile what the session calls beside the tick: as much work again."""
-    compile_rig(config.rig)
-    _compile_follow_up()
-
-
-def _compile_tick() -> None:
-    slave, rows, state = _example()
-    given, command = TickInput(1e-3, True, False), Packet(Command)
-    slave.estimate(*slave.estimated, rows, 1)
-    loop.tick(*slave.ticked, rows, 1, given, command.records, state.records)
-
-
-def _compile_follow_up() -> None:
-    """Compile what is called once the state is published."""
-    slave, rows, state = _example()
-    loop.monitor_calibration(slave.settings, slave.layout, slave.watched, slave.memory, rows, 1)
-    fill_tendon_state(slave.layout, slave.memory, rows, 0, Packet(TendonState).records)
-    Score().add_rows(slave.layout, rows, 1)
-    compile_observer()
-    points, profile = np.zeros(PROFILE_POINTS), Packet(TensionProfile)
-    fill_tension_profile(slave.prepared, slave.estimators, slave.memory, 0, points, profile.records)
-    state.seal(0, 0, 0)
-
-
-def _example() -> tuple[loop.Slave, Records, Packet[SlaveState]]:
-    """Return a slave of one tendon, a sample of it, and room for its state."""
-    model = loop.rig_model(((0,),), [TendonConfig(effective_friction=1.0).model()])
-    slave = loop.start(model, SlaveConfig(), loop.DIRECT, starts_at_zero=True)
-    rows, state = loop.EstimatedSample.array(ROWS), Packet(SlaveState)
-    loop.fill_sample(rows, 0, RigSample(0.0, np.ones(1), np.zeros(1)))
-    return slave, rows, state

@@ -10,7 +10,8 @@ from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.calibration.refusals import tendon_name
 from slave.calibration.run import Progress
-from slave.loop import NOT_CALIBRATED, NOT_READY_TEXT, RigModel, Slave, SlaveMemory
+from slave.loop import RigModel, Slave
+from slave.loop_records import NOT_CALIBRATED, NOT_READY_TEXT, SlaveMemory
 from slave.rig import Rig
 from teleop.events import publish_event
 from teleop.link import Link

@@ -58,6 +58,24 @@ class Thinning:
         return thinned(rows, rate_hz / self.stretch)
 
 
+class Paced:
+    """Passes the first row of each period on, however the rows come in blocks.
+
+    Periods are on a fixed grid of stamps.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_ns = round(1e9 / rate_hz)
+        self._newest = -1  # period of the newest row
+
+    def __call__(self, rows: Rows) -> Rows:
+        """Return at most `rate_hz` rows a second."""
+        period = rows["stamp_ns"].astype(np.int64) // self._period_ns
+        kept: Rows = rows[np.diff(period, prepend=self._newest) != 0]
+        self._newest = int(period[-1]) if len(period) else self._newest
+        return kept
+
+
 def split(rows: Rows, key: str) -> dict[int, Rows]:
     """Return the rows of each value of the integer field `key`."""
     return {int(value): rows[rows[key] == value] for value in np.unique(rows[key])}

@@ -95,7 +95,7 @@ class Levers:
             ends = self._link(f"{path}/link", rows, lever, travel)
             back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
             self._arrow(f"{path}/force", rows, ends, force[:, None] * back)
-            self._number(f"{path}/newtons", rows, ends + lever.label, force)
+            self._number(f"{path}/newtons", rows, ends + lever.label, force, joint)
             low, high = rows["force_low"][:, joint], rows["force_high"][:, joint]
             self._interval(f"{path}/interval", rows, lever, ends, back, low, high)
 
@@ -125,7 +125,7 @@ class Levers:
             ends = self._link(f"scene/hand_{joint}/handle", rows, lever, travel)
             onward = lever.onward(travel) * self._length(self._config.hand_scale_N)
             self._arrow(f"scene/hand_{joint}/force", rows, ends, force[:, None] * onward)
-            self._number(f"scene/hand_{joint}/newtons", rows, ends + lever.label, force)
+            self._number(f"scene/hand_{joint}/newtons", rows, ends + lever.label, force, joint)
 
     def _joints(self, rows: Rows) -> list[tuple[int, Lever, str]]:
         stage = self._sheaths.stage
@@ -153,11 +153,13 @@ class Levers:
             columns = rr.Arrows3D.columns(origins=origins[known], vectors=vectors[known])
             self._sender.columns(path, rows, columns.partition(known.astype(int)))
 
-    def _number(self, path: str, rows: Rows, at: Array, force: Array) -> None:
-        """Write forces [N] at places clear of what is drawn."""
+    def _number(self, path: str, rows: Rows, at: Array, force: Array, joint: int) -> None:
+        """Write forces [N] at places clear of what is drawn; of several joints with the number."""
+        stage = self._sheaths.stage
+        of = f"{joint + 1}: " if stage is not None and len(stage.joints) > 1 else ""
         known = np.isfinite(at).all(axis=1) & np.isfinite(force)
         if known.any():
-            words = [f"{value:.1f} N" for value in force[known]]
+            words = [f"{of}{value:.1f} N" for value in force[known]]
             columns = rr.Points3D.columns(positions=at[known], labels=words)
             self._sender.columns(path, rows, columns.partition(known.astype(int)))
 

@@ -6,7 +6,7 @@ the smallest words 11 mm.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 
 import numpy as np
@@ -15,15 +15,18 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from teleop.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
-from teleop.view.batch import AnyTopic, Rows, split, thinned
+from teleop.view.batch import AnyTopic, Paced, Rows, split
 from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
 from teleop.view.config import ViewConfig
 from teleop.view.panel_layout import (
     BANNER,
     LINK_HEIGHT,
+    LINK_LEFT,
     LINK_TOP,
     REASON_HEIGHT,
+    REASON_TOP,
     STATE_HEIGHT,
+    STATE_TOP,
     WIDE,
     ForceRow,
     filled,
@@ -54,6 +57,7 @@ class Panel:
         self._jitter_ms: float | None = None
         self._allowed: dict[Role, str] = {}  # what the link allows, where that is not all
         self._limit_N = math.nan
+        self._bar_rows, self._number_rows = Paced(_BAR_HZ), Paced(_NUMBER_HZ)
         self._framed: tuple[float, list[bool]] | None = None  # limit, and which are two-way
         self.newest_ns = 0
 
@@ -62,7 +66,9 @@ class Panel:
         for rows in batches.values():
             self.newest_ns = max(self.newest_ns, int(rows["stamp_ns"].max(initial=0)))
         if COMMAND in batches:
-            self._limit_N = float(batches[COMMAND]["force_max"][-1])
+            limits = batches[COMMAND]["force_max"]
+            limits = limits[np.isfinite(limits) & (limits > 0)]  # the last command has none
+            self._limit_N = float(limits[-1]) if len(limits) else self._limit_N
         self._banners(batches)
         if not self._whole:
             return
@@ -106,30 +112,34 @@ class Panel:
         background = STATES.get(now.state, STATES["off"])
         ink = 0x000000FF if _bright(background) else 0xFFFFFFFF
         middle = (top + bottom) / 2
-        # one broad line, whose round ends lie beyond the view's edges
-        line = np.array([[-WIDE, middle], [2 * WIDE, middle]])
-        self._drawing("panel/banner/area", stamp_ns, [line], background, (bottom - top) / 2)
-        state_top = top + 0.35 if now.reason else middle - STATE_HEIGHT / 2
+        # one broad line, whose round ends and upper half lie beyond the view's edges
+        line = np.array([[-WIDE, top], [2 * WIDE, top]])
+        self._drawing("panel/banner/area", stamp_ns, [line], background, bottom - top)
+        state_top = STATE_TOP if now.reason else middle - STATE_HEIGHT / 2
         self._centred("panel/banner/state", stamp_ns, now.state, state_top, STATE_HEIGHT, ink)
-        reason_top = state_top + STATE_HEIGHT + 0.3
-        self._centred("panel/banner/reason", stamp_ns, now.reason, reason_top, REASON_HEIGHT, ink)
+        self._centred("panel/banner/reason", stamp_ns, now.reason, REASON_TOP, REASON_HEIGHT, ink)
 
     def _forces(self, rows: Rows) -> None:
         joints = int(rows["joints"][-1])
         if joints == 0:
             return
-        known = math.isfinite(self._limit_N) and self._limit_N > 0
+        known = math.isfinite(self._limit_N)
         limit = self._limit_N if known else self._scale_N
-        places = force_rows(joints)
+        top, height, places = force_rows(joints)
         two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
         if self._framed != (limit, two_way):
             self._framed = limit, two_way
+            self._words(top, height, f"{'limit' if known else 'scale'} {number_text(limit)} N")
             for joint, place in enumerate(places):
-                self._frame(joint, joints, place, limit, known, two_way[joint])
-        bars, numbers = thinned(rows, _BAR_HZ), thinned(rows, _NUMBER_HZ)
+                self._frame(
+                    joint, "" if joints == 1 else f"joint {joint + 1}", place, two_way[joint]
+                )
+        bars, numbers = self._bar_rows(rows), self._number_rows(rows)
         for joint, place in enumerate(places):
-            self._bar(joint, place, bars, bars["force"][:, joint] / limit, two_way[joint])
-            self._number(joint, place, numbers, numbers["force"][:, joint])
+            if len(bars):
+                self._bar(joint, place, bars, bars["force"][:, joint] / limit, two_way[joint])
+            if len(numbers):
+                self._number(joint, place, numbers, numbers["force"][:, joint])
 
     def _bar(self, joint: int, place: ForceRow, rows: Rows, shares: Array, two_way: bool) -> None:
         """Draw a force, as shares of its limit, at the stamps of `rows`."""
@@ -154,22 +164,23 @@ class Panel:
         inks = [PLAIN] * len(rows)
         self._strips(f"panel/joint_{joint}/number", rows["stamp_ns"], strips, inks, radius)
 
-    def _frame(
-        self, joint: int, joints: int, place: ForceRow, limit: float, known: bool, two_way: bool
-    ) -> None:
-        """Draw what stands still: the name, the frame of the bar, and the limit in words."""
-        name = "force at the tip" + (f", joint {joint + 1}" if joints > 1 else "")
-        words = text_strips(name, _MARGIN, place.name_top, place.name_height)
-        end = f"limit {limit:.0f} N" if known else f"scale {limit:.0f} N"
+    def _words(self, top: float, height: float, end: str) -> None:
+        """Write what the forces are, and where their bars end."""
+        strips = text_strips("force at the tip", _MARGIN, top, height)
+        strips += text_strips(end, ForceRow.bar_right - text_width(end, height), top, height)
+        words = rr.LineStrips2D(strips, colors=PLAIN, radii=STROKE * height, draw_order=2.0)
+        self._sender.static("panel/words", words)
+
+    def _frame(self, joint: int, name: str, place: ForceRow, two_way: bool) -> None:
+        """Draw what of a force stands still: its name, its unit and the frame of the bar."""
+        strips = text_strips(name, _MARGIN, place.name_top, place.name_height)
+        radii = [STROKE * place.name_height] * len(strips)
+        tall = 0.5 * place.number_height
         unit = place.number_right + place.unit_gap * place.number_height
-        unit_top = place.number_top + 0.5 * place.number_height
-        unit_strips = text_strips("N", unit, unit_top, 0.5 * place.number_height)
-        left = place.bar_right - text_width(end, place.name_height)
-        words += text_strips(end, left, place.name_top, place.name_height)
-        radius = STROKE * place.name_height
-        radii = [radius] * len(words) + [STROKE * 0.5 * place.number_height] * len(unit_strips)
-        static = rr.LineStrips2D(words + unit_strips, colors=PLAIN, radii=radii, draw_order=2.0)
-        self._sender.static(f"panel/joint_{joint}/words", static)
+        strips += text_strips("N", unit, place.number_top + tall, tall)
+        radii += [STROKE * tall] * (len(strips) - len(radii))
+        words = rr.LineStrips2D(strips, colors=PLAIN, radii=radii, draw_order=2.0)
+        self._sender.static(f"panel/joint_{joint}/words", words)
         frame = rr.LineStrips2D(place.frame(two_way), colors=0x808080FF, radii=0.03, draw_order=3.0)
         self._sender.static(f"panel/joint_{joint}/frame", frame)
 
@@ -198,16 +209,14 @@ class Panel:
             self._allowed[role] = "held" if newest["holds"] else scaled
 
     def _quality(self, quality: LinkQuality, stamp_ns: int) -> None:
-        parts = [f"link {quality.word}", f"{100 * quality.loss:.1f} % lost"]
-        if quality.latency_ms is not None:
-            parts.append(f"delay {quality.latency_ms:.1f} ms")
-        if self._jitter_ms is not None:
-            parts.append(f"jitter {self._jitter_ms:.1f} ms")
-        parts += [text for text in self._allowed.values() if text][:1]
-        text = "   ".join(parts)
-        height = fitted_height(text, WIDE - 2 * _MARGIN, LINK_HEIGHT)
-        strips = text_strips(text, _MARGIN, LINK_TOP, height)
-        self._drawing("panel/link", stamp_ns, strips, quality_colour(quality.word), STROKE * height)
+        parts = link_parts(quality, self._jitter_ms, self._allowed.values())
+        strips = [
+            strip
+            for left, text in zip(LINK_LEFT, parts, strict=True)
+            for strip in text_strips(text, left, LINK_TOP, LINK_HEIGHT)
+        ]
+        ink, radius = quality_colour(quality.word), STROKE * LINK_HEIGHT
+        self._drawing("panel/link", stamp_ns, strips, ink, radius)
 
     def _centred(
         self, path: str, stamp_ns: int, text: str, top: float, height: float, colour: int
@@ -247,6 +256,25 @@ def number_text(force: float) -> str:
     if not math.isfinite(force):
         return "---"
     return f"{force:.1f}" if abs(force) < 99.95 else f"{force:.0f}"
+
+
+def link_parts(
+    quality: LinkQuality, jitter_ms: float | None, allowed: Iterable[str]
+) -> tuple[str, str, str, str]:
+    """Return what is said of the link; nothing of what is not known.
+
+    What the link allows, where that is not all, stands in the place of the jitter.
+    """
+    delay, jitter = (
+        f"{word} {_milliseconds(value)}" if value is not None else ""
+        for word, value in (("delay", quality.latency_ms), ("jitter", jitter_ms))
+    )
+    limited = next((text for text in allowed if text), "")
+    return f"link {quality.word}", f"{100 * quality.loss:.1f} % lost", delay, limited or jitter
+
+
+def _milliseconds(value: float) -> str:
+    return f"{value:.1f} ms" if value < 9.95 else f"{min(value, 9999.0):.0f} ms"
 
 
 def _bright(colour: int) -> bool:

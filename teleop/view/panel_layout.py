@@ -7,17 +7,20 @@ import numpy as np
 from estimator.array_types import Array
 
 WIDE, TALL = 16.0, 9.6
-BANNER = (0.0, 0.0, WIDE, 2.6)  # left, top, right, bottom
-STATE_HEIGHT, REASON_HEIGHT = 1.35, 0.45
-_FORCES = (3.0, 8.5)  # top and bottom of the rows of forces
-LINK_TOP, LINK_HEIGHT = 8.9, 0.42
-_BAR_LEFT, _BAR_RIGHT, _NUMBER_RIGHT = 7.7, 15.6, 6.4
+BANNER = (0.0, 0.0, WIDE, 2.9)  # left, top, right, bottom
+STATE_TOP, STATE_HEIGHT = 0.32, 1.35  # with a reason below
+REASON_TOP, REASON_HEIGHT = 2.09, 0.45
+_FORCES = (3.1, 8.4)  # top and bottom of the rows of forces
+LINK_TOP, LINK_HEIGHT = 8.85, 0.33
+LINK_LEFT = (0.4, 3.75, 7.45, 11.45)  # what is said of the link: each part has its place
+_BAR_LEFT, _BAR_RIGHT, _NUMBER_RIGHT = 8.0, 15.6, 6.4
+_NAME_HEIGHT = 0.4  # of what all forces have in common
 _FILL_LINES, _OVERLAP = 16, 1.5  # lines that fill a box, and how much thicker than apart
 
 
 @dataclass(frozen=True, slots=True)
 class ForceRow:
-    """Places of a joint's force: its name and its limit on one line, number and bar below."""
+    """Places of a force: its name, its number and its bar."""
 
     name_top: float
     name_height: float
@@ -61,18 +64,29 @@ def filled(box: tuple[float, float, float, float]) -> tuple[list[Array], float]:
     if right - left < 2 * radius:
         return [], radius
     heights = np.linspace(top + radius, bottom - radius, _FILL_LINES)
-    lines = [np.array([[left + radius, y], [right - radius, y]]) for y in heights]
+    ends = left + radius, right - radius
+    lines = [np.array([[ends[0], y], [ends[1], y]]) for y in heights]
+    lines += [np.array([[x, heights[0]], [x, heights[-1]]]) for x in ends]  # straight edges
     return lines, radius
 
 
-def force_rows(joints: int) -> list[ForceRow]:
-    """Return the rows of all joints, as tall as their number allows."""
+def force_rows(joints: int) -> tuple[float, float, list[ForceRow]]:
+    """Return top and height of the words that all forces share, and the rows.
+
+    A single force has its number and its bar below the words; each of several has its name, number
+    and bar on a line of its own.
+    """
     top, bottom = _FORCES
-    pitch = (bottom - top) / joints
-    name = min(0.4, 0.24 * pitch)
-    number = min(1.3, 0.42 * pitch)
-    block = 1.8 * name + number
-    return [
-        ForceRow(begin, name, begin + 1.8 * name, number, 0.5 * number)
-        for begin in (top + k * pitch + (pitch - block) / 2 for k in range(joints))
-    ]
+    if joints == 1:
+        gap, number = 0.67, 1.3
+        begin = (top + bottom - _NAME_HEIGHT - gap - number) / 2
+        below = begin + _NAME_HEIGHT + gap
+        return begin, _NAME_HEIGHT, [ForceRow(begin, _NAME_HEIGHT, below, number, 0.5 * number)]
+    begin = top + 0.15
+    first = begin + 2.0 * _NAME_HEIGHT
+    pitch = (bottom - first) / joints
+    number = min(0.8, 0.62 * pitch)
+    name = min(0.33, 0.8 * number)
+    middles = [first + (k + 0.5) * pitch for k in range(joints)]
+    rows = [ForceRow(y - name / 2, name, y - number / 2, number, 0.5 * number) for y in middles]
+    return begin, _NAME_HEIGHT, rows

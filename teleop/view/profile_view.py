@@ -76,10 +76,11 @@ class ProfileView:
         self._sender.once(f"{path}/name", name)
         front = np.clip(np.nan_to_num(rows["front"]), 0.0, rows["length"])
         at = [np.interp(f, row, T) for f, row, T in zip(front, x, rows["tension"], strict=True)]
-        fronts = plane.points(front, np.array(at))
+        top = 1.05 * plane.top  # what is beyond the plot runs along its edge, as its band
+        fronts = plane.points(front, np.minimum(at, top))
         pieces = []
         for points, row, f, point in zip(
-            plane.points(x, rows["tension"]), x, front, fronts, strict=True
+            plane.points(x, np.minimum(rows["tension"], top)), x, front, fronts, strict=True
         ):
             behind, ahead = row < f, row > f
             pieces.append(np.concatenate([points[behind], [point, point][: 2 - behind.any()]]))

@@ -13,7 +13,7 @@ tension, displacement, elongation,      curves over time, see `teleop.view.curve
 force, position, hand, energy, rate,
 latency, age, loss
 state/<role>, log                       lanes of states, the text log
-panel/banner, joint_<j>, link           state, force and link in large letters
+panel/banner, words, joint_<j>, link    state, force and link in large letters
 ======================================= ========================================================
 """
 

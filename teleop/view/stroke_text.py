@@ -10,6 +10,7 @@ from estimator.array_types import Array
 
 _TALL, _ADVANCE = 6.0, 5.8  # height of a capital, and from one glyph to the next [grid units]
 _SPACE = 3.6
+_NARROW, _NARROWER = ".,:;'", 3.0  # marks that need less room, and how much [grid units]
 STROKE = 0.085  # radius of a stroke, of the height of a capital
 _GLYPHS = {
     "A": "06 01 10 30 41 46, 03 43", "B": "06 00 30 41 42 33 03, 33 44 45 36 06",
@@ -47,7 +48,7 @@ _BOX = _parse(_UNKNOWN)
 
 def text_width(text: str, height: float) -> float:
     """Return the width of `text` in capitals of `height`."""
-    advance = sum(_SPACE if letter == " " else _ADVANCE for letter in text)
+    advance = sum(map(_advance, text))
     return max(0.0, advance - (_ADVANCE - 4.0)) * height / _TALL
 
 
@@ -65,13 +66,19 @@ def text_strips(text: str, left: float, top: float, height: float) -> list[Array
     """
     scale, strips, x = height / _TALL, [], 0.0
     for letter in text.upper():
-        if letter == " ":
-            x += _SPACE
-            continue
-        corner = np.array([left, top])
-        strips += [corner + scale * (s + np.array([x, 0.0])) for s in _STROKES.get(letter, _BOX)]
-        x += _ADVANCE
+        if letter != " ":
+            begin = x - _NARROWER / 2 if letter in _NARROW else x
+            corner = np.array([left + scale * begin, top])
+            strips += [corner + scale * stroke for stroke in _STROKES.get(letter, _BOX)]
+        x += _advance(letter)
     return strips
+
+
+def _advance(letter: str) -> float:
+    """Return the distance from a character to the next [grid units]."""
+    if letter == " ":
+        return _SPACE
+    return _ADVANCE - _NARROWER if letter in _NARROW else _ADVANCE
 
 
 def fitted_height(text: str, width: float, height: float) -> float:

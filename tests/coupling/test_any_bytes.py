@@ -21,7 +21,7 @@ from master.operator import OperatorConfig
 from slave import loop as slave_loop
 from slave.config import SlaveConfig
 from slave.gate import GateConfig
-from slave.loop import TickInput
+from slave.loop_records import TickInput
 from slave.rig import RigSample
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral, DirectConfig, PassivityConfig, WaveConfig
@@ -183,10 +183,10 @@ def test_no_bytes_from_a_master_move_a_motor_beyond_its_limits(coupling):
             reach = random.Random(case)  # noqa: S311
         now += MS
         engage = case % ATTEMPT > 20 and not reach.random() < 0.005
-        wish = 0.004 + 0.01 * math.sin(0.01 * case)
+        requested = 0.004 + 0.01 * math.sin(0.01 * case)
         told = Command(
             state=State.ENGAGED if engage else State.READY,
-            position=(wish,) * MAX_JOINTS,
+            position=(requested,) * MAX_JOINTS,
             coupling=bilateral.signature,
             force_max=10.0,
             energy=(1e-3 * case,) * MAX_JOINTS,

@@ -7,13 +7,19 @@ import signal
 import numpy as np
 import pytest
 
-from slave import process
 from slave.drivers import configs
 from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load, frame_bits
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
-from slave.drivers.cia402.state_machine import Control, DriveState, Wish, control_word, drive_state
+from slave.drivers.cia402.state_machine import (
+    Control,
+    DriveState,
+    RequestedState,
+    control_word,
+    drive_state,
+)
 from slave.rig import RigFault
+from slave.warm_up import prepare
 from teleop.remote.requests import CALL
 from teleop.session import Reason, State
 from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
@@ -56,14 +62,14 @@ def test_every_status_word_has_one_state():
         assert drive_state(state.value[1] | 0x8600) is state  # other bits do not matter
 
 
-def test_no_wish_ever_resets_a_fault():
+def test_no_request_ever_resets_a_fault():
     for state in DriveState:
-        for wish in Wish:
-            word = control_word(state, wish)
+        for requested in RequestedState:
+            word = control_word(state, requested)
             assert not word & Control.RESET_FAULT
             if state in (DriveState.FAULT, DriveState.FAULT_REACTION, DriveState.NOT_READY):
                 assert word == Control.DISABLE_VOLTAGE
-            if wish is not Wish.MOVE:
+            if requested is not RequestedState.MOVE:
                 assert word != Control.ENABLE_OPERATION
 
 
@@ -205,7 +211,7 @@ class Watched(Springs):
 
 
 def test_a_drive_that_is_enabled_late_makes_no_step_however_far_the_hand_has_moved(drives):
-    process.warm_up()
+    prepare(CONFIG, with_dynamics=False)
     drives.plant = plant = Watched(2)
     drive = drives.drives[0]
     drive.enable_s, rate_hz = 0.5, 100.0

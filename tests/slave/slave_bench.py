@@ -9,8 +9,10 @@ from estimator.records import Records, one
 from slave import loop
 from slave.config import SlaveConfig
 from slave.gate import GateFlags
-from slave.loop import RigModel, SlaveMemory, TickInput
+from slave.loop import RigModel
+from slave.loop_records import SlaveMemory, TickInput
 from slave.rig import RigSample
+from slave.samples import sample_rows
 from teleop import session
 from teleop.coupling import Bilateral
 from teleop.messages import Command, SlaveState
@@ -80,7 +82,7 @@ class SlaveBench:
 
     def step(self, samples: Sequence[RigSample], commands: Records, given: TickInput) -> Output:
         """Go on by a tick, with the newest command as a record."""
-        slave, rows, count = self.slave, loop.sample_rows(samples), len(samples)
+        slave, rows, count = self.slave, sample_rows(samples), len(samples)
         slave.estimate(*slave.estimated, rows, count)
         verdict = loop.tick(*slave.ticked, rows, count, given, commands, self._state.records)
         loop.monitor_calibration(

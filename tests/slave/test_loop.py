@@ -14,7 +14,9 @@ from estimator.records import as_bytes
 from slave import loop
 from slave.config import SlaveConfig, TendonConfig
 from slave.gate import GateConfig, GateFlags
+from slave.loop_records import NO_POSITION, NO_SAMPLE, NOT_CALIBRATED, EstimatedSample
 from slave.rig import RigSample
+from slave.samples import _fill_row, fill_sample
 from teleop import session
 from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command
 from teleop.session import Reason, State
@@ -72,7 +74,7 @@ def test_before_the_first_sample_nothing_is_asked_of_the_motors():
         output = slave.tick([], command(State.READY))
         assert output.motor == ()
         assert slave.state is State.OFF
-        assert slave.memory.not_ready == loop.NO_SAMPLE
+        assert slave.memory.not_ready == NO_SAMPLE
 
 
 places = st.floats(-0.2, 0.2)
@@ -116,7 +118,7 @@ def test_a_rig_that_does_not_say_where_its_motors_stand_is_never_moved(reading):
     asked, slave = coupled([reading] * 5)
     assert asked == [()] * 5
     assert slave.session == (State.OFF, Reason.NOT_USABLE)
-    assert slave.memory.not_ready == loop.NO_POSITION
+    assert slave.memory.not_ready == NO_POSITION
 
 
 @pytest.mark.parametrize("reading", [None, math.nan])
@@ -132,7 +134,7 @@ def test_a_reading_left_out_is_bridged_but_not_for_long():
     assert asked[-1] == pytest.approx((0.014,), abs=1e-15)
     asked, slave = coupled([0.013] + [math.nan] * LONG)
     assert asked[-1] == ()
-    assert slave.memory.not_ready == loop.NO_POSITION
+    assert slave.memory.not_ready == NO_POSITION
 
 
 def test_once_engaged_the_motors_are_held_where_they_were_sent_and_resume_from_there():
@@ -201,7 +203,7 @@ def test_a_rig_without_a_calibration_that_fits_it_is_never_engaged_and_says_why(
         output = slave.tick([sample(k * DT)], command(state, 1e-3))
         assert output.motor == ()
         assert slave.session == (State.OFF, Reason.NOT_USABLE)
-    assert slave.memory.not_ready == loop.NOT_CALIBRATED
+    assert slave.memory.not_ready == NOT_CALIBRATED
 
 
 def test_a_broken_tendon_is_a_fault_that_names_it_and_holds_the_motors():
@@ -411,10 +413,10 @@ def test_a_tick_that_is_taken_back_leaves_nothing_behind():
 
 
 def test_a_sample_without_encoders_keeps_nothing_of_the_row_before():
-    rows = loop.EstimatedSample.array()
+    rows = EstimatedSample.array()
     full = RigSample(0.0, *(np.array([number]) for number in (1.0, 2.0, 3.0, 4.0)))
-    loop.fill_sample(rows, 0, full)
-    loop.fill_sample(rows, 0, sample(0.001, 5.0, None))
+    fill_sample(rows, 0, full)
+    fill_sample(rows, 0, sample(0.001, 5.0, None))
     row = rows[0]
     assert not row["has_displacement"]
     gone = row["tendons"]["displacement"], row["bench_tension"], row["bench_displacement"]
@@ -423,11 +425,11 @@ def test_a_sample_without_encoders_keeps_nothing_of_the_row_before():
 
 @pytest.mark.parametrize("short", [0, 1])
 def test_a_sample_of_too_few_or_too_many_tendons_is_no_reading_of_what_is_in_memory(short):
-    rows = loop.EstimatedSample.array(2)
+    rows = EstimatedSample.array(2)
     before = as_bytes(rows[1:]).copy()
     many = np.arange(float(2 * MAX_TENDONS))
     few = many[:short]
-    loop.fill_sample(rows, 0, RigSample(0.0, many, few, few, few))
+    fill_sample(rows, 0, RigSample(0.0, many, few, few, few))
     row = rows[0]
     assert row["tendons"]["tension"].tolist() == many[:MAX_TENDONS].tolist()
     for column in (row["tendons"]["displacement"], row["bench_tension"], row["bench_displacement"]):
@@ -438,9 +440,9 @@ def test_a_sample_of_too_few_or_too_many_tendons_is_no_reading_of_what_is_in_mem
 
 def test_a_sample_that_lacks_a_tendon_is_silence_and_not_the_one_before():
     slave = SlaveBench(loop.rig_model(JOINT_AND_PAIR, MODELS * 3), CONFIG, True)
-    rows = loop.EstimatedSample.array()
+    rows = EstimatedSample.array()
     for k, tendons in enumerate((3, 3, 2)):
-        loop.fill_sample(rows, 0, RigSample(k * DT, np.full(tendons, 5.0), np.zeros(tendons)))
+        fill_sample(rows, 0, RigSample(k * DT, np.full(tendons, 5.0), np.zeros(tendons)))
         slave.slave.estimate(*slave.slave.estimated, rows, 1)
     assert rows["tendons"]["valid"][0, :3].tolist() == [True, True, False]
 
@@ -501,15 +503,15 @@ def test_whatever_comes_in_the_motors_stay_within_their_limits(displacement, tic
 
 
 def test_arrays_of_any_kind_are_taken_without_compiling_anew():
-    rows = loop.EstimatedSample.array()
+    rows = EstimatedSample.array()
     numbers = np.array([1.5, 2.5])
     read_only = numbers.copy()
     read_only.flags.writeable = False
     kinds = [numbers, np.repeat(numbers, 3)[::3], read_only, numbers.astype(np.float32)]
-    loop.fill_sample(rows, 0, RigSample(0.0, numbers, numbers))
-    compiled_before = len(loop._fill_row.signatures)
+    fill_sample(rows, 0, RigSample(0.0, numbers, numbers))
+    compiled_before = len(_fill_row.signatures)
     for kind in kinds:
-        loop.fill_sample(rows, 0, RigSample(1, kind, kind, kind, kind))
+        fill_sample(rows, 0, RigSample(1, kind, kind, kind, kind))
         assert rows["tendons"]["tension"][0, :2].tolist() == [1.5, 2.5]
         assert rows["bench_displacement"][0, :2].tolist() == [1.5, 2.5]
-    assert len(loop._fill_row.signatures) == compiled_before
+    assert len(_fill_row.signatures) == compiled_before

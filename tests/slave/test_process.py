@@ -1,6 +1,7 @@
 import itertools
 import json
 import math
+import os
 import time
 from dataclasses import replace
 from functools import partial
@@ -8,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from slave import loop, process, rigs
+from slave import loop, process, rigs, warm_up
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.file import Calibration
 from slave.calibration.initialise import InitialiseResult
@@ -16,6 +17,7 @@ from slave.config import SlaveConfig, TendonConfig
 from slave.process import SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated.simulated import SimulatedRigConfig
+from slave.samples import estimate_with_dynamics
 from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Latest, ReceivedMessage
@@ -256,6 +258,26 @@ def test_nothing_is_written_before_the_operator_has_engaged():
     assert rig.writes == []
     assert {state.state for state in line.of(STATE)} == {State.OFF, State.READY}
     assert all(math.isnan(m.commanded_displacement[0]) for m in line.of(TENDONS))
+
+
+def test_earlier_samples_are_taken_over_at_ordinary_priority_and_the_loop_is_back_at_its_own(
+    monkeypatch,
+):
+    """They may be those of minutes, and other real-time threads need the processor."""
+    start, policies = loop.start, []
+    monkeypatch.setattr(
+        loop, "start", lambda *args: policies.append(os.sched_getscheduler(0)) or start(*args)
+    )
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        pytest.skip("real-time scheduling is not permitted here")
+    try:
+        started(FakeRig(), FakeLink(), Until(1))
+        policies.append(os.sched_getscheduler(0))
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    assert policies == [os.SCHED_OTHER, os.SCHED_FIFO]
 
 
 def test_engaged_the_motor_is_led_from_where_it_stands():
@@ -761,9 +783,9 @@ def test_an_effect_that_never_came_on_is_warned_of_at_the_end(capsys):
 def test_effects_of_models_are_compiled_before_the_loop_begins(with_dynamics, monkeypatch):
     config = SlaveConfig()
     called = []
-    dynamic = loop.estimate_with_dynamics
+    dynamic = estimate_with_dynamics
     monkeypatch.setattr(
-        process.loop, "estimate_with_dynamics", lambda *args: called.append(1) or dynamic(*args)
+        warm_up, "estimate_with_dynamics", lambda *args: called.append(1) or dynamic(*args)
     )
-    process.prepare(config, with_dynamics)
+    warm_up.prepare(config, with_dynamics)
     assert bool(called) == with_dynamics

@@ -6,6 +6,7 @@ from slave import loop, telemetry
 from slave.calibration.procedure_state import Phase
 from slave.calibration.run import Progress
 from slave.config import SlaveConfig
+from slave.loop_records import NO_POSITION, NO_SAMPLE, NOT_CALIBRATED, NOT_READY_TEXT
 from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
 from teleop.session import Reason, State
@@ -78,13 +79,13 @@ def test_a_fault_that_comes_again_is_told_again_and_where(said, memory_and_tell)
 
 def test_while_not_usable_every_new_reason_is_told(said):
     memory, tell = started("its calibration is of another rig")
-    for why in (loop.NO_SAMPLE, loop.NO_SAMPLE, loop.NOT_CALIBRATED, loop.NO_POSITION):
+    for why in (NO_SAMPLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION):
         memory.not_ready = why
         tell(0.0)
     assert [line.split(": ", 2)[-1] for line in said] == [
-        loop.NOT_READY_TEXT[loop.NO_SAMPLE],
+        NOT_READY_TEXT[NO_SAMPLE],
         "its calibration is of another rig",
-        loop.NOT_READY_TEXT[loop.NO_POSITION],
+        NOT_READY_TEXT[NO_POSITION],
     ]
 
 

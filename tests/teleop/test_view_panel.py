@@ -15,12 +15,21 @@ from teleop.view.batch import decode
 from teleop.view.colours import STATES
 from teleop.view.config import ViewConfig
 from teleop.view.pacing import Pacing
-from teleop.view.panel import number_text
-from teleop.view.panel_layout import BANNER, TALL, WIDE, filled, force_rows
+from teleop.view.panel import link_parts, number_text
+from teleop.view.panel_layout import (
+    BANNER,
+    LINK_HEIGHT,
+    LINK_LEFT,
+    LINK_TOP,
+    TALL,
+    WIDE,
+    filled,
+    force_rows,
+)
 from teleop.view.plane import axis_end, ticks, ticks_to_end
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
-from teleop.view.status import Banner, LinkCounts, banner, link_quality
+from teleop.view.status import Banner, LinkCounts, LinkQuality, banner, link_quality
 from teleop.view.stroke_text import _GLYPHS, STROKE, fitted_height, text_strips, text_width
 from tests.teleop.view_session import T0, Session, read
 
@@ -34,6 +43,18 @@ def test_text_fills_its_width_and_height_and_no_more():
     points = np.concatenate(strips)
     assert points.min(axis=0) == pytest.approx([1.0, 2.0])
     assert points.max(axis=0) == pytest.approx([1.0 + text_width("ENGAGED 12", 3.0), 5.0])
+
+
+def test_a_decimal_point_stands_midway_between_its_digits_and_near_to_them():
+    eight = len(text_strips("8", 0.0, 0.0, 6.0))
+    strips = text_strips("8.8", 0.0, 0.0, 6.0)
+    before, point, after = (
+        np.concatenate(part)[:, 0]
+        for part in (strips[:eight], strips[eight:-eight], strips[-eight:])
+    )
+    gaps = point.min() - before.max(), after.min() - point.max()
+    assert gaps[0] == pytest.approx(gaps[1])
+    assert gaps[0] < 2.5  # of a digit that is 4 wide
 
 
 def test_every_letter_of_a_reason_and_a_state_has_a_glyph_and_all_glyphs_differ():
@@ -87,21 +108,50 @@ def test_the_link_is_as_good_as_its_worse_way():
 @pytest.mark.parametrize("joints", range(1, MAX_JOINTS + 1))
 def test_the_rows_of_forces_neither_meet_each_other_nor_the_banner(joints):
     """Nor do their strokes, with a gap of a stroke's width between them."""
-    rows = force_rows(joints)
-    edges = [BANNER[3]]
+    words_top, height, rows = force_rows(joints)
+    assert words_top - STROKE * height > BANNER[3] + 2 * STROKE * height
+    edges = [words_top + (1 + STROKE) * height]
     for row in rows:
-        name_ink, number_ink = STROKE * row.name_height, STROKE * row.number_height
-        assert row.name_top - name_ink > edges[-1] + 2 * name_ink
+        number_ink = STROKE * row.number_height
         _, top, _, bottom = row.bar(1.0, two_way=False)
-        assert row.name_top + row.name_height + name_ink < min(top, row.number_top - number_ink)
+        assert min(top, row.number_top - number_ink) > edges[-1] + 2 * number_ink
         edges.append(max(bottom, row.number_top + row.number_height + number_ink))
-    assert edges[-1] < 8.9 < TALL
+    assert edges[-1] < LINK_TOP - 2 * STROKE * LINK_HEIGHT
+    assert LINK_TOP + LINK_HEIGHT < TALL
+
+
+def test_the_name_of_a_single_force_stands_well_above_its_number():
+    top, height, (row,) = force_rows(1)
+    assert row.number_top - top - height > 1.5 * height
+
+
+@pytest.mark.parametrize("joints", range(2, MAX_JOINTS + 1))
+def test_the_name_of_one_of_several_forces_stands_left_of_its_number_and_within_its_height(joints):
+    for row in force_rows(joints)[2]:
+        right = 0.4 + text_width("joint 8", row.name_height)
+        assert right < row.number_right - text_width("-9999", row.number_height) - 0.1
+        assert row.name_top > row.number_top
+        assert row.name_top + row.name_height < row.number_top + row.number_height
+
+
+@pytest.mark.parametrize("allowed", [[], ["", "scaled to 50 %"]])
+@pytest.mark.parametrize("delay_ms", [0.04, 123.0, 1e6])
+def test_each_part_of_the_link_line_ends_before_the_next(allowed, delay_ms):
+    parts = link_parts(LinkQuality("good", 1.0, delay_ms), delay_ms, allowed)
+    for text, left, right in zip(parts, LINK_LEFT, [*LINK_LEFT[1:], WIDE], strict=True):
+        assert left + text_width(text, LINK_HEIGHT) < right - 0.1
+
+
+def test_what_is_not_known_of_the_link_is_left_out():
+    assert link_parts(LinkQuality("good", 0.0, None), None, []) == (
+        "link good", "0.0 % lost", "", ""
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("force", [0.0, -12.34, 99.96, -99.96, -9999.0, math.nan])
 @pytest.mark.parametrize("joints", [1, 4, 8])
 def test_every_force_fits_between_the_edge_and_its_unit(force, joints):
-    for row in force_rows(joints):
+    for row in force_rows(joints)[2]:
         assert row.number_right - text_width(number_text(force), row.number_height) > 0.2
         unit_right = row.number_right + (row.unit_gap + 0.5 * 4 / 6 + STROKE) * row.number_height
         assert unit_right < row.bar(0.0, two_way=False)[0]
@@ -109,7 +159,7 @@ def test_every_force_fits_between_the_edge_and_its_unit(force, joints):
 
 @given(st.floats(-3, 3), st.booleans())
 def test_a_bar_is_as_long_as_its_share_and_ends_at_the_limit(share, two_way):
-    (row,) = force_rows(1)
+    _, _, (row,) = force_rows(1)
     left, _, right, _ = row.bar(share, two_way)
     full = row.bar(1.0, two_way)
     expected = min(abs(share), 1.0) if share > 0 or two_way else 0.0
@@ -134,7 +184,7 @@ def drawn(tmp_path_factory):
         session.add(HAND, Hand(state=state, joints=1), stamp)
         force = padded((6.0,), MAX_JOINTS)
         session.add(STATE, SlaveState(state=state, joints=1, force=force), stamp)
-        session.add(COMMAND, Command(force_max=12.0), stamp)
+        session.add(COMMAND, Command(force_max=12.0 if k < 99 else 0.0), stamp)  # off
     session.add(REPORT, LoopReport(role=Role.MASTER, received=100), stamp)
     path = tmp_path_factory.mktemp("panel") / "panel.rrd"
     with Sink("rrd", SURGEON, "test", path, live=False) as sink:
@@ -164,12 +214,45 @@ def test_the_newest_banner_is_that_of_the_last_message_whose_clock_is_behind(tmp
     assert colours[max(colours)][0] == STATES["engaged"]
 
 
+def test_the_whole_banner_is_repeated_while_nothing_changes(tmp_path):
+    """For pages opened later: the server drops the oldest data."""
+    path = tmp_path / "panel.rrd"
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        for k in range(40):
+            session, stamp = Session(0), T0 + k * 250_000_000
+            session.add(HAND, Hand(state=State.ENGAGED, joints=1), stamp)
+            session.add(STATE, SlaveState(state=State.ENGAGED, joints=1), stamp)
+            scene.send(decode(session.messages))
+    entities = read(path)
+    for part in ("area", "state"):
+        drawn = entities[f"/panel/banner/{part}"]["LineStrips2D:strips"]
+        stamps = sorted([*drawn, T0 + 9_750_000_000])
+        assert np.diff(stamps).max() <= 2_250_000_000
+        assert all(drawn.values())
+
+
 def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
     strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-1]
-    left, _, right, _ = force_rows(1)[0].bar(0.5, two_way=False)
+    left, _, right, _ = force_rows(1)[2][0].bar(0.5, two_way=False)
     points = np.array(strips).reshape(-1, 2)
     assert points[:, 0].max() == pytest.approx(right, abs=0.1)
     assert points[:, 0].min() == pytest.approx(left, abs=0.1)
+
+
+def test_a_number_changes_four_times_a_second_however_short_the_blocks_are(tmp_path):
+    session = Session(0)
+    for k in range(200):
+        force = padded((0.1 * k,), MAX_JOINTS)
+        session.add(STATE, SlaveState(joints=1, force=force), T0 + k * 10_000_000)
+    path = tmp_path / "panel.rrd"
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        for k in range(0, 200, 7):
+            scene.send(decode(session.messages[k : k + 7]))
+    entities = read(path)
+    assert len(entities["/panel/joint_0/number"]["LineStrips2D:strips"]) in (8, 9)
+    assert len(entities["/panel/joint_0/bar"]["LineStrips2D:strips"]) in (20, 21)
 
 
 def test_a_force_both_ways_has_a_mark_at_zero_also_where_the_sheaths_come_later(tmp_path):
@@ -180,7 +263,7 @@ def test_a_force_both_ways_has_a_mark_at_zero_also_where_the_sheaths_come_later(
         for topics in ((STATE, COMMAND), (SHEATH,), (STATE,)):
             scene.send(decode([message for message in session.messages if message[0] in topics]))
     (frame,) = read(path)["/panel/joint_0/frame"]["LineStrips2D:strips"].values()
-    assert len(frame) == len(force_rows(1)[0].frame(two_way=True))
+    assert len(frame) == len(force_rows(1)[2][0].frame(two_way=True))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What a Rerun file holds after a session, read back with Rerun's own reader."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -14,6 +15,7 @@ from teleop.messages import (
     PHASE_NAMES,
     PROFILE_POINTS,
     Event,
+    Hand,
     Sheath,
     SlaveState,
     TendonState,
@@ -42,7 +44,7 @@ from teleop.view.layouts import blueprint
 from teleop.view.scene import Scene
 from teleop.view.sinks import Sink
 from teleop.view.stage import PIECES, SEGMENTS, Shape, stage
-from tests.teleop.view_session import CONFIG, T0, Session, front_of, reader, save
+from tests.teleop.view_session import CONFIG, T0, Session, front_of, reader, save, sheath
 
 
 @pytest.fixture(scope="module")
@@ -287,6 +289,17 @@ def test_the_arrow_at_the_tip_says_its_newtons(session, saved):
     assert len(words) >= 20
     for stamp, (text,) in words.items():
         assert float(text.removesuffix(" N")) == pytest.approx(sent[stamp].force[0], abs=0.051)
+
+
+def test_with_several_joints_each_number_says_whose_it_is(tmp_path):
+    several = Session(0)
+    for tendon in (0, 1):
+        several.add(SHEATH, dataclasses.replace(sheath(tendon), joint=tendon), T0)
+    several.add(STATE, SlaveState(joints=2, force=padded((1.0, -7.8), MAX_JOINTS)), T0)
+    several.add(HAND, Hand(joints=2, force=padded((0.5, -2.0), MAX_JOINTS)), T0)
+    drawn = save(several.messages, tmp_path / "two.rrd")
+    for path, word in (("joint_0", "1: 1.0 N"), ("joint_1", "2: -7.8 N"), ("hand_1", "2: -2.0 N")):
+        assert drawn[f"/scene/{path}/newtons"]["Points3D:labels"] == {T0: [word]}
 
 
 def test_the_environment_is_drawn_where_the_config_says(session, tmp_path):

@@ -18,7 +18,7 @@ from slave.drivers.cia402.state_machine import (
     FOLLOWING_ERROR,
     INTERPOLATE,
     DriveState,
-    Wish,
+    RequestedState,
     control_word,
     drive_state,
 )
@@ -62,7 +62,7 @@ class Cia402Driver:
         numbers = sorted({*channels.motors, *channels.cells})
         self._nodes = {n: _Node(n, n in channels.motors, n in channels.cells) for n in numbers}
         self._bus: can.BusABC | None = None
-        self._wish = Wish.OFF
+        self._requested = RequestedState.OFF
         self._obeyed = False  # whether all drives were enabled
         self._wanted_s = self._beat_s = math.inf
         self._cycles = self._lost = 0
@@ -106,8 +106,12 @@ class Cia402Driver:
         now = time.monotonic()
         if now >= self._beat_s:
             self._beat(now)
-        if target is not None and self._wish is not Wish.MOVE and not self._operates():
-            self._wish, self._wanted_s = Wish.MOVE, now
+        if (
+            target is not None
+            and self._requested is not RequestedState.MOVE
+            and not self._operates()
+        ):
+            self._requested, self._wanted_s = RequestedState.MOVE, now
         self._command(target)
         self._sync_s = time.monotonic()
         self._send(SYNC, b"")
@@ -127,7 +131,7 @@ class Cia402Driver:
 
         No SYNC of its own: its answers would be taken for those of the next one.
         """
-        self._wish, self._obeyed = Wish.STOP, False
+        self._requested, self._obeyed = RequestedState.STOP, False
 
     def counts(self) -> dict[str, int | float]:
         """Return the achieved rate, cycles without every answer, and the load of the bus."""
@@ -144,7 +148,7 @@ class Cia402Driver:
         if self._bus is None:
             return
         with contextlib.suppress(DriverFault, can.CanError, OSError):
-            self._wish = Wish.STOP
+            self._requested = RequestedState.STOP
             for _ in range(STOPS if self._began_s else 0):
                 self._command(None)
                 self._send(SYNC, b"")
@@ -167,8 +171,11 @@ class Cia402Driver:
         targets = [math.nan] * len(self._channels.motors) if target is None else target.tolist()
         for number, value in zip(self._channels.motors, targets, strict=True):
             node = self._nodes[number]
-            word = control_word(node.state, self._wish)
-            moving = node.state is DriveState.OPERATION_ENABLED and self._wish is Wish.MOVE
+            word = control_word(node.state, self._requested)
+            moving = (
+                node.state is DriveState.OPERATION_ENABLED
+                and self._requested is RequestedState.MOVE
+            )
             if self._config.mode == "interpolation" and moving:
                 word |= INTERPOLATE
             goal = value if moving and math.isfinite(value) else node.position
@@ -243,19 +250,19 @@ class Cia402Driver:
             state = node.state
             if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
                 raise DriverFault(f"drive {node.number}: {self._reason(node)}")
-            if self._wish is Wish.MOVE and state is DriveState.OPERATION_ENABLED:
+            if self._requested is RequestedState.MOVE and state is DriveState.OPERATION_ENABLED:
                 if node.status & FOLLOWING_ERROR:
                     raise DriverFault(f"drive {node.number}: following error")
                 continue
             following = False
-            if self._wish is Wish.MOVE and self._obeyed:
+            if self._requested is RequestedState.MOVE and self._obeyed:
                 raise DriverFault(
                     f"drive {node.number} has left operation by itself: {state.text}"
                     f"{', ' * bool(node.emergency)}{node.emergency}"
                 )
-            if self._wish is Wish.MOVE and now - self._wanted_s > ENABLE_S:
+            if self._requested is RequestedState.MOVE and now - self._wanted_s > ENABLE_S:
                 raise DriverFault(f"drive {node.number} cannot be enabled: {state.text}")
-        self._obeyed = self._obeyed or (following and self._wish is Wish.MOVE)
+        self._obeyed = self._obeyed or (following and self._requested is RequestedState.MOVE)
 
     def _reason(self, node: _Node) -> str:
         """Return why a drive has a fault; its emergency message may come after the status word."""

@@ -32,7 +32,7 @@ class Control(IntEnum):
     RESET_FAULT = 0x80
 
 
-class Wish(Enum):
+class RequestedState(Enum):
     """What a drive is wanted to do."""
 
     OFF = 0  # without power
@@ -61,14 +61,14 @@ def drive_state(status_word: int) -> DriveState:
     return DriveState.NOT_READY
 
 
-def control_word(state: DriveState, wish: Wish) -> int:
+def control_word(state: DriveState, requested: RequestedState) -> int:
     """Return the control word that takes a drive one step towards what is wanted.
 
     A fault is never reset here: that is the operator's.
     """
-    if wish is Wish.MOVE:
+    if requested is RequestedState.MOVE:
         return int(_TO_MOVE.get(state, Control.DISABLE_VOLTAGE))
-    if wish is Wish.STOP and state in (
+    if requested is RequestedState.STOP and state in (
         DriveState.OPERATION_ENABLED,
         DriveState.QUICK_STOP_ACTIVE,
     ):

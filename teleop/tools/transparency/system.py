@@ -18,7 +18,9 @@ from master.settings_record import master_settings
 from slave import loop as slave_loop
 from slave.config import SlaveConfig
 from slave.gate import GateConfig
+from slave.loop_records import SlaveMemory, TickInput
 from slave.rig import RigSample
+from slave.samples import sample_rows
 from slave.tendon_config import TendonConfig
 from teleop.coupling import Bilateral
 from teleop.messages import MAX_JOINTS, Command, SlaveState
@@ -154,7 +156,7 @@ class Teleoperator:
         self._inputs = master_loop.TickInput.array()
         self._force = np.zeros(MAX_JOINTS)  # [N]
         self._slave = slave_loop.start(model, configs.slave, slave_bilateral or bilateral, False)
-        self.slave: slave_loop.SlaveMemory = one(self._slave.memory)
+        self.slave: SlaveMemory = one(self._slave.memory)
         self._timeout_ns = round(configs.slave.command_timeout * 1e9)
         self._command, self._state = Packet(Command), Packet(SlaveState)
         delay, jitter, loss, seed = network
@@ -199,10 +201,10 @@ class Teleoperator:
 
     def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:
         slave, latest = self._slave, self._commands.newest(now)
-        rows = slave_loop.sample_rows(samples)
+        rows = sample_rows(samples)
         slave.estimate(*slave.estimated, rows, len(samples))
         fresh = latest.is_fresh(now, self._timeout_ns)
-        tick_input = slave_loop.TickInput(DT, latest.is_there, fresh)
+        tick_input = TickInput(DT, latest.is_there, fresh)
         slave_loop.tick(
             *slave.ticked,
             rows,

@@ -54,9 +54,8 @@ class Tendons:
 
         tendons = (TendonPlantConfig(),) * (2 if paired else 1)
         # a tendon must reach its stop well below the tension of a calibration
-        body = BodyConfig(spring=60.0, stops=(-0.002, 0.030))
-        if paired:
-            body = BodyConfig(stops=(-0.018, 0.018))
+        single = BodyConfig(spring=60.0, stops=(-0.002, 0.030))
+        body = BodyConfig(stops=(-0.018, 0.018)) if paired else single
         joint = JointConfig(tendons=tendons, body=body, environment=FreeConfig())
         self._rig = SimulatedRig(SimulatedRigConfig(joints=(joint,) * joints))
         self._sample = self._rig.read(0.0)[0]

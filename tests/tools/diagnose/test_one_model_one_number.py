@@ -12,6 +12,7 @@ from slave import loop, model_files
 from slave.config import SlaveConfig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
+from slave.samples import sample_rows
 from slave.score import Score
 from teleop.app import cli
 from teleop.data import model_file, read_table, write_table
@@ -90,7 +91,7 @@ def played(data, model):
         loop.DIRECT,
         rig.starts_at_zero,
     )
-    rows = loop.sample_rows(rig.read(1e9))
+    rows = sample_rows(rig.read(1e9))
     slave.estimate(*slave.estimated, rows, len(rows))
     score = Score(models)
     score.add_rows(slave.layout, rows, len(rows))

@@ -1,0 +1,107 @@
+"""Records of the slave's tick: settings, samples with their estimates, memory and work arrays."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, NamedTuple
+
+from estimator.array_types import Array
+from estimator.records import F64, I64, Field, Flag, Record, record_dtype
+from slave import control, fault_detection, gate, initial_position
+from slave.calibration import monitor
+from slave.calibration.monitor import Advice
+from slave.control.joint import JointEstimate
+from slave.tendons import EstimatedTendon
+from teleop import coupling, session
+from teleop.coupling import Side
+from teleop.messages import MAX_JOINTS, MAX_TENDONS
+from teleop.session import Reason, Session
+
+# SlaveMemory.not_ready: why the rig is not usable
+USABLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION = range(4)
+NOT_READY_TEXT = (
+    "",
+    "no sample from the rig yet",
+    "no calibration fits the rig",
+    "no encoder reading yet, and the rig does not start at zero",
+)
+
+
+class SlaveSettings(Record):
+    """Settings of a tick, from the config."""
+
+    control: Annotated[control.ControlConfig, Field(record_dtype(control.ControlConfig))]
+    fault_detection: Annotated[
+        fault_detection.FaultDetectionConfig,
+        Field(record_dtype(fault_detection.FaultDetectionConfig)),
+    ]
+    gate: Annotated[gate.GateConfig, Field(record_dtype(gate.GateConfig))]
+    monitor: Annotated[monitor.MonitorConfig, Field(record_dtype(monitor.MonitorConfig))]
+    bilateral: coupling.BilateralSettings
+    sample_timeout: F64 = 0.1  # [s]
+    rig_obeys: Flag = True  # the motors follow commands
+    calibrated: Flag = True  # a calibration fits the rig
+
+
+class EstimatedSample(Record):
+    """One sample of the rig with the estimates from it."""
+
+    time_s: F64 = 0.0  # [s] on the rig's clock
+    elapsed: F64 = 0.0  # [s] since the sample before
+    has_displacement: Flag = False  # whether the rig has encoders
+    tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]
+    bench_tension: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [N] at the tip
+    bench_displacement: Annotated[Array, Field("f8", MAX_TENDONS, fill=math.nan)]  # [m]
+
+
+class SlaveMemory(Record):
+    """State of the slave between ticks, except for the tendons' estimators."""
+
+    session: Session
+    initial_position: initial_position.InitialPosition
+    detector: fault_detection.FaultDetector
+    motors: fault_detection.MotorChecks
+    control: control.Control
+    coupling: Side
+    tendons: Annotated[Sequence[EstimatedTendon], Field(EstimatedTendon, MAX_TENDONS)]  # newest
+    monitors: Annotated[Sequence[monitor.TendonMonitor], Field(monitor.TendonMonitor, MAX_TENDONS)]
+    joints: Annotated[Sequence[JointEstimate], Field(JointEstimate, MAX_JOINTS)]
+    reach: Annotated[Sequence[gate.Reach], Field(gate.Reach, MAX_TENDONS)]
+    offsets: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of each joint's tendons
+    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] last output of the gate
+    has_sample: Flag = False
+    has_offsets: Flag = False
+    has_motor: Flag = False  # something was written: engaged at least once, or calibrated
+    sample_time: F64 = 0.0  # [s] of the newest sample
+    silence: F64 = 0.0  # [s] since the last new and usable sample
+    overload: F64 = 0.0  # [s] for which a tension has been far over its limit while engaged
+    found: I64 = Reason.NONE  # last Reason of the fault detection
+    found_tendon: I64 = -1
+    advice: I64 = Advice.NONE
+    not_ready: I64 = NO_SAMPLE
+
+
+class Scratch(Record):
+    """Work arrays of a tick."""
+
+    inputs: session.Inputs
+    requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
+    speed: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
+    force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] rendered to the hand
+    displacement: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] of the motors in a sample
+    tension: Annotated[Array, Field("f8", MAX_TENDONS)]  # [N] used for the limits
+    motor: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor positions
+    wanted: Annotated[Array, Field("f8", MAX_TENDONS)]  # [m] motor targets
+
+
+class TickInput(NamedTuple):
+    """Inputs of a tick besides samples and command."""
+
+    dt: float  # [s] since the last tick
+    has_command: bool  # whether a command ever came
+    fresh: bool  # whether the newest command is younger than its timeout
+    fault: int = int(Reason.NONE)  # Reason: fault on this side detected by the caller
+    stop: int = int(Reason.NONE)  # Reason of an emergency stop by another process
+    reset: bool = False  # whether a stop is reset
+    link: int = int(Reason.NONE)  # Reason: bound that the link exceeds
+    link_holds: bool = False  # whether the session must hold because of it
+    motors_follow: bool = True  # `slave.rig.motors_follow`

@@ -1,0 +1,150 @@
+"""Samples of the rig as rows of records, and the estimates of every tendon from them."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from estimator.online import online
+from estimator.online.tendon_estimate import INVALID_INPUT
+from estimator.records import Records
+from slave import control
+from slave.loop_records import EstimatedSample, SlaveMemory
+from slave.rig import RigSample
+from slave.tendons import RigLayout
+from teleop.messages import MAX_TENDONS
+
+
+def fill_sample(rows: Records, index: int, sample: RigSample) -> None:
+    """Write a sample of the rig into a row for `tick`.
+
+    Missing entries are NaN, which the estimator rejects.
+    """
+    travel = sample.proximal_displacement
+    tip_tension, tip_travel = sample.bench_distal_tension, sample.bench_distal_displacement
+    _fill_row(
+        rows,
+        index,
+        float(sample.time_s),
+        travel is not None,
+        np.array(sample.proximal_tension, np.float64, order="C"),
+        _MISSING if travel is None else np.array(travel, np.float64, order="C"),
+        _MISSING if tip_tension is None else np.array(tip_tension, np.float64, order="C"),
+        _MISSING if tip_travel is None else np.array(tip_travel, np.float64, order="C"),
+    )
+
+
+# Copies of one array type, whatever the rig returns: numba would compile again for any other type,
+# in the middle of a session.
+_MISSING = np.full(MAX_TENDONS, math.nan)
+
+
+@compiled
+def _fill_row(
+    rows: Records,
+    index: int,
+    time_s: float,
+    has_displacement: bool,
+    tension: Array,
+    displacement: Array,
+    bench_tension: Array,
+    bench_displacement: Array,
+) -> None:
+    row = rows[index]
+    row.time_s, row.has_displacement = time_s, has_displacement
+    for i in range(MAX_TENDONS):
+        row.tendons[i].tension = _entry(tension, i)
+        row.tendons[i].displacement = _entry(displacement, i)
+        row.bench_tension[i] = _entry(bench_tension, i)
+        row.bench_displacement[i] = _entry(bench_displacement, i)
+
+
+@compiled
+def _entry(values: Array, i: int) -> float:
+    """Return an entry, NaN beyond the end (compiled code has no bounds check)."""
+    return values[i] if i < len(values) else math.nan
+
+
+def sample_rows(samples: Sequence[RigSample]) -> Records:
+    """Return samples as rows for `tick`, shape (samples,); see `fill_sample`."""
+    rows = EstimatedSample.array(len(samples))
+    for k, sample in enumerate(samples):
+        fill_sample(rows, k, sample)
+    return rows
+
+
+@compiled
+def estimate(
+    layouts: Records,
+    prepared: Records,
+    estimators: Records,
+    memories: Records,
+    rows: Records,
+    samples: int,
+) -> None:
+    """Step each tendon's estimator with the first `samples` of `rows`; fill in their estimates."""
+    layout, memory = layouts[0], memories[0]
+    for s in range(samples):
+        row = rows[s]
+        _begin_sample(memory, row)
+        for i in range(layout.tendons):
+            tendon = row.tendons[i]
+            tendon.corrected_tension, tendon.corrected_displacement = online.advance_law(
+                prepared[i],
+                estimators[i],
+                tendon.tension,
+                tendon.displacement,
+                row.elapsed,
+                tendon.estimate,
+            )
+        _end_sample(layout, memory, row)
+
+
+@compiled
+def estimate_with_dynamics(
+    layouts: Records,
+    prepared: Records,
+    estimators: Records,
+    memories: Records,
+    rows: Records,
+    samples: int,
+) -> None:
+    """Like `estimate`, for models with dynamic effects; takes longer to compile."""
+    layout, memory = layouts[0], memories[0]
+    for s in range(samples):
+        row = rows[s]
+        _begin_sample(memory, row)
+        for i in range(layout.tendons):
+            tendon = row.tendons[i]
+            tendon.corrected_tension, tendon.corrected_displacement = online.advance(
+                prepared[i],
+                estimators[i],
+                tendon.tension,
+                tendon.displacement,
+                row.elapsed,
+                tendon.estimate,
+            )
+        _end_sample(layout, memory, row)
+
+
+@compiled
+def _begin_sample(memory: SlaveMemory, row: EstimatedSample) -> None:
+    row.elapsed = row.time_s - memory.sample_time if memory.has_sample else 0.0
+    memory.sample_time = row.time_s
+    memory.has_sample = True
+
+
+@compiled
+def _end_sample(layout: RigLayout, memory: SlaveMemory, row: EstimatedSample) -> None:
+    usable = True
+    newest: Any = memory.tendons
+    for i in range(layout.tendons):
+        tendon = row.tendons[i]
+        tendon.valid = tendon.estimate.status & INVALID_INPUT == 0
+        usable = usable and tendon.valid
+        newest[i] = tendon
+    if usable and not memory.has_offsets:
+        memory.has_offsets = control.joint_offsets(layout, row.tendons, memory.offsets)
