@@ -113,7 +113,7 @@ def _estimated_rows(data: MeasuredData) -> Samples:
     if travel is not None:
         rows &= np.isfinite(travel)
         travel = travel[rows]
-    tip = None if tip is None else tip[rows]
+    tip = None if tip is None else np.where(np.isfinite(tip), tip, np.nan)[rows]
     return Samples(data.time[rows], data.proximal_tension[rows], travel, tip)
 
 

@@ -18,22 +18,23 @@ def known(signal: Array) -> Array:
     return signal[np.isfinite(signal)]
 
 
+def as_missing(signals: Signals) -> Signals:
+    """Return signals with NaN for what is not finite."""
+    return {name: np.where(np.isfinite(signal), signal, np.nan) for name, signal in signals.items()}
+
+
 def only_rows(time: Array, signals: Signals, rows: NDArray[np.bool_]) -> tuple[Array, Signals]:
     """Return some of the rows of a record."""
     return time[rows], {name: signal[rows] for name, signal in signals.items()}
 
 
-def stretches(time: Array, signal: Array) -> Array:
-    """Return between which times [s] values are missing for long, shape (m, 2)."""
-    times = time[np.isfinite(signal)]
-    steps = np.diff(times)
-    long = steps > max(LONG, PERIODS * float(np.median(steps)))
-    return np.column_stack([times[:-1][long], times[1:][long]])
-
-
-def outside(time: Array, missing: Array) -> NDArray[np.bool_]:
-    """Return which times are in none of the stretches of missing values, shape (n,)."""
+def in_stretches(time: Array, present: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which times [s] lie where no value is present for long, shape (n,)."""
+    times = time[present]
+    steps = np.diff(times, prepend=time[0], append=time[-1])
+    long = np.flatnonzero(steps > max(LONG, PERIODS * float(np.median(np.diff(times)))))
+    edges = np.concatenate([[-np.inf], times, [np.inf]])
     inside = np.zeros(len(time), dtype=np.bool_)
-    for begin, end in missing:
+    for begin, end in zip(edges[long], edges[long + 1], strict=True):
         inside |= (begin < time) & (time < end)
-    return ~inside
+    return inside

@@ -183,4 +183,5 @@ def scene_of(record: Record, simulated: Simulated | None, compliance: float) -> 
         dict(none if simulated is None else simulated.signals),
         np.zeros_like(record.time) if simulated is None else simulated.motion.compliance,
         compliance,
+        record.known,
     )

@@ -25,7 +25,14 @@ from estimator.diagnosis.drive import (
     turns_between_samples,
 )
 from estimator.diagnosis.held_samples import held
-from estimator.diagnosis.missing_values import known, only_rows, outside, stretches
+from estimator.diagnosis.missing_values import LONG as LONG_GAP
+from estimator.diagnosis.missing_values import (
+    PERIODS,
+    as_missing,
+    in_stretches,
+    known,
+    only_rows,
+)
 from estimator.diagnosis.sampling import LONG, times_of
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
@@ -46,7 +53,9 @@ Mask = NDArray[np.bool_]
 DRAWS = 8  # of the driver's noise
 STEPS_OFF = 0.05  # of the period: a time step is uneven
 UNEVEN_SHARE = 0.02  # of the time steps, that are uneven before it is said
-NEARBY = 5  # samples over which the variance that it makes is averaged
+NEARBY = 5  # samples over which the variance that it makes is averaged, or a speed is taken
+TURNED = 0.5  # of the speed beside a gap: in one that is crossed slower the motor may have turned
+GAPS_NAMED = 3
 
 
 class Simulation(Protocol):
@@ -62,12 +71,13 @@ class RecordError(ValueError):
 
 
 class Trouble(NamedTuple):
-    """Excluded samples, and why."""
+    """Samples that were excluded, or are odd, and why."""
 
     what: str
     channel: str
     samples: int
     first: float  # [s], as in the data
+    excluded: bool = True
 
 
 @dataclass(frozen=True)
@@ -109,8 +119,8 @@ class Record:
         Whether it is of a closed loop of two cables, with effort of either sign, not of one tendon.
     start
         Time of the first sample in the data [s].
-    missing
-        Between which times [s] values of a channel are missing for long, by channel, shape (m, 2).
+    known
+        Which samples were measured, by channel, shape (n,) each; the others are interpolated.
     """
 
     time: Array
@@ -129,7 +139,7 @@ class Record:
     units: Units = LINEAR
     loop: bool = False
     start: float = 0.0
-    missing: dict[str, Array] = field(default_factory=dict)
+    known: dict[str, Mask] = field(default_factory=dict)
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -144,11 +154,15 @@ class Record:
             return False
         return bool(np.median(T) <= 5.0 * self.noise[PROXIMAL_TENSION])
 
+    @property
+    def first_tensions(self) -> tuple[float, Array]:
+        """Where the drive was when tension was first measured, and five readings from there on."""
+        rows = np.flatnonzero(self.known[PROXIMAL_TENSION])[:5]
+        return float(self.drive[rows[0]]), self.signals[PROXIMAL_TENSION][rows]
+
     def shown(self, channel: str) -> Mask:
-        """Return which rows of a channel are to be drawn: not those where values are missing."""
-        if channel not in self.missing:
-            return self.measured
-        return self.measured & outside(self.time, self.missing[channel])
+        """Return which rows of a channel are to be drawn: not those that lack values for long."""
+        return self.measured & ~in_stretches(self.time, self.known[channel])
 
 
 def prepare(
@@ -168,7 +182,7 @@ def prepare(
         Stamps [s], shape (n,), strictly rising; see `estimator.diagnosis.sampling.times_of`.
     signals : dict
         By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
-        `units`, shape (n,), NaN where a value is missing.
+        `units`, shape (n,), not finite where a value is missing.
     most : int
         Samples that are kept of a longer record.
     noise : mapping
@@ -184,6 +198,7 @@ def prepare(
     RecordError
         If nothing can be found out from the data.
     """
+    signals = as_missing(signals)
     _check(time, signals, units)
     loop = is_loop(units, [signals]) if loop is None else loop
     if loop and PROXIMAL_DISPLACEMENT not in signals:
@@ -203,32 +218,35 @@ def prepare(
         units = units.scaled_to(efforts_of(signals))
     signals = {name: units.inward(name, signal) for name, signal in signals.items()}
     noise = {name: float(units.inward(name, np.array(s))) for name, s in noise.items()}
-    start = float(time[0])
     driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
-    time, signals, absent = _rows_with(driver, time - start, signals, units)
-    time, late = times_of(time, signals)
-    missing = {name: stretches(time, signal) for name, signal in signals.items()}
-    good, rounded, troubles = {}, {}, absent + _repeated(time, signals)
+    time, signals, absent = _rows_with(driver, time, signals, units)
+    start = float(time[0])
+    time, late = times_of(time - start, signals)
+    present = {name: np.isfinite(signal) for name, signal in signals.items()}
+    good, rounded, troubles = {}, {}, _repeated(time, signals)
     if late > 0.0:
         what = f"time stamps jitter by {1e3 * late:.2g} ms where samples are even: taken as even"
-        troubles.append(Trouble(what, "all channels", len(time), 0.0))
+        troubles.append(Trouble(what, "all channels", len(time), 0.0, excluded=False))
     for name, signal in signals.items():
         good[name], found = _counted(time, name, signal)
         rounded[name] = counted_step(signal[good[name]]) / math.sqrt(12.0)
         signals[name] = np.interp(time, time[good[name]], signal[good[name]])
         troubles += found
-    time, signals, good, thinned = _thinned(time, signals, good, most)
+    thin = _thinned(time, signals, good, present, most)
+    time, signals, good, present = thin.time, thin.signals, thin.good, thin.present
     rounded, given = (
-        {name: value / math.sqrt(thinned) for name, value in each.items()}
+        {name: value / math.sqrt(thin.averaged[name]) for name, value in each.items()}
         for each in (rounded, noise)
     )
     sigma = _noise_of(driver, time, signals, good, rounded, given)
     measured = np.ones(len(time), dtype=np.bool_)
     drive, jitter = _drive(driver, time, signals[driver], sigma[driver])
+    troubles += _unseen_turns(driver, time, drive, jitter, start)
     if driver != PROXIMAL_TENSION:
         turns = turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
         good = {name: np.insert(mask, turns.rows, False) for name, mask in good.items()}
+        present = {name: turns.between(mask) for name, mask in present.items()}
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)
@@ -247,12 +265,12 @@ def prepare(
         measured=measured,
         train=_fitted(block, drive, speed),
         block=block,
-        troubles=tuple(one._replace(first=one.first + start) for one in troubles),
-        thinned=thinned,
+        troubles=(*absent, *(one._replace(first=one.first + start) for one in troubles)),
+        thinned=thin.thinned,
         units=units,
         loop=loop,
         start=start,
-        missing=missing,
+        known=present,
     )
 
 
@@ -289,6 +307,15 @@ def _noise_of(
     return sigma
 
 
+def check_known(signals: Signals) -> None:
+    """Raise `RecordError` for a channel without any finite value."""
+    for name, signal in signals.items():
+        if not np.isfinite(signal).any():
+            needed = name == PROXIMAL_TENSION
+            remedy = "it is needed; check the load cell" if needed else "remove the channel"
+            raise RecordError(f"{name}: has no finite value: {remedy}")
+
+
 def _check(time: Array, signals: Signals, units: Units) -> None:
     if PROXIMAL_TENSION not in signals:
         raise RecordError("proximal_tension is missing: nothing is known without it")
@@ -300,6 +327,9 @@ def _check(time: Array, signals: Signals, units: Units) -> None:
         raise RecordError(
             f"{len(time)} samples, at least {SETTINGS.samples_min} are needed: record for longer"
         )
+    if not np.isfinite(time).all():
+        k = int(np.argmin(np.isfinite(time)))
+        raise RecordError(f"time: sample {k} is {time[k]}: remove samples without a time")
     late = np.flatnonzero(~(np.diff(time) > 0.0))
     if len(late):
         k = int(late[0]) + 1
@@ -312,8 +342,7 @@ def _check(time: Array, signals: Signals, units: Units) -> None:
             raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
         if signal.shape != time.shape:
             raise RecordError(f"{name}: {time.shape} values are needed, NaN where one is missing")
-        if not np.isfinite(signal).any():
-            raise RecordError(f"{name}: has no finite value: remove the channel")
+    check_known(signals)
     if not np.ptp(known(signals[PROXIMAL_TENSION])) > 0.0:
         raise RecordError("proximal_tension never changes: pull and release while you record")
     q_p, T_out, q_d = (signals.get(name) for name in CHANNELS[1:])
@@ -454,6 +483,7 @@ def at_rows(record: Record, kept: Mask) -> Record:
         speed=record.speed[kept],
         sigma={name: sigma[kept] for name, sigma in record.sigma.items()},
         good={name: good[kept] for name, good in record.good.items()},
+        known={name: known[kept] for name, known in record.known.items()},
         measured=record.measured[kept],
         train=record.train[kept],
         block=record.block[kept],
@@ -501,7 +531,7 @@ def _repeated(time: Array, signals: Signals) -> list[Trouble]:
     noisy = any(noise_sigma(known(signal)) > 0.0 for signal in signals.values())
     if noisy and same.any():
         first = float(time[1:][same][0])
-        found.append(Trouble("repeated samples", "all channels", int(same.sum()), first))
+        found.append(Trouble("repeated samples", "all channels", int(same.sum()), first, False))
     steps = np.diff(time)
     period = float(np.median(steps))
     uneven = np.abs(steps - period) > STEPS_OFF * period
@@ -509,31 +539,75 @@ def _repeated(time: Array, signals: Signals) -> list[Trouble]:
     if np.mean(uneven & ~gaps) > UNEVEN_SHARE:
         what = f"uneven time steps, from {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
         first = float(time[1:][uneven][0])
-        found.append(Trouble(what, "all channels", int(uneven.sum()), first))
-    elif gaps.any():
-        missing = int(np.rint(steps[gaps] / period - 1.0).sum())
-        found.append(Trouble("missing samples", "all channels", missing, float(time[1:][gaps][0])))
+        found.append(Trouble(what, "all channels", int(uneven.sum()), first, False))
+    if gaps.any():
+        missing, first = int(np.rint(steps[gaps] / period - 1.0).sum()), float(time[1:][gaps][0])
+        found.append(Trouble("missing samples", "all channels", missing, first, False))
     return found
 
 
-def _thinned(
-    time: Array, signals: Signals, good: dict[str, Mask], most: int
-) -> tuple[Array, Signals, dict[str, Mask], int]:
-    """Return every k-th sample, the compared channels averaged over the k around it.
+def _unseen_turns(
+    driver: str, time: Array, drive: Array, jitter: float, start: float
+) -> list[Trouble]:
+    """Say in which gaps the drive may have turned: it went another way, or slower, than beside."""
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > max(LONG_GAP, PERIODS * float(np.median(steps))))
+    found = []
+    for i in gaps.tolist():
+        spans = ((max(i - NEARBY, 0), i), (i, i + 1), (i + 1, min(i + 1 + NEARBY, len(time) - 1)))
+        ways = [float(drive[end] - drive[begin]) for begin, end in spans]
+        speeds = [
+            way / float(time[end] - time[begin]) if abs(way) > jitter else 0.0
+            for way, (begin, end) in zip(ways, spans, strict=True)
+        ]
+        before, across, after = speeds
+        beside = min(abs(before), abs(after))
+        if min(speeds) < 0.0 < max(speeds) or abs(across) < TURNED * beside:
+            found.append((start + float(time[i]), start + float(time[i + 1])))
+    if not found:
+        return []
+    times = ", ".join(f"{begin:.4g} to {end:.4g} s" for begin, end in found[:GAPS_NAMED])
+    times += ", ..." * (len(found) > GAPS_NAMED)
+    what = f"gaps in which the motor may have turned ({times}): friction after them is uncertain"
+    return [Trouble(what, driver, len(found), found[0][0] - start, excluded=False)]
 
-    A channel counts where it has more than half as many values as it usually has.
+
+class _Thinned(NamedTuple):
+    """A record of which several samples were averaged to one."""
+
+    time: Array
+    signals: Signals
+    good: dict[str, Mask]
+    present: dict[str, Mask]
+    averaged: dict[str, float]  # values in a sample, by channel
+    thinned: int  # samples in one
+
+
+def _thinned(
+    time: Array,
+    signals: Signals,
+    good: dict[str, Mask],
+    present: dict[str, Mask],
+    most: int,
+) -> _Thinned:
+    """Return every k-th sample, all channels averaged over the k around it.
+
+    What does not count is interpolated in `signals`, so that a mean of few values is one at the
+    same time as that of many. A channel counts where it has more than half as many values as it
+    usually has.
     """
     k = math.ceil(len(time) / most)
     if k <= 1:
-        return time, signals, good, 1
+        return _Thinned(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
     rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
     window = rows[:, None] + np.arange(k) - k // 2
-    window = np.clip(window, 0, len(time) - 1)
-    kept, masks = {}, {}
-    for name, signal in signals.items():
-        weight = good[name][window].astype(np.float64)
-        total = weight.sum(axis=1)
-        masks[name] = total > 0.5 * float(np.median(total[total > 0.0]))
-        kept[name] = (signal[window] * weight).sum(axis=1) / np.maximum(total, 1.0)
-        kept[name][~masks[name]] = signal[rows][~masks[name]]
-    return time[window].mean(axis=1), kept, masks, k
+    counts = {name: mask[window].sum(axis=1) for name, mask in good.items()}
+    usual = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
+    return _Thinned(
+        time[window].mean(axis=1),
+        {name: signal[window].sum(axis=1) / k for name, signal in signals.items()},
+        {name: count > 0.5 * usual[name] for name, count in counts.items()},
+        {name: mask[window].any(axis=1) for name, mask in present.items()},
+        usual,
+        k,
+    )

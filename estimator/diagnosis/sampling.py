@@ -19,7 +19,7 @@ LONG = 1.75  # periods: a step with a sample missing in it
 ORDER = 3  # of the differences that roughness is taken from
 BLOCK = 20  # of them, of which one root mean square is taken
 MOVING = 0.8  # quantile of the blocks: the motor may be at rest for most of a record
-ROUGHER = 1.25  # times by which stamps make channels rougher than even times: the stamps are wrong
+ROUGHER = 1.25  # by stamps than by even times, all channels multiplied: the stamps are wrong
 WINDOW = 99  # samples over which a clock runs evenly; no record is shorter
 PHASE, RATE = 0.1, 0.002  # of a stamp's error that corrects the phase and the period of a clock
 

@@ -34,6 +34,7 @@ TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
 TRAVEL_SPAN = 2.0  # [m] above this the unit is wrong: millimetres
 TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
 ANGLE_SPAN = 30.0  # [rad] above this, five turns, the unit is wrong: degrees
+HOUSING = ("time", "proximal_tension", "proximal_displacement")  # what a force is estimated from
 NAMES_SHOWN = 12  # of a file's columns in an error message
 PERIOD = 1.5  # [s] above this the unit is wrong: milliseconds
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
@@ -85,7 +86,7 @@ class Columns:
 class MeasuredTable:
     """The samples of one tendon; arrays of shape (samples,), None without a sensor.
 
-    Read for a diagnosis, channels are NaN where a value is missing.
+    Read for a diagnosis or with `drop_nonfinite`, channels are NaN where a value is missing.
     In `units`: of a rotary record tensions are torques [N m], displacements angles [rad].
     """
 
@@ -127,7 +128,8 @@ def read_table(
     columns : Columns, optional
         The columns' names; the standard ones by default.
     drop_nonfinite : bool
-        Omit rows with non-finite values instead of raising.
+        Omit rows without a finite time or reading at the housing instead of raising; other values
+        that are not finite are missing (NaN).
     zero_errors : collection of str
         Tensions that may be below zero by more than noise, as far as a load cell's wrong zero
         takes them, and single samples by any amount: "proximal_tension", "distal_tension".
@@ -169,12 +171,12 @@ def read_tables(
     rows = len(numbers[tendons[0].time])
     if rows == 0:
         raise UsageError(f"{path}: has a header but no rows")
-    if diagnosed and not drop_nonfinite:
-        times = {columns.time for columns in tendons}
-        numbers = {n: c if n in times else _with_missing(path, n, c) for n, c in numbers.items()}
-        keep = _finite(path, raw, {name: numbers[name] for name in times}, drop=False)
-    else:
-        keep = _finite(path, raw, numbers, drop_nonfinite)
+    needed = set(numbers)
+    if diagnosed or drop_nonfinite:
+        items = HOUSING if drop_nonfinite else ("time",)
+        needed = {names[item] for names in found for item in items if item in names}
+        numbers = {n: c if n in needed else _with_missing(path, n, c) for n, c in numbers.items()}
+    keep = _finite(path, raw, {name: numbers[name] for name in needed}, drop_nonfinite)
     dropped = rows - int(keep.sum())
     if dropped:
         kept = np.flatnonzero(keep)
@@ -283,7 +285,7 @@ def _finite(
             )
         keep &= good
     if not keep.any():
-        raise UsageError(f"{path}: no row has only finite values")
+        raise UsageError(f"{path}: no row has a time and all readings at the housing")
     return keep
 
 

@@ -98,3 +98,11 @@ def test_noise_and_smoothing_go_by_the_time():
     smoothed, left = smooth(measured, 1e-6, time)
     assert np.sqrt(np.mean((smoothed - true)[50:-50] ** 2)) < 0.5e-6
     assert left.mean() < 0.5e-6
+
+
+def test_gaps_of_uneven_samples_are_told_too(fine):
+    rows = rows_of(fine, jitter=0.3)
+    time, channels = sampled(fine, rows[(rows < 4000) | (rows > 4100)])
+    said = [one.what for one in prepare(time, channels).troubles]
+    assert sum("uneven time steps" in what for what in said) == 1
+    assert "missing samples" in said

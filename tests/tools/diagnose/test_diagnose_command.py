@@ -141,6 +141,7 @@ def test_a_tip_cell_that_drops_out_changes_no_verdict(capsys, data, folder):
     file = folder / "lost.csv"
     write_table(file, {"time_s": data.time} | columns(data) | {"distal_tension_N": lost})
     words = ["diagnose", file, "--effects", FAULT, "--json", folder / "lost.json"]
+    words += ["--supplement", folder / "lost"]
     assert cli.main([*map(str, words)]) == 0
     found = json.loads((folder / "lost.json").read_text())
     assert (found["verdict"], found["cause"]) == ("named", [FAULT])
@@ -148,6 +149,11 @@ def test_a_tip_cell_that_drops_out_changes_no_verdict(capsys, data, folder):
     assert gain["low"] < data.truth[FAULT]["gain"] < gain["high"]
     out = capsys.readouterr().out
     assert out.count("50 missing values, not compared (tension at the tip), the first at") == 1
+    lines = (folder / "lost" / "residuals-1.csv").read_text().splitlines()
+    head, cells = lines[0].split(","), [line.split(",") for line in lines[1:]]
+    tip = [row[head.index("distal_tension_N")] for row in cells]
+    assert (tip.count(""), tip[400]) == (50, "")
+    assert [row[head.index("distal_tension_residual_N")] for row in cells].count("") == 50
     assert re.search(r"lost\.csv +\| fitted \| 750 +\| 0 ", out)  # samples and spikes of the force
 
 
