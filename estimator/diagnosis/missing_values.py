@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.effects.effect import Signals
 
-LONG = 0.25  # [s] and
+LONG_GAP = 0.25  # [s] and
 PERIODS = 5.0  # sample times between two values: a curve drawn through both would be invented
 
 
@@ -32,7 +32,7 @@ def in_stretches(time: Array, present: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which times [s] lie where no value is present for long, shape (n,)."""
     times = time[present]
     steps = np.diff(times, prepend=time[0], append=time[-1])
-    long = np.flatnonzero(steps > max(LONG, PERIODS * float(np.median(np.diff(times)))))
+    long = np.flatnonzero(steps > max(LONG_GAP, PERIODS * float(np.median(np.diff(times)))))
     edges = np.concatenate([[-np.inf], times, [np.inf]])
     inside = np.zeros(len(time), dtype=np.bool_)
     for begin, end in zip(edges[long], edges[long + 1], strict=True):

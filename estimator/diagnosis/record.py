@@ -25,8 +25,8 @@ from estimator.diagnosis.drive import (
     turns_between_samples,
 )
 from estimator.diagnosis.held_samples import held
-from estimator.diagnosis.missing_values import LONG as LONG_GAP
 from estimator.diagnosis.missing_values import (
+    LONG_GAP,
     PERIODS,
     as_missing,
     in_stretches,
@@ -594,19 +594,21 @@ def _thinned(
 
     What does not count is interpolated in `signals`, so that a mean of few values is one at the
     same time as that of many. A channel counts where it has more than half as many values as it
-    usually has.
+    usually has, and none where samples before and after a gap come together.
     """
     k = math.ceil(len(time) / most)
     if k <= 1:
         return _Thinned(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
     rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
     window = rows[:, None] + np.arange(k) - k // 2
+    spans = time[window[:, -1]] - time[window[:, 0]]
+    unbroken = spans < float(np.median(spans)) + LONG_GAP
     counts = {name: mask[window].sum(axis=1) for name, mask in good.items()}
     usual = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
     return _Thinned(
         time[window].mean(axis=1),
         {name: signal[window].sum(axis=1) / k for name, signal in signals.items()},
-        {name: count > 0.5 * usual[name] for name, count in counts.items()},
+        {name: unbroken & (count > 0.5 * usual[name]) for name, count in counts.items()},
         {name: mask[window].any(axis=1) for name, mask in present.items()},
         usual,
         k,

@@ -132,6 +132,17 @@ def test_a_slow_sensor_of_a_thinned_record_keeps_its_times_and_its_noise(whole):
     assert record.noise[T_IN] == pytest.approx(0.1 / np.sqrt(2.0))  # of two
 
 
+def test_no_mean_of_samples_on_both_sides_of_a_gap_counts(whole):
+    rows = (whole.time < 10.0) | (whole.time > 15.01)
+    rows[0] = False  # an odd number is before the gap, and k is 2
+    signals = {name: signal[rows] for name, signal in whole.channels.items()}
+    record = prepare(whole.time[rows], signals, most=700)
+    within = (record.time + record.start > 10.0) & (record.time + record.start < 15.0)
+    assert record.thinned == 2
+    assert within.any()
+    assert not record.good[T_OUT][within].any()
+
+
 def test_values_missing_at_the_ends_are_not_drawn(whole):
     lost = np.r_[0:40, len(whole.time) - 60 : len(whole.time)]
     record = prepare(whole.time, without(whole, T_OUT, lost))
