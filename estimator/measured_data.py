@@ -9,6 +9,7 @@ from estimator.units import LINEAR, Units
 class MeasuredData(Protocol):
     """Samples of one tendon, arrays of shape (n,); None where there is no sensor.
 
+    For a diagnosis, values other than times may be missing (NaN).
     `teleop.data.read_table` returns such data from a file, `Samples` holds arrays of your own.
     """
 

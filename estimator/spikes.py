@@ -16,8 +16,13 @@ def single_spikes(signal: Array) -> NDArray[np.bool_]:
     """Return which samples are single-sample spikes, shape (n,).
 
     A spike is off the mean of its neighbours by `SCATTERS` times the local scatter, while
-    its neighbours are near each other.
+    its neighbours are near each other. Missing values (NaN) are no neighbours.
     """
+    present = np.isfinite(signal)
+    if not present.all():
+        spikes = np.zeros(len(signal), dtype=np.bool_)
+        spikes[present] = single_spikes(signal[present])
+        return spikes
     if len(signal) < LEAST:
         return np.zeros(len(signal), dtype=np.bool_)
     from scipy.ndimage import median_filter  # here: the control processes import this module

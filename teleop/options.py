@@ -45,7 +45,8 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--drop-nonfinite": {
         "action": "store_true",
-        "help": "leave out rows with values that are not finite",
+        "help": "leave out rows without a finite time or reading at the housing, and single values "
+        "at the tip that are not finite",
     },
     "--duration": {"type": seconds, "metavar": "S", "help": "end after S seconds"},
     "--insecure": {

@@ -6,9 +6,10 @@ from types import MappingProxyType
 from estimator.array_types import Array
 from estimator.diagnosis import engine
 from estimator.diagnosis.force import file_force, rival_force
+from estimator.diagnosis.missing_values import as_missing
 from estimator.diagnosis.outcome import Diagnosis
 from estimator.diagnosis.progress import quiet
-from estimator.diagnosis.record import Record, RecordError, is_loop, prepare
+from estimator.diagnosis.record import Record, RecordError, check_known, is_loop, prepare
 from estimator.diagnosis.rivals import CauseError
 from estimator.diagnosis.transmission_law import Law
 from estimator.effects import CATALOGUE, CHANNELS, Effect
@@ -148,7 +149,9 @@ def records_of(
         If one cannot be diagnosed or is in other units than the first.
     """
     raw = [one for one in data if not isinstance(one, Record)]
-    signals = [signals_of(one) for one in raw]
+    signals = [as_missing(signals_of(one)) for one in raw]
+    for channels in signals:
+        check_known(channels)
     if not raw:
         return [one for one in data if isinstance(one, Record)]
     units = units_of(raw[0])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.outcome import Diagnosis
+from estimator.diagnosis.sampling import LONG
 
 LONGEST = 5.0  # [s]
 SHARE = 4  # of a record's length, at most
@@ -28,7 +29,7 @@ def autocorrelation(residuals: Sequence[Array], period: float) -> Autocorrelatio
     Parameters
     ----------
     residuals : sequence of ndarray
-        Of each record, shape (n,), evenly sampled; NaN where a sample does not count.
+        Of each record, shape (n,), on even times (`on_even_times`); NaN where none counts.
     period : float
         [s] from one sample to the next.
     """
@@ -52,11 +53,27 @@ def autocorrelation(residuals: Sequence[Array], period: float) -> Autocorrelatio
     )
 
 
+def on_even_times(time: Array, residual: Array, period: float) -> Array:
+    """Return a residual at multiples of `period`: each sample at the nearest, NaN where none is."""
+    places = np.rint((time - time[0]) / period).astype(np.int64)
+    known = np.isfinite(residual)
+    even = np.full(int(places[-1]) + 1, np.nan)
+    even[places[known]] = residual[known]
+    return even
+
+
 def of_channel(found: Diagnosis, channel: str) -> Autocorrelation:
     """Return that of the extended model's residual in a channel, of all fitted records."""
-    residuals, periods = [], []
-    for record, one in zip(found.dataset.records, found.extended.simulated, strict=True):
-        off = record.signals[channel] - one.signals[channel]
-        residuals.append(np.where(record.good[channel], off, np.nan)[record.measured])
-        periods.append(float(np.median(np.diff(record.time[record.measured]))))
-    return autocorrelation(residuals, float(np.median(periods)))
+    records = found.dataset.records
+    period = float(np.median([_period(record.time[record.measured]) for record in records]))
+    residuals = []
+    for record, one in zip(records, found.extended.simulated, strict=True):
+        off = np.where(record.good[channel], record.signals[channel] - one.signals[channel], np.nan)
+        residuals.append(on_even_times(record.time[record.measured], off[record.measured], period))
+    return autocorrelation(residuals, period)
+
+
+def _period(time: Array) -> float:
+    """Return the mean time from one sample to the next, gaps left out."""
+    steps = np.diff(time)
+    return float(steps[steps < LONG * float(np.median(steps))].mean())

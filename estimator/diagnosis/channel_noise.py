@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from estimator.array_types import Array
+from estimator.diagnosis.sampling import blocks_rms, divided_differences
 
 ORDERS = (2, 3, 4, 5, 6)  # of the differences that it is taken from
 BLOCK = 20  # differences of which one root mean square is taken
@@ -13,21 +14,24 @@ STEPS_MAX = 1e4  # that a reading counted in steps changes by from one sample to
 WHOLE = 0.02  # of a step by which a change may be off a whole number of them
 
 
-def white_noise(signal: Array) -> float:
+def white_noise(signal: Array, time: Array | None = None) -> float:
     """Return the standard deviation of a channel's white noise, in its unit.
 
-    White noise contributes equally to (normalised) differences of every order, motion less to
-    higher ones, so the least of several orders is taken. Of each order it is the median over short
-    blocks of their root mean square: bursts of motion do not count, and a reading in steps coarser
-    than its noise still tells it, where a median of the differences themselves would be no or one
-    step. A reading that rests without any change has none.
+    White noise contributes equally to (normalised, divided) differences of every order, motion less
+    to higher ones, so the least of several orders is taken. Of each order it is the median over
+    short blocks of their root mean square: bursts of motion do not count, and a reading in steps
+    coarser than its noise still tells it, where a median of the differences themselves would be no
+    or one step. A reading that rests without any change has none.
 
     Parameters
     ----------
     signal : ndarray
-        Shape (n,), evenly sampled, n >= 50.
+        Shape (n,), n >= 50.
+    time : ndarray, optional
+        When it was sampled [s], shape (n,), strictly rising; evenly by default.
     """
-    return min(_from_order(signal, m) for m in ORDERS)
+    time = np.arange(len(signal), dtype=np.float64) if time is None else time
+    return min(_from_order(signal, time, m) for m in ORDERS)
 
 
 def counted_step(signal: Array) -> float:
@@ -51,14 +55,11 @@ def counted_step(signal: Array) -> float:
     return step
 
 
-def _from_order(signal: Array, order: int) -> float:
-    off = np.diff(signal, order)
-    count = max(len(off) // BLOCK, 1)
-    blocks = off[: count * BLOCK].reshape(count, -1)
-    scatter = np.sqrt(np.mean(blocks**2, axis=1))
+def _from_order(signal: Array, time: Array, order: int) -> float:
+    scatter = blocks_rms(divided_differences(time, signal, order), BLOCK)
     if not np.quantile(scatter, RESTS) > 0.0:
         return 0.0
-    return float(np.median(scatter)) / math.sqrt(math.comb(2 * order, order)) / _median(order)
+    return float(np.median(scatter)) / _median(order)
 
 
 def _median(order: int) -> float:

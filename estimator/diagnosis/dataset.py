@@ -188,8 +188,8 @@ def expected_taut(record: Record, base: Base, model: Model) -> Expected | None:
     if compliance is None or not record.starts_slack:
         return None
     sigma = record.noise[PROXIMAL_TENSION]
-    tension = max(0.0, float(record.signals[PROXIMAL_TENSION][:5].mean()))
+    drive, tensions = record.first_tensions
     return Expected(
-        float(record.drive[0]) - compliance * tension,
+        drive - compliance * max(0.0, float(tensions.mean())),
         max(SETTINGS.taut_sigma * compliance * sigma, SETTINGS.taut_sigma_min),
     )

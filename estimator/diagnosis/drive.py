@@ -9,6 +9,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.settings import SETTINGS
@@ -31,9 +32,12 @@ def tension_drive(tension: Array, sigma: float) -> Drive:
     return Drive(monotone(tension, turning_points(tension, jitter), jitter), jitter)
 
 
-def travel_drive(travel: Array, sigma: float) -> Drive:
-    """Return the drive of a travel [m] with white noise `sigma`: smooth, monotone between turns."""
-    smoothed, left = smooth(travel, sigma)
+def travel_drive(travel: Array, sigma: float, time: Array | None = None) -> Drive:
+    """Return the drive of a travel [m] with white noise `sigma`: smooth, monotone between turns.
+
+    It was sampled at `time` [s], evenly by default.
+    """
+    smoothed, left = smooth(travel, sigma, time)
     jitter = max(
         SETTINGS.jitter * float(np.quantile(left, SETTINGS.jitter_quantile)),
         SETTINGS.reversal_noise * sigma,
@@ -139,6 +143,11 @@ class Turns(NamedTuple):
     def insert(self, time: Array, signal: Array) -> Array:
         """Return a signal with rows at the turns, interpolated."""
         return np.insert(signal, self.rows, np.interp(self.time, time, signal))
+
+    def between(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask with rows at the turns, true where it is on both sides of one."""
+        rows = np.array(self.rows, dtype=np.int64)
+        return np.insert(mask, rows, mask[rows - 1] & mask[rows])
 
 
 def turns_between_samples(time: Array, drive: Array, least: float) -> Turns:

@@ -121,7 +121,8 @@ def record_over_time(record: Record, before: Simulated, after: Simulated) -> Fig
     for channel, above, below in zip(channels, grid[::2], grid[1::2], strict=True):
         measured, factor, unit = _scaled(record.units, channel, record.signals[channel])
         plain, extended = (factor * one.signals[channel] for one in (before, after))
-        above.plot(time[keep], measured[keep], color=BLACK, label="measured")
+        drawn = np.where(record.shown(channel), measured, np.nan)
+        above.plot(time[keep], drawn[keep], color=BLACK, label="measured")
         dashes, dots = (0, (4, 2)), (0, (1, 1))
         above.plot(time[keep], plain[keep], color=VERMILION, linestyle=dashes, label="before")
         above.plot(time[keep], extended[keep], color=BLUE, linestyle=dots, label="after")
@@ -148,12 +149,13 @@ def loop(found: Diagnosis, k: int) -> Figure:
     y, y_factor, y_unit = _scaled(found.units, up, record.signals[up])
     figure = Figure(figsize=(8.2, 3.8))
     pair = figure.subplots(1, 2, sharex=True, sharey=True)
+    drawn = np.where(record.shown(across) & record.shown(up), y, np.nan)
     titles = (("before", found.baseline, VERMILION), ("after", found.extended, BLUE))
     keep = _spread(np.flatnonzero(record.measured), POINTS)
     for axes, (title, fit, colour) in zip(pair, titles, strict=True):
         signals = fit.simulated[k].signals
         simulated_x = x_factor * signals[across] if across in signals else x
-        axes.plot(x[keep], y[keep], color=GREY, linewidth=0.9, label="measured")
+        axes.plot(x[keep], drawn[keep], color=GREY, linewidth=0.9, label="measured")
         axes.plot(
             simulated_x[keep],
             y_factor * signals[up][keep],

@@ -146,27 +146,29 @@ def own_start(record: Record, base: Base, compliance: float, tip: float = 0.0) -
 
 def _taut_start(record: Record, compliance: float) -> float:
     """Return about where the drive begins to pull [m]; of a loop, where it carries no effort."""
-    T = record.signals[PROXIMAL_TENSION]
     if record.loop:
-        return float(np.median(record.drive[_idle(T)]))
-    return float(record.drive[0]) - compliance * max(float(np.median(T[:5])), 0.0)
+        return float(np.median(record.drive[_idle(record)]))
+    drive, tensions = record.first_tensions
+    return drive - compliance * max(float(np.median(tensions)), 0.0)
 
 
 def _tip_start(record: Record) -> float:
     """Return about where the tip is without effort [m]."""
-    loose = record.signals[DISTAL_DISPLACEMENT]
+    travel, rows = record.signals[DISTAL_DISPLACEMENT], record.known[DISTAL_DISPLACEMENT]
     if record.loop:
-        return float(np.median(loose[_idle(record.signals[PROXIMAL_TENSION])]))
+        idle = _idle(record)
+        return float(np.median(travel[idle & rows if (idle & rows).any() else rows]))
     if DISTAL_TENSION in record.signals:
-        low = record.signals[DISTAL_TENSION] <= SETTINGS.loose_tension
-        loose = loose[low] if low.any() else loose
-    return float(np.min(loose))
+        low = rows & record.known[DISTAL_TENSION]
+        low &= record.signals[DISTAL_TENSION] <= SETTINGS.loose_tension
+        rows = low if low.any() else rows
+    return float(np.min(travel[rows]))
 
 
-def _idle(effort: Array) -> Mask:
+def _idle(record: Record) -> Mask:
     """Return which samples of an effort of either sign are nearest to none, a tenth of them."""
-    size = np.abs(effort)
-    return np.asarray(size <= np.quantile(size, 0.1))
+    size, rows = np.abs(record.signals[PROXIMAL_TENSION]), record.known[PROXIMAL_TENSION]
+    return np.asarray(rows & (size <= np.quantile(size[rows], 0.1)))
 
 
 def moved(dataset: Dataset, model: Model, by: Array) -> Model:

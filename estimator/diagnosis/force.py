@@ -14,7 +14,7 @@ from estimator import signals
 from estimator.array_types import Array
 from estimator.diagnosis.dataset import Model
 from estimator.diagnosis.settings import SETTINGS
-from estimator.measured_data import MeasuredData
+from estimator.measured_data import MeasuredData, Samples
 from estimator.online.estimator import Estimator
 from estimator.online.extension import extended
 from estimator.online.score import Score
@@ -77,15 +77,17 @@ def tendon_model(model: Model, duration: float, data: MeasuredData) -> TendonMod
 
 
 def force_of(model: Model, duration: float, data: MeasuredData) -> Array:
-    """Return the force that is estimated in a record [N], shape (n,)."""
+    """Return the estimated force [N] of rows that have all that it is estimated from."""
+    data = _estimated_rows(data)
     return Estimator(tendon_model(model, duration, data)).run(without_spikes(data)).tension
 
 
 def force_error(model: Model, duration: float, data: MeasuredData) -> ForceError | None:
     """Return how far the estimated force is off in a record; None without a cell at the tip."""
+    data = _estimated_rows(data)
     clean = without_spikes(data)
     reading = clean.distal_tension
-    if reading is None:
+    if reading is None or data.distal_tension is None:
         return None
     known = tendon_model(model, duration, data)
     estimates = Estimator(known).run(clean)
@@ -100,8 +102,19 @@ def force_error(model: Model, duration: float, data: MeasuredData) -> ForceError
         found["max_N"],
         found["full_scale_N"],
         found["samples"],
-        int(np.isnan(reading).sum()),
+        int(np.isnan(reading).sum() - np.isnan(data.distal_tension).sum()),
     )
+
+
+def _estimated_rows(data: MeasuredData) -> Samples:
+    """Return the rows of a record in which nothing is missing that the force is estimated from."""
+    travel, tip = data.proximal_displacement, data.distal_tension
+    rows = np.isfinite(data.proximal_tension)
+    if travel is not None:
+        rows &= np.isfinite(travel)
+        travel = travel[rows]
+    tip = None if tip is None else np.where(np.isfinite(tip), tip, np.nan)[rows]
+    return Samples(data.time[rows], data.proximal_tension[rows], travel, tip)
 
 
 def file_force(

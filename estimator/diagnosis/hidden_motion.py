@@ -110,7 +110,8 @@ def _next(
         tension = np.maximum(driven_by.signal, 0.0)
         travel, compliance = tendon.by_tension(drive, begin, tension)
         off = record.signals[PROXIMAL_DISPLACEMENT][begin:end] - taut - travel
-        if _is_within(off, sigma, SETTINGS.accuracy * float(np.ptp(drive))):
+        known = record.known[PROXIMAL_TENSION][begin:end].all()
+        if known and _is_within(off, sigma, SETTINGS.accuracy * float(np.ptp(drive))):
             noise_of_tension = compliance * record.noise[PROXIMAL_TENSION]
             share = sigma**2 / (sigma**2 + noise_of_tension**2)
             return _Stretch(begin, end, drive[begin:end] + share * (travel - drive[begin:end]))

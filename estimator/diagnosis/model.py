@@ -184,4 +184,5 @@ def scene_of(record: Record, simulated: Simulated | None, compliance: float) -> 
         np.zeros_like(record.time) if simulated is None else simulated.motion.compliance,
         compliance,
         1.0 / record.scale.force,
+        record.known,
     )

@@ -7,7 +7,7 @@ are, without filters.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
@@ -26,6 +26,15 @@ from estimator.diagnosis.drive import (
     turns_between_samples,
 )
 from estimator.diagnosis.held_samples import held
+from estimator.diagnosis.missing_values import (
+    LONG_GAP,
+    PERIODS,
+    as_missing,
+    in_stretches,
+    known,
+    only_rows,
+)
+from estimator.diagnosis.sampling import LONG, times_of
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import (
     CHANNELS,
@@ -43,7 +52,11 @@ from estimator.units import LINEAR, Units
 Mask = NDArray[np.bool_]
 
 DRAWS = 8  # of the driver's noise
-NEARBY = 5  # samples over which the variance that it makes is averaged
+STEPS_OFF = 0.05  # of the period: a time step is uneven
+UNEVEN_SHARE = 0.02  # of the time steps, that are uneven before it is said
+NEARBY = 5  # samples over which the variance that it makes is averaged, or a speed is taken
+TURNED = 0.5  # of the speed beside a gap: in one that is crossed slower the motor may have turned
+GAPS_NAMED = 3
 
 
 class Simulation(Protocol):
@@ -59,12 +72,13 @@ class RecordError(ValueError):
 
 
 class Trouble(NamedTuple):
-    """Excluded samples, and why."""
+    """Samples that were excluded, or are odd, and why."""
 
     what: str
     channel: str
     samples: int
     first: float  # [s], as in the data
+    excluded: bool = True
 
 
 @dataclass(frozen=True)
@@ -108,6 +122,8 @@ class Record:
         Time of the first sample in the data [s].
     scale
         Of what the signals are counted in, to `units`.
+    known
+        Which samples were measured, by channel, shape (n,) each; the others are interpolated.
     """
 
     time: Array
@@ -127,6 +143,7 @@ class Record:
     loop: bool = False
     start: float = 0.0
     scale: BenchScale = UNSCALED
+    known: dict[str, Mask] = field(default_factory=dict)
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -135,9 +152,21 @@ class Record:
 
     @property
     def starts_slack(self) -> bool:
-        """Whether there is no tension at the first sample."""
-        T = self.signals[PROXIMAL_TENSION]
-        return not self.loop and bool(np.median(T[:5]) <= 5.0 * self.noise[PROXIMAL_TENSION])
+        """Whether there is no tension at the first sample, as far as it was measured."""
+        T = self.signals[PROXIMAL_TENSION][:5][self.good[PROXIMAL_TENSION][:5]]
+        if self.loop or not len(T):
+            return False
+        return bool(np.median(T) <= 5.0 * self.noise[PROXIMAL_TENSION])
+
+    @property
+    def first_tensions(self) -> tuple[float, Array]:
+        """Where the drive was when tension was first measured, and five readings from there on."""
+        rows = np.flatnonzero(self.known[PROXIMAL_TENSION])[:5]
+        return float(self.drive[rows[0]]), self.signals[PROXIMAL_TENSION][rows]
+
+    def shown(self, channel: str) -> Mask:
+        """Return which rows of a channel are to be drawn: not those that lack values for long."""
+        return self.measured & ~in_stretches(self.time, self.known[channel])
 
 
 def prepare(
@@ -154,10 +183,10 @@ def prepare(
     Parameters
     ----------
     time : ndarray
-        [s], shape (n,), strictly rising.
+        Stamps [s], shape (n,), strictly rising; see `estimator.diagnosis.sampling.times_of`.
     signals : dict
         By channel of `estimator.effects.CHANNELS`, the tension at the housing at least, in
-        `units`, shape (n,).
+        `units`, shape (n,), not finite where a value is missing.
     most : int
         Samples that are kept of a longer record.
     noise : mapping
@@ -173,6 +202,7 @@ def prepare(
     RecordError
         If nothing can be found out from the data.
     """
+    signals = as_missing(signals)
     _check(time, signals, units)
     loop = is_loop(units, [signals]) if loop is None else loop
     if loop and PROXIMAL_DISPLACEMENT not in signals:
@@ -181,32 +211,43 @@ def prepare(
             f"the {units.word(PROXIMAL_DISPLACEMENT)} is needed, which drives the loop"
         )
     for name in (PROXIMAL_TENSION, DISTAL_TENSION):
-        if not loop and name in signals and -signals[name].min() > signals[name].max():
+        if loop or name not in signals:
+            continue
+        effort = known(signals[name])
+        if -effort.min() > effort.max():
             raise RecordError(
                 f"{units.word(name)}: negative where the tendon pulls; change its sign"
             )
-    signals, noise = dict(signals), dict(noise)
+    noise = dict(noise)
+    driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
+    time, signals, absent = _rows_with(driver, time, signals, units)
     start = float(time[0])
-    time = time - start
-    good, rounded, troubles = {}, {}, list(_repeated(time, signals))
+    time, late = times_of(time - start, signals)
+    present = {name: np.isfinite(signal) for name, signal in signals.items()}
+    good, rounded, troubles = {}, {}, _repeated(time, signals)
+    if late > 0.0:
+        what = f"time stamps jitter by {1e3 * late:.2g} ms where samples are even: taken as even"
+        troubles.append(Trouble(what, "all channels", len(time), 0.0, excluded=False))
     for name, signal in signals.items():
         good[name], found = _counted(time, name, signal)
         rounded[name] = counted_step(signal[good[name]]) / math.sqrt(12.0)
         signals[name] = np.interp(time, time[good[name]], signal[good[name]])
         troubles += found
-    time, signals, good, thinned = _thinned(time, signals, good, most)
-    driver = PROXIMAL_DISPLACEMENT if PROXIMAL_DISPLACEMENT in signals else PROXIMAL_TENSION
+    thin = _thinned(time, signals, good, present, most)
+    time, signals, good, present = thin.time, thin.signals, thin.good, thin.present
     rounded, given = (
-        {name: value / math.sqrt(thinned) for name, value in each.items()}
+        {name: value / math.sqrt(thin.averaged[name]) for name, value in each.items()}
         for each in (rounded, noise)
     )
-    sigma = _noise_of(driver, signals, good, rounded, given)
+    sigma = _noise_of(driver, time, signals, good, rounded, given)
     measured = np.ones(len(time), dtype=np.bool_)
-    drive, jitter = _drive(driver, signals[driver], sigma[driver])
+    drive, jitter = _drive(driver, time, signals[driver], sigma[driver])
+    troubles += _unseen_turns(driver, time, drive, jitter, start)
     if driver != PROXIMAL_TENSION:
         turns = turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
         good = {name: np.insert(mask, turns.rows, False) for name, mask in good.items()}
+        present = {name: turns.between(mask) for name, mask in present.items()}
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)
@@ -225,17 +266,18 @@ def prepare(
         measured=measured,
         train=_fitted(block, drive, speed),
         block=block,
-        troubles=tuple(one._replace(first=one.first + start) for one in troubles),
-        thinned=thinned,
+        troubles=(*absent, *(one._replace(first=one.first + start) for one in troubles)),
+        thinned=thin.thinned,
         units=units,
         loop=loop,
         start=start,
+        known=present,
     )
 
 
 def efforts_of(signals: Signals) -> list[Array]:
-    """Return the tensions, forces or torques among signals."""
-    return [signals[name] for name in (PROXIMAL_TENSION, DISTAL_TENSION) if name in signals]
+    """Return what is known of the tensions, forces or torques among signals."""
+    return [known(signals[name]) for name in (PROXIMAL_TENSION, DISTAL_TENSION) if name in signals]
 
 
 def is_loop(units: Units, records: Sequence[Signals]) -> bool:
@@ -247,6 +289,7 @@ def is_loop(units: Units, records: Sequence[Signals]) -> bool:
 
 def _noise_of(
     driver: str,
+    time: Array,
     signals: Signals,
     good: dict[str, Mask],
     rounded: dict[str, float],
@@ -258,11 +301,20 @@ def _noise_of(
     """
     sigma = {}
     for name, signal in signals.items():
-        told = max(white_noise(signal[good[name]]), rounded[name])
+        told = max(white_noise(signal[good[name]], time[good[name]]), rounded[name])
         sigma[name] = given.get(name, told)
         if name != driver:  # nothing is simulated more precisely
             sigma[name] = max(sigma[name], SETTINGS.noise_min * float(np.ptp(signal)), 1e-9)
     return sigma
+
+
+def check_known(signals: Signals) -> None:
+    """Raise `RecordError` for a channel without any finite value."""
+    for name, signal in signals.items():
+        if not np.isfinite(signal).any():
+            needed = name == PROXIMAL_TENSION
+            remedy = "it is needed; check the load cell" if needed else "remove the channel"
+            raise RecordError(f"{name}: has no finite value: {remedy}")
 
 
 def _check(time: Array, signals: Signals, units: Units) -> None:
@@ -276,6 +328,9 @@ def _check(time: Array, signals: Signals, units: Units) -> None:
         raise RecordError(
             f"{len(time)} samples, at least {SETTINGS.samples_min} are needed: record for longer"
         )
+    if not np.isfinite(time).all():
+        k = int(np.argmin(np.isfinite(time)))
+        raise RecordError(f"time: sample {k} is {time[k]}: remove samples without a time")
     late = np.flatnonzero(~(np.diff(time) > 0.0))
     if len(late):
         k = int(late[0]) + 1
@@ -286,13 +341,38 @@ def _check(time: Array, signals: Signals, units: Units) -> None:
     for name, signal in signals.items():
         if name not in CHANNELS:
             raise RecordError(f"{name}: no such channel, there are {', '.join(CHANNELS)}")
-        if signal.shape != time.shape or not np.isfinite(signal).all():
-            raise RecordError(f"{name}: {time.shape} finite values are needed")
-    if not np.ptp(signals[PROXIMAL_TENSION]) > 0.0:
+        if signal.shape != time.shape:
+            raise RecordError(f"{name}: {time.shape} values are needed, NaN where one is missing")
+    check_known(signals)
+    if not np.ptp(known(signals[PROXIMAL_TENSION])) > 0.0:
         raise RecordError("proximal_tension never changes: pull and release while you record")
     q_p, T_out, q_d = (signals.get(name) for name in CHANNELS[1:])
     if wrong := doubts(Samples(time, signals[PROXIMAL_TENSION], q_p, T_out, q_d), units):
         raise RecordError("; ".join(wrong))
+
+
+def _rows_with(
+    driver: str, time: Array, signals: Signals, units: Units
+) -> tuple[Array, Signals, list[Trouble]]:
+    """Return the rows in which the driver was measured, and what is said of missing values."""
+    driven = np.isfinite(signals[driver])
+    removed = "missing values of what drives the simulation, their rows removed"
+    troubles = []
+    for name, signal in signals.items():
+        absent = ~driven if name == driver else driven & ~np.isfinite(signal)
+        if absent.any():
+            what = removed if name == driver else "missing values, not compared"
+            first = float(time[int(np.argmax(absent))])
+            troubles.append(Trouble(what, name, int(absent.sum()), first))
+    time, signals = only_rows(time, signals, driven)
+    for name, signal in signals.items():
+        if (count := len(known(signal))) < SETTINGS.samples_min:
+            beside = "" if name == driver else f" in rows that have the {units.word(driver)}"
+            raise RecordError(
+                f"{name}: {count} values{beside}, at least {SETTINGS.samples_min} are needed: "
+                "record all channels at the same times, or remove this one"
+            )
+    return time, signals, troubles
 
 
 def in_full(record: Record) -> Record:
@@ -365,7 +445,7 @@ def with_driver_noise(record: Record, simulate: Callable[[Record], Simulation]) 
     variance = {channel: np.zeros_like(record.time) for channel in record.compared}
     for _ in range(DRAWS):
         noisy = record.drive + sigma * rng.standard_normal(len(record.time))
-        drive = _drive(record.driver, noisy, sigma).signal
+        drive = _drive(record.driver, record.time, noisy, sigma).signal
         other = simulate(replace(record, drive=drive)).signals
         for channel in variance:
             variance[channel] += (other[channel] - same[channel]) ** 2 / DRAWS
@@ -379,9 +459,10 @@ def with_driver_noise(record: Record, simulate: Callable[[Record], Simulation]) 
     )
 
 
-def _drive(driver: str, measured: Array, sigma: float) -> Drive:
-    made = tension_drive if driver == PROXIMAL_TENSION else travel_drive
-    return made(measured, sigma)
+def _drive(driver: str, time: Array, measured: Array, sigma: float) -> Drive:
+    if driver == PROXIMAL_TENSION:
+        return tension_drive(measured, sigma)
+    return travel_drive(measured, sigma, time)
 
 
 def first_look(record: Record, most: int) -> Mask:
@@ -403,6 +484,7 @@ def at_rows(record: Record, kept: Mask) -> Record:
         speed=record.speed[kept],
         sigma={name: sigma[kept] for name, sigma in record.sigma.items()},
         good={name: good[kept] for name, good in record.good.items()},
+        known={name: known[kept] for name, known in record.known.items()},
         measured=record.measured[kept],
         train=record.train[kept],
         block=record.block[kept],
@@ -428,16 +510,16 @@ def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Tr
 
 def _counted(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:
     """Return which samples of a channel count, and what is said of the others."""
-    excluded = {
-        "single-sample spikes": single_spikes(signal),
-        "held samples excluded": held(signal, counted_step(signal)),
-    }
+    present = np.isfinite(signal)
+    repeats = np.zeros(len(signal), dtype=np.bool_)
+    repeats[present] = held(signal[present], counted_step(signal[present]))
+    excluded = {"single-sample spikes": single_spikes(signal), "held samples excluded": repeats}
     troubles = [
         Trouble(what, name, int(rows.sum()), float(time[int(np.argmax(rows))]))
         for what, rows in excluded.items()
         if rows.any()
     ]
-    return ~np.logical_or.reduce(list(excluded.values())), troubles
+    return present & ~np.logical_or.reduce(list(excluded.values())), troubles
 
 
 def _repeated(time: Array, signals: Signals) -> list[Trouble]:
@@ -445,34 +527,90 @@ def _repeated(time: Array, signals: Signals) -> list[Trouble]:
     found = []
     same = np.ones(len(time) - 1, dtype=np.bool_)
     for signal in signals.values():
-        same &= np.diff(signal) == 0.0
-    noisy = any(noise_sigma(signal) > 0.0 for signal in signals.values())
+        change = np.diff(signal)
+        same &= (change == 0.0) | np.isnan(change)
+    noisy = any(noise_sigma(known(signal)) > 0.0 for signal in signals.values())
     if noisy and same.any():
         first = float(time[1:][same][0])
-        found.append(Trouble("repeated samples", "all channels", int(same.sum()), first))
+        found.append(Trouble("repeated samples", "all channels", int(same.sum()), first, False))
     steps = np.diff(time)
-    gaps = steps > 1.75 * np.median(steps)
+    period = float(np.median(steps))
+    uneven = np.abs(steps - period) > STEPS_OFF * period
+    gaps = steps > LONG * period
+    if np.mean(uneven & ~gaps) > UNEVEN_SHARE:
+        what = f"uneven time steps, from {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
+        first = float(time[1:][uneven][0])
+        found.append(Trouble(what, "all channels", int(uneven.sum()), first, False))
     if gaps.any():
-        missing = int(np.rint(steps[gaps] / np.median(steps) - 1.0).sum())
-        found.append(Trouble("missing samples", "all channels", missing, float(time[1:][gaps][0])))
+        missing, first = int(np.rint(steps[gaps] / period - 1.0).sum()), float(time[1:][gaps][0])
+        found.append(Trouble("missing samples", "all channels", missing, first, False))
     return found
 
 
+def _unseen_turns(
+    driver: str, time: Array, drive: Array, jitter: float, start: float
+) -> list[Trouble]:
+    """Say in which gaps the drive may have turned: it went another way, or slower, than beside."""
+    steps = np.diff(time)
+    gaps = np.flatnonzero(steps > max(LONG_GAP, PERIODS * float(np.median(steps))))
+    found = []
+    for i in gaps.tolist():
+        spans = ((max(i - NEARBY, 0), i), (i, i + 1), (i + 1, min(i + 1 + NEARBY, len(time) - 1)))
+        ways = [float(drive[end] - drive[begin]) for begin, end in spans]
+        speeds = [
+            way / float(time[end] - time[begin]) if abs(way) > jitter else 0.0
+            for way, (begin, end) in zip(ways, spans, strict=True)
+        ]
+        before, across, after = speeds
+        beside = min(abs(before), abs(after))
+        if min(speeds) < 0.0 < max(speeds) or abs(across) < TURNED * beside:
+            found.append((start + float(time[i]), start + float(time[i + 1])))
+    if not found:
+        return []
+    times = ", ".join(f"{begin:.4g} to {end:.4g} s" for begin, end in found[:GAPS_NAMED])
+    times += ", ..." * (len(found) > GAPS_NAMED)
+    what = f"gaps in which the motor may have turned ({times}): friction after them is uncertain"
+    return [Trouble(what, driver, len(found), found[0][0] - start, excluded=False)]
+
+
+class _Thinned(NamedTuple):
+    """A record of which several samples were averaged to one."""
+
+    time: Array
+    signals: Signals
+    good: dict[str, Mask]
+    present: dict[str, Mask]
+    averaged: dict[str, float]  # values in a sample, by channel
+    thinned: int  # samples in one
+
+
 def _thinned(
-    time: Array, signals: Signals, good: dict[str, Mask], most: int
-) -> tuple[Array, Signals, dict[str, Mask], int]:
-    """Return every k-th sample, the compared channels averaged over the k around it."""
+    time: Array,
+    signals: Signals,
+    good: dict[str, Mask],
+    present: dict[str, Mask],
+    most: int,
+) -> _Thinned:
+    """Return every k-th sample, all channels averaged over the k around it.
+
+    What does not count is interpolated in `signals`, so that a mean of few values is one at the
+    same time as that of many. A channel counts where it has more than half as many values as it
+    usually has, and none where samples before and after a gap come together.
+    """
     k = math.ceil(len(time) / most)
     if k <= 1:
-        return time, signals, good, 1
+        return _Thinned(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
     rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
     window = rows[:, None] + np.arange(k) - k // 2
-    window = np.clip(window, 0, len(time) - 1)
-    kept, masks = {}, {}
-    for name, signal in signals.items():
-        weight = good[name][window].astype(np.float64)
-        masks[name] = weight.sum(axis=1) > 0.5 * k
-        total = np.maximum(weight.sum(axis=1), 1.0)
-        kept[name] = (signal[window] * weight).sum(axis=1) / total
-        kept[name][~masks[name]] = signal[rows][~masks[name]]
-    return time[window].mean(axis=1), kept, masks, k
+    spans = time[window[:, -1]] - time[window[:, 0]]
+    unbroken = spans < float(np.median(spans)) + LONG_GAP
+    counts = {name: mask[window].sum(axis=1) for name, mask in good.items()}
+    usual = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
+    return _Thinned(
+        time[window].mean(axis=1),
+        {name: signal[window].sum(axis=1) / k for name, signal in signals.items()},
+        {name: unbroken & (count > 0.5 * usual[name]) for name, count in counts.items()},
+        {name: mask[window].any(axis=1) for name, mask in present.items()},
+        usual,
+        k,
+    )

@@ -9,8 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from estimator.compiled import compiled
 
 _HALF_WIDTHS = (1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90)  # [samples]
 _ORDER = 2
@@ -25,30 +27,74 @@ class Smoothed(NamedTuple):
     sigma: Array  # standard deviation of the noise that is left, shape (n,)
 
 
-def smooth(signal: Array, sigma: float) -> Smoothed:
-    """Return a signal with white noise of standard deviation `sigma` taken out, shape (n,)."""
-    from scipy.ndimage import convolve1d, median_filter  # the control processes import this module
-    from scipy.signal import savgol_coeffs
+def smooth(signal: Array, sigma: float, time: Array | None = None) -> Smoothed:
+    """Return a signal with white noise of standard deviation `sigma` taken out.
+
+    Parameters
+    ----------
+    signal : ndarray
+        Shape (n,).
+    sigma : float
+        Of the white noise on it.
+    time : ndarray, optional
+        When it was sampled [s], shape (n,), strictly rising; evenly by default.
+    """
+    from scipy.ndimage import median_filter  # the control processes import this module
 
     n = len(signal)
     if not sigma > 0.0:
         return Smoothed(signal, np.zeros(n))
-    estimates, sigmas = [signal], [sigma]
+    time = np.arange(n, dtype=np.float64) if time is None else time
+    halves = np.array([0, *(half for half in _HALF_WIDTHS if 2 * half + 1 < n)])
+    estimates, gains = _local_polynomials(time / float(np.median(np.diff(time))), signal, halves)
+    sigmas = sigma * gains
     low, high = signal - _CONFIDENCE * sigma, signal + _CONFIDENCE * sigma
     agreed = np.ones(n, dtype=np.bool_)
     chosen = np.zeros(n, dtype=np.int64)
-    for half in _HALF_WIDTHS:
-        if 2 * half + 1 >= n:
-            break
-        weights = savgol_coeffs(2 * half + 1, min(_ORDER, half))
-        estimate = convolve1d(signal, weights, mode="nearest")
-        left = sigma * math.sqrt(float(weights @ weights))
-        low = np.maximum(low, estimate - _CONFIDENCE * left)
-        high = np.minimum(high, estimate + _CONFIDENCE * left)
+    for k, half in enumerate(halves.tolist()):
+        low = np.maximum(low, estimates[k] - _CONFIDENCE * sigmas[k])
+        high = np.minimum(high, estimates[k] + _CONFIDENCE * sigmas[k])
         agreed &= low <= high
         agreed[:half] = agreed[n - half :] = False
-        chosen[agreed] = len(estimates)
-        estimates.append(estimate)
-        sigmas.append(left)
+        chosen[agreed] = k
     chosen = median_filter(chosen, _STEADY)
-    return Smoothed(np.stack(estimates)[chosen, np.arange(n)], np.array(sigmas)[chosen])
+    rows = np.arange(n)
+    return Smoothed(estimates[chosen, rows], sigmas[chosen, rows])
+
+
+@compiled
+def _local_polynomials(
+    time: Array, signal: Array, halves: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return least-squares parabolas through windows about each sample, where the sample is.
+
+    Of a window of three samples it is a line. Returns the values and the standard deviations that
+    white noise of 1 leaves of them, shape (halves, n) each; beyond the ends of the signal windows
+    are cut off.
+    """
+    n = len(signal)
+    values, gains = np.empty((len(halves), n)), np.ones((len(halves), n))
+    for i in range(n):
+        s0, s1, s2, s3, s4 = 1.0, 0.0, 0.0, 0.0, 0.0
+        b0, b1, b2 = 0.0, 0.0, 0.0
+        done = 0
+        for k in range(len(halves)):
+            for j in range(done + 1, halves[k] + 1):
+                for at in (i - j, i + j):
+                    if at < 0 or at >= n:
+                        continue
+                    t, y = time[at] - time[i], signal[at] - signal[i]
+                    s0, s1, s2 = s0 + 1.0, s1 + t, s2 + t * t
+                    s3, s4 = s3 + t * t * t, s4 + t * t * t * t
+                    b0, b1, b2 = b0 + y, b1 + t * y, b2 + t * t * y
+            done = halves[k]
+            straight = s0 * s2 - s1 * s1
+            off, gain = b0 / s0, 1.0 / s0
+            if done >= _ORDER and s0 > _ORDER + 1:
+                c0, c1, c2 = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
+                whole = s0 * c0 + s1 * c1 + s2 * c2
+                off, gain = (c0 * b0 + c1 * b1 + c2 * b2) / whole, c0 / whole
+            elif done > 0 and straight > 0.0:
+                off, gain = (s2 * b0 - s1 * b1) / straight, s2 / straight
+            values[k, i], gains[k, i] = signal[i] + off, math.sqrt(gain)
+    return values, gains

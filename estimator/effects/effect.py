@@ -10,11 +10,13 @@ An effect changes what is simulated in one of three places, and is neutral where
 Several effects act one after another, in the order in which they are given.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.lumped.lumped_model import Physics
@@ -57,11 +59,16 @@ class EffectContext(NamedTuple):
     compliance: Array  # dq_p/dT_in [m/N] of that model
     elongation_per_newton: float  # L/EA [m/N] of that model
     newton: float = 1.0  # of the records, in the unit of force here (diagnosis.bench_scale)
+    present: Mapping[str, NDArray[np.bool_]] = MappingProxyType({})  # the others are interpolated
 
     @property
     def peak(self) -> float:
         """Largest tension measured at the housing [N]."""
         return float(self.measured[PROXIMAL_TENSION].max())
+
+    def measured_rows(self, channel: str) -> NDArray[np.bool_]:
+        """Return which samples of a channel were measured, shape (n,)."""
+        return self.present.get(channel, np.ones(len(self.time), dtype=np.bool_))
 
     def instants(self, count: int) -> list[float]:
         """Return times [s] spread over the record, its very ends left out."""

@@ -170,8 +170,9 @@ def stands_out(context: EffectContext, width: float) -> float:
     count = max(2, round(width / float(np.median(np.diff(context.time)))))
     most, begin = 0.0, 0
     for channel, simulated in context.simulated.items():
-        off = context.measured[channel] - simulated
-        off = (off - np.median(off)) / max(float(np.std(off)), 1e-30)
+        off, rows = context.measured[channel] - simulated, context.measured_rows(channel)
+        off = (off - np.median(off[rows])) / max(float(np.std(off[rows])), 1e-30)
+        off[~rows] = 0.0
         total = np.concatenate([[0.0], np.cumsum(off)])
         within = np.abs(total[count:] - total[:-count])
         if within.max() > most:

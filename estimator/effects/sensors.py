@@ -186,7 +186,7 @@ TIP_CLOCK = Effect(
 
 def _limit_starts(channel: str) -> Callable[[EffectContext], Iterable[Values]]:
     def starts(context: EffectContext) -> Iterable[Values]:
-        measured = context.measured[channel]
+        measured = context.measured[channel][context.measured_rows(channel)]
         return [(float(np.quantile(measured, 0.995)),), (0.9 * float(measured.max()),)]
 
     return starts
@@ -295,13 +295,17 @@ def waves(phase: Array, residual: Array, gain: Array, others: Array, wanted: Arr
 
 
 def _common(context: EffectContext) -> tuple[Array, Array, Array]:
-    """Return travel, residual of T_in, and what the model's own parameters could do to it."""
+    """Return travel, residual of T_in, and what the model's own parameters could do to it.
+
+    Of the samples in which T_in was measured.
+    """
+    rows = context.measured_rows(PROXIMAL_TENSION)
     residual = context.measured[PROXIMAL_TENSION] - context.simulated[PROXIMAL_TENSION]
     T = context.simulated[PROXIMAL_TENSION]
     taut = 0.02 * context.peak < T
     stiffness = np.where(taut, 1.0 / np.maximum(context.compliance, 1e-6), 0.0)
     others = np.column_stack([stiffness, stiffness * (context.drive - context.drive[0]), T])
-    return context.drive, residual, others
+    return context.drive[rows], residual[rows], others[rows]
 
 
 def _turned(values: Values, zero: float) -> Values:

@@ -21,7 +21,7 @@ class ReplayedRigConfig:
     type: Literal["replayed"] = "replayed"
     file: Path  # .csv, .csv.gz, .parquet or .mcap
     loop: bool = False  # start again after the last row
-    drop_nonfinite: bool = False  # leave out rows with values that are not finite
+    drop_nonfinite: bool = False  # leave out rows without a finite reading at the housing
     tendons: tuple[Columns, ...] = (Columns(),)  # one for each tendon: its columns' names
     name: str = ""  # name of the rig in calibration files; empty = the file's name
 
@@ -60,8 +60,8 @@ class ReplayedRig:
         self._bench_tension = _beside([one.distal_tension for one in clean])
         self._bench_displacement = _beside([one.distal_displacement for one in clean])
         self._spikes = sum(
-            int(np.isnan(signal).sum())
-            for one in clean
+            int(np.isnan(signal).sum() - np.isnan(getattr(table, name)).sum())
+            for one, table in zip(clean, tables, strict=True)
             for name in CHANNELS
             if (signal := getattr(one, name)) is not None
         )

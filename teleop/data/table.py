@@ -34,6 +34,7 @@ TENSION_PEAK = 1000.0  # [N] above this the unit is wrong: grams or millinewtons
 TRAVEL_SPAN = 2.0  # [m] above this the unit is wrong: millimetres
 TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
 ANGLE_SPAN = 30.0  # [rad] above this, five turns, the unit is wrong: degrees
+HOUSING = ("time", "proximal_tension", "proximal_displacement")  # what a force is estimated from
 NAMES_SHOWN = 12  # of a file's columns in an error message
 PERIOD = 1.5  # [s] above this the unit is wrong: milliseconds
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
@@ -85,6 +86,7 @@ class Columns:
 class MeasuredTable:
     """The samples of one tendon; arrays of shape (samples,), None without a sensor.
 
+    Read for a diagnosis or with `drop_nonfinite`, channels are NaN where a value is missing.
     In `units`: of a rotary record tensions are torques [N m], displacements angles [rad].
     """
 
@@ -126,12 +128,14 @@ def read_table(
     columns : Columns, optional
         The columns' names; the standard ones by default.
     drop_nonfinite : bool
-        Omit rows with non-finite values instead of raising.
+        Omit rows without a finite time or reading at the housing instead of raising; other values
+        that are not finite are missing (NaN).
     zero_errors : collection of str
         Tensions that may be below zero by more than noise, as far as a load cell's wrong zero
         takes them, and single samples by any amount: "proximal_tension", "distal_tension".
     diagnosed : bool
-        For a diagnosis: the record may be of torques and angles, or of forces of either sign.
+        For a diagnosis: the record may be of torques and angles, or of forces of either sign, and
+        unless `drop_nonfinite`, values other than times may be missing (NaN).
     units : Units, optional
         Of the columns that are named; by default as the file's column names tell.
 
@@ -167,7 +171,12 @@ def read_tables(
     rows = len(numbers[tendons[0].time])
     if rows == 0:
         raise UsageError(f"{path}: has a header but no rows")
-    keep = _finite(path, raw, numbers, drop_nonfinite)
+    needed = set(numbers)
+    if diagnosed or drop_nonfinite:
+        items = HOUSING if drop_nonfinite else ("time",)
+        needed = {names[item] for names in found for item in items if item in names}
+        numbers = {n: c if n in needed else _with_missing(path, n, c) for n, c in numbers.items()}
+    keep = _finite(path, raw, {name: numbers[name] for name in needed}, drop_nonfinite)
     dropped = rows - int(keep.sum())
     if dropped:
         kept = np.flatnonzero(keep)
@@ -265,8 +274,8 @@ def _finite(
     keep = np.ones(len(next(iter(numbers.values()))), dtype=np.bool_)
     for name, column in numbers.items():
         good = np.isfinite(column)
-        if not drop and not good.any():
-            raise UsageError(f"{path}: column {name!r} has no finite value: remove the column")
+        if not drop:
+            _with_missing(path, name, column)
         if not drop and not good.all():
             bad = np.flatnonzero(~good)
             raise UsageError(
@@ -276,8 +285,16 @@ def _finite(
             )
         keep &= good
     if not keep.any():
-        raise UsageError(f"{path}: no row has only finite values")
+        raise UsageError(f"{path}: no row has a time and all readings at the housing")
     return keep
+
+
+def _with_missing(path: Path, name: str, column: Array) -> Array:
+    """Return a column with NaN for what is not finite; `UsageError` if nothing is left."""
+    good = np.isfinite(column)
+    if not good.any():
+        raise UsageError(f"{path}: column {name!r} has no finite value: remove the column")
+    return np.where(good, column, np.nan)
 
 
 def _renumbered(raw: RawTable, kept: NDArray[np.intp]) -> Any:
@@ -293,7 +310,7 @@ def _check(
     diagnosed: bool,
     units: Units,
 ) -> None:
-    """Check for increasing time, plausible units and non-negative tensions."""
+    """Check for increasing time, plausible units and non-negative tensions; some may be missing."""
 
     def wrong(item: str, row: int, what: str) -> UsageError:
         return UsageError(f"{path}: column {names[item]!r}, {raw.place(row)}: {what}")
@@ -309,9 +326,9 @@ def _check(
         if item not in names:
             continue
         tension = numbers[names[item]]
-        row = int(np.abs(tension).argmax())
+        row = int(np.nanargmax(np.abs(tension)))
         may_err = item in zero_errors
-        low = int((_without_dips(tension) if may_err else tension).argmin())
+        low = int(np.nanargmin(_without_dips(tension) if may_err else tension))
         peak = float(tension[row])
         if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
             what = "torque in newton metres; check the unit (N mm?)"
@@ -321,7 +338,7 @@ def _check(
         if units.signed:
             continue
         share = ZERO_SHARE if may_err else NOISE_SHARE
-        floor = NOISE_FLOOR + share * float(tension.max(initial=0.0))
+        floor = NOISE_FLOOR + share * float(np.nanmax(tension, initial=0.0))
         if tension[low] < -floor:
             what = f"{float(tension[low]):.6g} N: a tendon cannot push"
             below = "a zero offset" if may_err else "noise"
@@ -332,8 +349,11 @@ def _check(
             )
     most = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
     for item in ("proximal_displacement", "distal_displacement"):
-        if item in names and (span := float(np.ptp(numbers[names[item]]))) > most:
-            row = int(np.abs(numbers[names[item]]).argmax())
+        if item not in names:
+            continue
+        travel = numbers[names[item]]
+        if (span := float(np.nanmax(travel) - np.nanmin(travel))) > most:
+            row = int(np.nanargmax(np.abs(travel)))
             what = f"travel spans {span:.6g} m; check that it is in metres, not mm"
             if units.rotary:
                 what = f"angle spans {span:.6g} rad; check that it is in radians, not degrees"
@@ -343,7 +363,8 @@ def _check(
 
 
 def _without_dips(signal: Array) -> Array:
-    """Return a signal without isolated low samples."""
+    """Return a signal without isolated low samples; beside a missing one (NaN) none is isolated."""
     filled = signal.copy()
-    filled[1:-1] = np.maximum(signal[1:-1], np.minimum(signal[:-2], signal[2:]))
+    beside = np.minimum(signal[:-2], signal[2:])
+    filled[1:-1] = np.where(np.isnan(beside), signal[1:-1], np.maximum(signal[1:-1], beside))
     return filled

@@ -254,8 +254,9 @@ def list_spikes(clean: Samples, table: MeasuredTable) -> dict[str, dict[str, flo
     """Return the number of spikes of each channel, and the largest."""
     out: dict[str, dict[str, float]] = {}
     for name, signal in signals_of(clean).items():
-        spikes = np.flatnonzero(np.isnan(signal))
-        measured = getattr(table, name)[spikes]
+        measured = getattr(table, name)
+        spikes = np.flatnonzero(np.isnan(signal) & ~np.isnan(measured))
+        measured = measured[spikes]
         out[name] = {"count": len(spikes)}
         if len(spikes):
             largest = int(np.abs(measured).argmax())

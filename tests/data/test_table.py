@@ -210,6 +210,30 @@ def test_rows_that_are_not_finite_are_left_out_when_asked(path):
     assert "no row" in refusal(path, drop_nonfinite=True)
 
 
+def test_values_missing_in_one_column_are_kept_as_such_for_a_diagnosis(path):
+    path.write_text(HEAD + "0,1,0\n0.1,nan,0.001\n0.2,3,inf\n0.3,,0\n")
+    table = read_table(path, diagnosed=True)
+    np.testing.assert_array_equal(table.time, [0.0, 0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(table.proximal_tension, [1.0, np.nan, 3.0, np.nan])
+    np.testing.assert_array_equal(table.proximal_displacement, [0.0, 0.001, np.nan, 0.0])
+    assert read_table(path, diagnosed=True, drop_nonfinite=True).dropped == 3
+    assert "4 values are missing" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "what"),
+    [
+        ("0,1,0\n,2,0\n", "'time_s': 1 of 2 values are missing"),
+        ("0,1,\n0.1,2,nan\n", "'proximal_displacement_m' has no finite value"),
+        ("0,,0\n0.1,-9,0\n0.2,3,0\n0.3,2,0\n", "line 3: -9 N: a tendon cannot push"),
+        ("0,,0\n0.1,4000,0\n", "line 3: 4000 is too large"),
+        ("0,1,\n0.1,2,0\n0.2,2,30\n", "line 4: travel spans 30 m"),
+    ],
+)
+def test_the_values_beside_missing_ones_are_checked(path, rows, what):
+    assert what in refusal(path, HEAD + rows, diagnosed=True)
+
+
 def test_a_named_column_must_be_there_though_a_standard_one_need_not(path):
     path.write_text(GOOD)
     assert "'tip_N'" in refusal(path, columns=Columns(distal_tension="tip_N"))

@@ -18,7 +18,7 @@ def write(path: Path, found: Diagnosis, files: Sequence[str]) -> None:
         record = found.dataset.records[k]
         panels = []
         for channel in record.compared:
-            rows = record.measured
+            rows = record.shown(channel)
             measured = record.signals[channel][rows]
             models = {
                 ("before", BEFORE): found.baseline.simulated[k].signals[channel][rows],

@@ -10,7 +10,9 @@ from typing import NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from estimator.array_types import Array
 from estimator.diagnosis import file_tables, report_text
 from estimator.diagnosis.autocorrelation import Autocorrelation, of_channel
 from estimator.diagnosis.figures import figures
@@ -21,6 +23,7 @@ from estimator.text_table import Table
 from estimator.units import Units
 from teleop.citation import citations
 from teleop.data.table import write_table
+from teleop.data.table_files import Column
 from teleop.output_file import replacing
 from teleop.process import write_whole
 from teleop.tools.diagnose import formulas
@@ -84,7 +87,7 @@ def _add_data(page: Page, found: Diagnosis, sources: Sources) -> None:
     rows = []
     for file, record in zip(sources.files, found.dataset.records, strict=True):
         count, time = int(record.measured.sum()), record.time[record.measured]
-        excluded = sum(trouble.samples for trouble in record.troubles)
+        excluded = sum(trouble.samples for trouble in record.troubles if trouble.excluded)
         rows.append(
             (
                 Path(file).name,
@@ -208,13 +211,21 @@ def _write_record(path: Path, one: Predicted) -> None:
     columns = {"time_s": (one.record.time + one.record.start)[rows]}
     for channel in one.record.compared:
         unit = one.record.units.of(channel).replace(" ", "")
+        known = one.record.known[channel]
         measured, before, after = (
             signals[channel]
             for signals in (one.record.signals, one.before.signals, one.after.signals)
         )
-        columns[f"{channel}_{unit}"] = measured[rows]
+        columns[f"{channel}_{unit}"] = _cells(measured, known)[rows]
         columns[f"{channel}_plain_{unit}"] = before[rows]
         columns[f"{channel}_extended_{unit}"] = after[rows]
-        columns[f"{channel}_residual_{unit}"] = (measured - after)[rows]
+        columns[f"{channel}_residual_{unit}"] = _cells(measured - after, known)[rows]
         columns[f"{channel}_counts"] = one.record.good[channel][rows].astype(np.int64)
     write_table(path, columns)
+
+
+def _cells(values: Array, known: NDArray[np.bool_]) -> Column:
+    """Return values as cells of a table, empty where they are not known."""
+    cells = values.astype(object)
+    cells[~known] = None
+    return cells

@@ -4,6 +4,7 @@ import json
 import math
 import re
 
+import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
 
@@ -132,6 +133,28 @@ def test_noise_that_is_known_is_taken(csv, folder):
     assert cli.main([*map(str, words), "--json", str(folder / "noise.json")]) == 0
     found = json.loads((folder / "noise.json").read_text())
     assert found["noise"]["distal_tension"] == pytest.approx(0.3, rel=0.05)
+
+
+def test_a_tip_cell_that_drops_out_changes_no_verdict(capsys, data, folder):
+    lost = data.channels["distal_tension"].copy()
+    lost[400:450] = np.nan
+    file = folder / "lost.csv"
+    write_table(file, {"time_s": data.time} | columns(data) | {"distal_tension_N": lost})
+    words = ["diagnose", file, "--effects", FAULT, "--json", folder / "lost.json"]
+    words += ["--supplement", folder / "lost"]
+    assert cli.main([*map(str, words)]) == 0
+    found = json.loads((folder / "lost.json").read_text())
+    assert (found["verdict"], found["cause"]) == ("named", [FAULT])
+    gain = found["parameters"][f"{FAULT}.gain"]
+    assert gain["low"] < data.truth[FAULT]["gain"] < gain["high"]
+    out = capsys.readouterr().out
+    assert out.count("50 missing values, not compared (tension at the tip), the first at") == 1
+    lines = (folder / "lost" / "residuals-1.csv").read_text().splitlines()
+    head, cells = lines[0].split(","), [line.split(",") for line in lines[1:]]
+    tip = [row[head.index("distal_tension_N")] for row in cells]
+    assert (tip.count(""), tip[400]) == (50, "")
+    assert [row[head.index("distal_tension_residual_N")] for row in cells].count("") == 50
+    assert re.search(r"lost\.csv +\| fitted \| 750 +\| 0 ", out)  # samples and spikes of the force
 
 
 @pytest.mark.parametrize("word", ["distal_tension", "tip=1", "distal_tension=-1", "time=nan"])

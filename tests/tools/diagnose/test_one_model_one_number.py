@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import estimator as est
+from estimator.diagnosis.force import force_error
 from slave import loop, model_files
 from slave.config import SlaveConfig
 from slave.rigs import open_rig
@@ -73,16 +74,16 @@ def saved(found, path):
     return path
 
 
-def estimated(data, model, folder):
+def estimated(data, model, folder, *more):
     """Return the error that `teleop estimate` states."""
-    words = ["estimate", data, "--model", model, "--json", folder / "estimate.json"]
+    words = ["estimate", data, "--model", model, "--json", folder / "estimate.json", *more]
     assert cli.main([*map(str, words)]) == 0
     return json.loads((folder / "estimate.json").read_text())["force_error"]
 
 
-def played(data, model):
+def played(data, model, *, drop_nonfinite=False):
     """Return the error of a session whose rig plays the data."""
-    rig = open_rig(ReplayedRigConfig(file=data))
+    rig = open_rig(ReplayedRigConfig(file=data, drop_nonfinite=drop_nonfinite))
     (tendon,) = model_files.apply([None], (), {"": model})
     models = [model_files.with_noise_of(tendon, *rig.housing[0]).model()]
     slave = loop.start(
@@ -108,6 +109,24 @@ def test_diagnosis_estimate_and_replay_give_one_error(found, files, tmp_path, wh
         assert summary["max_N"] == pytest.approx(error.largest, rel=1e-6)
         assert summary["samples"] == error.samples
     assert error.spikes == len(SPIKES["distal_tension"])
+
+
+def test_values_that_are_missing_change_nothing_between_them(found, tables, tmp_path):
+    lost = tmp_path / "lost.csv"
+    columns = {name: column.copy() for name, column in tables[0].columns().items()}
+    columns["distal_tension_N"][500:540] = np.nan
+    columns["proximal_tension_N"][700:710] = np.nan
+    write_table(lost, columns)
+    model = saved(found, tmp_path / "model.yaml")
+    table = read_table(lost, diagnosed=True, zero_errors=["distal_tension"])
+    error = force_error(found.extended.model, found.duration, table)
+    one = estimated(lost, model, tmp_path, "--drop-nonfinite")
+    other = played(lost, model, drop_nonfinite=True)
+    spikes = json.loads((tmp_path / "estimate.json").read_text())["spikes"]["distal_tension"]
+    for summary in (one, other):
+        assert summary["rmse_N"] == pytest.approx(error.rmse, rel=1e-9)
+        assert summary["samples"] == error.samples == len(tables[0].time) - 50 - error.spikes
+    assert spikes["count"] == error.spikes == len(SPIKES["distal_tension"])
 
 
 def test_the_force_is_about_as_good_as_the_simulation_that_was_fitted(found):
