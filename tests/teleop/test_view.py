@@ -22,7 +22,7 @@ from teleop.link import ReceivedMessage
 from teleop.process import Stop
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
-from teleop.topics import TENDONS
+from teleop.topics import HAND, TENDONS, TOPICS
 from teleop.view.batch import decode
 from teleop.view.config import ViewConfig, ViewRates
 from teleop.view.feed import Discard, PacedMessages, from_link, from_recording
@@ -173,6 +173,12 @@ def test_a_config_out_of_range_is_refused_by_name(change, field):
 def test_a_rate_out_of_range_is_refused_by_name():
     with pytest.raises(ValueError, match=r"^tendons: 5000 Hz is outside"):
         ViewRates(tendons=5000.0)
+
+
+def test_a_topic_shown_more_often_than_its_copies_come_is_received_completely():
+    usual, fast = ViewConfig().sampled(), ViewConfig(rate_hz=ViewRates(hand=101.0)).sampled()
+    assert usual == {topic for topic in TOPICS if topic.sampled_hz}
+    assert usual - fast == {HAND}
 
 
 def test_a_window_without_a_screen_is_refused_in_one_line(monkeypatch):
