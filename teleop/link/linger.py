@@ -10,8 +10,10 @@ sends what it can and closing takes no time.
 import os
 import re
 import socket
+import stat
 import struct
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
@@ -30,12 +32,14 @@ def _on_link(event: zenoh.LinkEvent) -> None:
     ends = {_address(event.link.src), _address(event.link.dst)}
     if event.kind != zenoh.SampleKind.PUT or not _OPEN_FILES.exists():
         return
-    for name in os.listdir(_OPEN_FILES):
+    for number in map(int, os.listdir(_OPEN_FILES)):
         try:
-            with socket.socket(fileno=os.dup(int(name))) as connection:
+            if not stat.S_ISSOCK(os.fstat(number).st_mode):
+                continue
+            with socket.fromfd(number, socket.AF_INET, socket.SOCK_STREAM) as connection:
                 if {_ours(connection.getsockname()), _ours(connection.getpeername())} == ends:
                     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
-        except OSError:  # not a socket, not connected, or closed since it was listed
+        except OSError:  # not connected, or closed since it was listed
             continue
 
 
@@ -45,6 +49,6 @@ def _address(endpoint: str) -> tuple[str, int] | None:
     return None if match is None else (match["host"], int(match["port"]))
 
 
-def _ours(address: tuple[str, int] | tuple[str, int, int, int] | str) -> tuple[str, int] | None:
+def _ours(address: Any) -> tuple[str, int] | None:
     """Return host and port of a socket's address; None if it is no internet address."""
-    return None if isinstance(address, str) else (address[0], address[1])
+    return (address[0], address[1]) if isinstance(address, tuple) and len(address) >= 2 else None

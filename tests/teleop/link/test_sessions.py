@@ -1,6 +1,7 @@
 """Links to each other, on loopback."""
 
 import itertools
+import os
 import socket
 import time
 from typing import Any
@@ -270,6 +271,22 @@ def test_copies_come_at_their_rate_though_all_messages_are_sent(config: LinkConf
 
         wait_until(lambda: received(everything) == 200)
         assert 10 <= received(copies) <= 50.0 * passed_s + 2
+
+
+def test_connections_leave_no_file_open(config: LinkConfig) -> None:
+    """Each connection looks through the open files for its own."""
+    with Link(config, "test", Role.SLAVE) as slave, open("/dev/null", "rb"):
+
+        def connected_and_gone() -> int:
+            with Link(config, "test", Role.VIEWER):
+                wait_until(lambda: slave.present(Role.VIEWER))
+            wait_until(lambda: not slave.present(Role.VIEWER))
+            time.sleep(0.1)
+            return len(os.listdir("/dev/fd"))
+
+        before = connected_and_gone()
+        after = [connected_and_gone() for _ in range(4)]
+        assert after[-1] <= before + 2, (before, after)
 
 
 def test_a_topic_subscribed_to_twice_has_one_inbox_that_is_emptied(config: LinkConfig) -> None:
