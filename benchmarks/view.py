@@ -146,7 +146,7 @@ def end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def report(recording: Path, spans: Spans, listener: str = "viewer") -> None:
-    """Print period and latency in each state of a listener."""
+    """Print period and latency in each state of a listener; NaN where there were none."""
     hand = read_columns(recording, "hand", ["stamp_ns", "round_trip_ns"])
     slave = read_columns(recording, "state", ["stamp_ns"])
     table: list[tuple[str, NDArray[np.int64], Callable[[NDArray[np.bool_]], NDArray[np.int64]]]]
@@ -166,6 +166,8 @@ def report(recording: Path, spans: Spans, listener: str = "viewer") -> None:
 
 
 def percentiles_ms(values_ns: NDArray[np.int64]) -> tuple[float, float, float]:
+    if not len(values_ns):  # as no command comes back in a session that is held up
+        return math.nan, math.nan, math.nan
     p50, p99, p999 = np.percentile(values_ns, [50, 99, 99.9]) * 1e-6
     return float(p50), float(p99), float(p999)
 

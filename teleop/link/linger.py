@@ -13,7 +13,6 @@ import socket
 import stat
 import struct
 from pathlib import Path
-from typing import Any
 
 import zenoh
 
@@ -29,17 +28,17 @@ def close_at_once(session: zenoh.Session) -> None:
 
 
 def _on_link(event: zenoh.LinkEvent) -> None:
-    ends = {_address(event.link.src), _address(event.link.dst)}
-    if event.kind != zenoh.SampleKind.PUT or not _OPEN_FILES.exists():
+    ours = _address(event.link.src)  # the other end may be named by its host
+    if event.kind != zenoh.SampleKind.PUT or ours is None or not _OPEN_FILES.exists():
         return
     for number in map(int, os.listdir(_OPEN_FILES)):
         try:
             if not stat.S_ISSOCK(os.fstat(number).st_mode):
                 continue
             with socket.fromfd(number, socket.AF_INET, socket.SOCK_STREAM) as connection:
-                if {_ours(connection.getsockname()), _ours(connection.getpeername())} == ends:
+                if connection.getsockname()[:2] == ours:
                     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
-        except OSError:  # not connected, or closed since it was listed
+        except OSError:  # closed since it was listed
             continue
 
 
@@ -47,8 +46,3 @@ def _address(endpoint: str) -> tuple[str, int] | None:
     """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
     match = _ENDPOINT.fullmatch(endpoint)
     return None if match is None else (match["host"], int(match["port"]))
-
-
-def _ours(address: Any) -> tuple[str, int] | None:
-    """Return host and port of a socket's address; None if it is no internet address."""
-    return (address[0], address[1]) if isinstance(address, tuple) and len(address) >= 2 else None
