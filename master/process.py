@@ -40,7 +40,7 @@ from teleop.packet import Packet
 from teleop.process import Stop
 from teleop.remote.requests import Requests, SettingRequest
 from teleop.run_config import load_section
-from teleop.session import Reason, SessionOutline, State
+from teleop.session import OutlineReader, Reason, SessionOutline, State
 from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, STATE, Role
 
 DIRECT = Bilateral()
@@ -75,7 +75,10 @@ class Master(LoopProcess):
         self._memory = loop.start(device.axes, now_ns())
         self.memory: loop.MasterState = one(self._memory)
         self._now = as_bytes(self._memory)
-        self._before, self._commanded = self._now.copy(), self._now.copy()
+        self._before = self._now.copy()
+        with_command = self._memory.copy()  # as it was when the command was found
+        self._commanded = as_bytes(with_command)
+        self._commanded_outline = OutlineReader(with_command["session"])
         super().__init__(link, grid.stats, self._memory, device.axes, health=health)
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
@@ -295,8 +298,9 @@ class Master(LoopProcess):
             )
             self._link.publish_packet(HAND, self._hand)
         self._publish_ledger(tick.stamp_ns)
-        if side != self._published:
-            self._publish_session(side)
+        for now in (self._commanded_outline(), side):  # the answer may have changed it again
+            if now != self._published:
+                self._publish_session(now)
         self._watch_link(
             tick.stamp_ns,
             self._states,
