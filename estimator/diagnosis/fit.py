@@ -36,6 +36,7 @@ QUICK = 4  # of a first one
 SEARCH = (2.0, 0.5, 0.12, 0.03)  # [s] about a time that is searched, more in a long record:
 SPREAD = 32  # share of it between two first guesses, and half of it to either side
 STEPS = 8  # on each of these
+AROUND = 6  # samples to either side of a likely time that are tried
 EQUAL = 1e-6  # of a cost
 REDIRECTED = 3  # times at most that a fit goes on from other shapes
 MULTIPLES = (0.4, 0.6, 0.8, 1.25, 1.6, 2.5)  # of a shape that are tried
@@ -67,10 +68,15 @@ def improved(
             break
         fit = _descended(dataset, about, layout, model, ROUNDS, layout.smooth)
     jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
+    for i in jumping if rounds > ROUNDS else ():
+        fit = _stepped(
+            dataset, about, layout, fit, i, _likely_times(dataset, about, layout, fit, i)
+        )
     reaches = SEARCH if rounds > ROUNDS else SEARCH[:1] if rounds > QUICK else ()
     for reach in (*far_reaches(dataset), *reaches) if jumping and reaches else ():
         for i in jumping:
-            fit = _stepped(dataset, about, layout, fit, i, reach)
+            times = layout.values(fit.model)[i] + np.linspace(-reach, reach, STEPS)
+            fit = _stepped(dataset, about, layout, fit, i, times)
         fit = _descended(whole(dataset), about, layout, fit.model, max(2, rounds // 3), layout.when)
         fit = _descended(dataset, about, layout, fit.model, max(2, rounds // 3), ~layout.when)
     return fit
@@ -92,6 +98,42 @@ def _redirected(
             if found < least:
                 best, least = other, found
     return None if best is fit else best.model
+
+
+def _likely_times(
+    dataset: Dataset, about: Sequence[EffectContext], layout: Layout, fit: Fit, i: int
+) -> Array:
+    """Return times about the one before which nothing fits better, and after which the effect [s].
+
+    A search in steps passes by it: until a sample or two about the right time, the model of a
+    sensor that slipped goes to the slip and back, and friction remembers it.
+    """
+    x = layout.pack(fit.model)
+    ends = min(r.time[0] for r in dataset.records), max(r.time[-1] for r in dataset.records)
+    without, within = x.copy(), x.copy()
+    without[i], within[i] = (2.0 * ends[1] / layout.step(i), ends[0] / layout.step(i))
+    off = [
+        _distances(dataset, simulated(dataset, about, layout.unpack(row)))
+        for row in (without, within)
+    ]
+    time = np.concatenate([record.time for record in dataset.records])
+    order = np.argsort(time, kind="stable")
+    gain = np.concatenate([[0.0], np.cumsum((off[0] - off[1])[order])])
+    at = float(time[order][min(int(np.argmin(gain)), len(order) - 1)])
+    step = min(float(np.median(np.diff(record.time))) for record in dataset.records)
+    return np.asarray(at + step * np.arange(-AROUND, AROUND + 1))
+
+
+def _distances(dataset: Dataset, fit: Fit) -> Array:
+    """Return how far a model is off each sample, of all records, in their noises."""
+    total = []
+    for record, one, scale in zip(dataset.records, fit.simulated, dataset.scale, strict=True):
+        off = np.zeros(len(record.time))
+        for channel in record.compared:
+            each = np.abs(one.signals[channel] - record.signals[channel]) / scale[channel]
+            off += np.where(record.good[channel], each, 0.0)
+        total.append(off)
+    return np.concatenate(total)
 
 
 def far_reaches(dataset: Dataset) -> list[float]:
@@ -197,21 +239,27 @@ def _uncertain(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> Ar
 
 
 def _stepped(
-    dataset: Dataset, about: Sequence[EffectContext], layout: Layout, fit: Fit, i: int, reach: float
+    dataset: Dataset,
+    about: Sequence[EffectContext],
+    layout: Layout,
+    fit: Fit,
+    i: int,
+    times: Array,
 ) -> Fit:
-    """Return the best of a fit and those with one number up to `reach` [s] more or less.
+    """Return the best of a fit and those with one number at each of `times` [s].
 
     Of equal ones the latest: what happened at rest shows with the first motion after it.
     """
     dataset = whole(dataset)
     x = layout.pack(fit.model)
     best, least = fit, cost(dataset, fit)
-    for off in np.linspace(-reach, reach, STEPS):
+    now = float(layout.values(fit.model)[i])
+    for time in times.tolist():
         moved = x.copy()
-        moved[i] += off / layout.step(i)
+        moved[i] = time / layout.step(i)
         other = simulated(dataset, about, layout.unpack(moved))
         found = cost(dataset, other)
-        if found < least or (off > 0.0 and found < (1.0 + EQUAL) * least):
+        if found < least or (time > now and found < (1.0 + EQUAL) * least):
             best, least = other, min(found, least)
     return best
 

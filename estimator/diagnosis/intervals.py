@@ -22,6 +22,7 @@ from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import EffectContext, Parameter
 
 UNSEEN = 1e-3  # slope of all residuals below which they tell nothing of a number
+BESIDE = 0.05  # probability of numbers so far from none by chance
 HALVED = 5  # times, the step that is one too far
 
 
@@ -33,7 +34,6 @@ class Named(NamedTuple):
     value: float
     low: float
     high: float
-    sampling: float  # half width of the interval from residual scatter only
 
     @property
     def excludes_neutral(self) -> bool:
@@ -47,12 +47,6 @@ class Named(NamedTuple):
         above = self.low > max(neutral, p.low)
         below = self.high < min(neutral, p.high)
         return above or below
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the interval from residual scatter only excludes the neutral value."""
-        neutral = self.parameter.neutral
-        return neutral is None or abs(self.value - neutral) > self.sampling
 
     @property
     def at_bound(self) -> bool:
@@ -71,10 +65,7 @@ def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tu
     """
     layout = Layout(dataset, fit.model)
     J, r = slopes_of(dataset, about, fit), residual(dataset, fit)
-    inverse = np.linalg.pinv(J)
-    correlation = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-30)
-    correlation = min(max(correlation, 0.0), 0.995)
-    spread = float(r @ r) / max(len(r) - J.shape[1], 1) * (1.0 + correlation) / (1.0 - correlation)
+    inverse, spread = np.linalg.pinv(J), _spread(r, J.shape[1])
     sigma = np.sqrt((inverse**2).sum(axis=1) * spread)
     most_off = _off_by_inaccuracy(dataset, fit.model, np.asarray(inverse))
     found, values = [], layout.values(fit.model)
@@ -91,8 +82,28 @@ def parameters(dataset: Dataset, about: Sequence[EffectContext], fit: Fit) -> tu
         low, high = max(low, p.low), min(high, p.high)
         if unseen[i] and not p.jumps:
             low, high = p.low, p.high
-        found.append(Named(layout.names[i], p, value, low, high, sampling))
+        found.append(Named(layout.names[i], p, value, low, high))
     return tuple(found)
+
+
+def are_less_probable(dataset: Dataset, fit: Fit, without: Fit) -> bool:
+    """Return whether data are surely less probable without numbers of a fit (likelihood ratio).
+
+    The intervals of numbers that trade against each other, as the sine and cosine of a wave or the
+    weights of two plays, may each include none; together they are something.
+    """
+    from scipy.special import chdtri  # here: the control processes import this module
+
+    numbers, fewer = (len(Layout(dataset, one.model).names) for one in (fit, without))
+    least = chdtri(numbers - fewer, BESIDE) * _spread(residual(dataset, fit), numbers)
+    return bool(cost(dataset, without) - cost(dataset, fit) > least)
+
+
+def _spread(r: Array, numbers: int) -> float:
+    """Return the variance of a fit's residuals, larger as they correlate with the next sample."""
+    correlation = float(r[1:] @ r[:-1]) / max(float(r @ r), 1e-30)
+    correlation = min(max(correlation, 0.0), 0.995)
+    return float(r @ r) / max(len(r) - numbers, 1) * (1.0 + correlation) / (1.0 - correlation)
 
 
 def _off_by_inaccuracy(dataset: Dataset, model: Model, inverse: Array) -> Array:

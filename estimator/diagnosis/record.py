@@ -57,6 +57,7 @@ UNEVEN_SHARE = 0.02  # of the time steps, that are uneven before it is said
 NEARBY = 5  # samples over which the variance that it makes is averaged, or a speed is taken
 TURNED = 0.5  # of the speed beside a gap: in one that is crossed slower the motor may have turned
 GAPS_NAMED = 3
+EXACT = 1e-9  # of the range of a drive: what rounds off in sums turns nothing
 
 
 class Simulation(Protocol):
@@ -466,11 +467,15 @@ def _drive(driver: str, time: Array, measured: Array, sigma: float) -> Drive:
 
 
 def first_look(record: Record, most: int) -> Mask:
-    """Return which samples of a record stay for a first look: about `most`, and all turns."""
+    """Return which samples of a record stay for a first look: about `most`, and all turns.
+
+    The drive has no turn by noise, and none is too small: one of 2 um may take a newton away, which
+    friction then remembers.
+    """
     n = len(record.time)
     kept = np.zeros(n, dtype=np.bool_)
     kept[:: math.ceil(n / most)] = True
-    kept[turning_points(record.drive, SETTINGS.reversal * float(np.ptp(record.drive)))] = True
+    kept[turning_points(record.drive, EXACT * float(np.ptp(record.drive)))] = True
     return kept
 
 

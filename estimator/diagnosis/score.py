@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.dataset import Dataset, Fit
+from estimator.diagnosis.dataset import Dataset, Fit, tolerance
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 
@@ -136,6 +136,23 @@ def bootstrapped_gain(a: Errors, b: Errors, seed: int = 0) -> tuple[float, float
     ratio = a.squares[draws].sum(axis=1) / np.maximum(b.squares[draws].sum(axis=1), 1e-12)
     low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
     return value, float(low), float(high)
+
+
+def is_noise(dataset: Dataset, found: dict[str, Errors]) -> bool:
+    """Return whether errors are what noise makes, and a simulation's own error."""
+    return within(dataset, found, SETTINGS.noise_ratio)
+
+
+def within(dataset: Dataset, found: dict[str, Errors], times: float) -> bool:
+    """Return whether errors are less than so many times what noise and a simulation make."""
+    floor = tolerance(dataset)
+    return all(math.sqrt(one.mean) < times * floor[c] for c, one in found.items())
+
+
+def bic_penalty(dataset: Dataset, numbers: int) -> float:
+    """Return what so many more numbers must earn in ln of the likelihood (BIC, Schwarz 1978)."""
+    samples = sum(len(record.time) for record in dataset.records)
+    return 0.5 * numbers * math.log(samples)
 
 
 def _floored(one: Errors) -> float:

@@ -105,7 +105,7 @@ def test_a_pulley_may_turn_ten_times_and_is_at_its_bound_no_earlier(span):
         value = span / (2.0 * np.pi * turns)
         values = (1e-5, 0.0, value)
         radius = PULLEY_ECCENTRICITY.within(PULLEY_ECCENTRICITY.parameters, span, values)[2]
-        assert Named("radius", radius, value, value, value, 0.0).at_bound == at_bound
+        assert Named("radius", radius, value, value, value).at_bound == at_bound
         other = value + STEP * radius.step
         assert abs(span / other - span / value) < 0.2  # [rad]: a slope, not a jump
 

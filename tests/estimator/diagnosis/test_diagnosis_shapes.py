@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from estimator.diagnosis.dataset import Model, contexts_without, dataset_of, simulated
-from estimator.diagnosis.engine import _simplest
 from estimator.diagnosis.fit import _descended
 from estimator.diagnosis.layout import Layout
+from estimator.diagnosis.next_cause import simplest
 from estimator.diagnosis.record import prepare
 from estimator.diagnosis.score import errors
 from estimator.diagnosis.search import Candidate, _off_bounds
@@ -60,8 +60,8 @@ def test_of_causes_that_are_as_good_as_each_other_the_simplest_is_named(bench):
     bent = candidate(ANTAGONIST_TENSION, (4.8, 0.06, 1e6), 100.0)
     plain = candidate(JOINT_FRICTION, (0.3,), 100.0)
     worse = candidate(JOINT_FRICTION, (0.3,), 15.0)  # scores as much, and leaves more
-    assert _simplest(bench, fit, base, [bent, plain]) is plain
-    assert _simplest(bench, fit, base, [bent, worse]) is bent
+    assert simplest(bench, fit, base, [bent, plain]) is plain
+    assert simplest(bench, fit, base, [bent, worse]) is bent
 
 
 def test_a_fit_of_no_parameter_leaves_the_model_as_it_is(bench):

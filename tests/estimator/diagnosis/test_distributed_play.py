@@ -117,12 +117,14 @@ def test_the_model_of_one_day_predicts_another_as_well_as_five_weighted_plays(da
 
 
 @pytest.mark.slow
-def test_distributed_play_is_found_beside_a_gain(days):
-    first, second = days
+def test_distributed_play_is_found_beside_a_gain():
+    """Plays of high thresholds imitate the gain: alone they explain more than it does."""
+    first = day(1, 0.6, 0.01, (0.2, 1.2), samples=2400)
+    second = day(2, 0.62, 0.015, (0.4, 2.5), samples=2400)
     effects = [e for e in CATALOGUE if e.name in CHECKED]
     found = diagnose([first.record], effects, validate=[second.record])
     assert set(found.causes) == CHECKED
     assert found.parameters["distal_tension_gain.gain"].value == pytest.approx(GAIN - 1.0, abs=0.03)
     law = found.after.validation["distal_tension"].rmse
-    assert law < 1.05 * by_plays(first, second, 5)
+    assert law < 1.1 * by_plays(first, second, 5)
     assert law < 0.3 * found.before.validation["distal_tension"].rmse

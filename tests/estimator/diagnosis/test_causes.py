@@ -1,0 +1,67 @@
+"""The search for causes where the first look misleads."""
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis.baseline import baseline
+from estimator.diagnosis.dataset import contexts_without, dataset_of, simulated, thin
+from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare
+from estimator.diagnosis.search import THIN
+from estimator.effects import CATALOGUE
+from tests import hidden
+from tests.hidden.play_grid import pulled
+
+
+def diagnosed(seed, hide, bench, among, **how):
+    made = hidden.make(seed, hide, bench=bench, **how)
+    effects = [effect for effect in CATALOGUE if effect.name in {hide, *among}]
+    return made, diagnose([prepare(made.time, dict(made.channels))], effects, workers=2)
+
+
+def test_a_first_look_leaves_out_no_turn_however_small():
+    """One of 2 um takes half a newton away, which friction remembers until it is pulled further."""
+    ramp = np.linspace(0.0, 6.0e-3, 2502)
+    swing = 6.0e-3 + 1e-6 * np.array([-6.0, -10.0, -6.0, -3.0, -5.0])
+    travel = np.concatenate([ramp, swing, np.full(1493, swing[-1]), ramp[::-1]])
+    T_in, T_out, tip = pulled(travel, 0.8, 2e-4, 4e-4).T
+    channels = {
+        "proximal_tension": T_in,
+        "proximal_displacement": travel,
+        "distal_tension": T_out,
+        "distal_displacement": tip,
+    }
+    dataset = dataset_of([prepare(np.arange(len(travel)) * 0.01, channels)])
+    fit = baseline(dataset)
+    look = thin(dataset, THIN)
+    assert len(look.records[0].time) < 0.25 * len(travel)
+    there = simulated(look, contexts_without(look, fit), fit.model).simulated[0].signals
+    full = fit.simulated[0].signals["proximal_tension"]
+    at = np.searchsorted(dataset.records[0].time, look.records[0].time)
+    assert np.abs(there["proximal_tension"] - full[at]).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("size", "bench"),
+    [
+        (1.0, "blocked"),  # which load-independent friction imitates better than the capstan law
+        (0.5, "spring"),  # in the middle of a motion, in samples that are held out
+    ],
+)
+def test_a_slip_of_the_encoder_is_named_and_dated(size, bench):
+    made, found = diagnosed(
+        2, "encoder_slip", bench, {"creep", "thermal_expansion"}, size=size, travel_noise=5e-7
+    )
+    assert found.verdict is Verdict.NAMED
+    assert found.causes == ("encoder_slip",)
+    onset = found.parameters["encoder_slip.onset"]
+    assert onset.value == pytest.approx(made.truth["encoder_slip"]["time"], abs=0.03)
+
+
+def test_a_pulley_that_turns_by_a_part_of_a_turn_is_named_although_its_radius_is_not_known():
+    _, found = diagnosed(
+        11, "pulley_eccentricity", "spring", {"creep", "encoder_scale"}, duration=30.0, rate=50.0
+    )
+    assert found.verdict in {Verdict.NAMED, Verdict.AMBIGUOUS}
+    assert found.causes == ("pulley_eccentricity",)
