@@ -80,6 +80,11 @@ class Scene:
         self._lanes = StateLanes(self._sender)
         self._panel = Panel(config, self._sender, self._sheaths)
 
+    @property
+    def newest_ns(self) -> int:
+        """The newest stamp that was sent [ns]; 0 before any."""
+        return self._sender.newest_ns
+
     def send(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Send one batch of each topic, all of it; returns the number of rows that were shown."""
         return self.pictures(batches) + self.curves(batches)

@@ -311,3 +311,16 @@ def test_a_view_that_would_take_too_much_draws_less_often_and_recovers():
     for second in range(30, 60):
         pacing.update(used, float(second))
     assert pacing.stretch == 1.0
+
+
+@pytest.mark.parametrize("keeps_up", [0.5, 2.0])
+def test_a_page_that_does_not_keep_up_is_sent_less_until_it_does(keeps_up):
+    """It takes in so many seconds a second of what comes without stretching, after a late start."""
+    pacing, behind_s, worst_s = Pacing(1.0), 20.0, 0.0
+    for second in range(120):
+        behind_s = max(0.0, behind_s + 1.0 - keeps_up * pacing.stretch)
+        worst_s = max(worst_s, behind_s)
+        pacing.update(0.0, float(second), behind_s)
+    assert worst_s < 25
+    assert behind_s < 3
+    assert keeps_up * pacing.stretch > 0.7
