@@ -132,31 +132,32 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
     REPORT: (CurveGroup(
         "role",
         (
-            Curve("rate/{}", "rate_hz", "rate", colours.HOUSING),
+            Curve("rate/{}", "rate_hz", "rate", colours.HOUSING, behind=True),
             Curve("latency/{}/p50", "latency_p50_ns", "median", colours.ESTIMATE, 2.0, factor=_MS,
-                  positive_only=True),
+                  positive_only=True, behind=True),
             Curve("latency/{}/p99", "latency_p99_ns", "99 %", colours.INTERVAL, factor=_MS,
-                  positive_only=True),
-            Curve("latency/{}/late", "lateness_max_ns", "latest tick", LATENESS, factor=_MS),
-            Curve("loss/{}/lost", "lost", "lost", LOSS),
-            Curve("loss/{}/rejected", "rejected", "rejected", colours.ASKED),
-            Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH),
+                  positive_only=True, behind=True),
+            Curve("latency/{}/late", "lateness_max_ns", "latest tick", LATENESS, factor=_MS,
+                  behind=True),
+            Curve("loss/{}/lost", "lost", "lost", LOSS, behind=True),
+            Curve("loss/{}/rejected", "rejected", "rejected", colours.ASKED, behind=True),
+            Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH, behind=True),
         ),
     ),),
     LINK: (CurveGroup(
         "role",
         (
             Curve("latency/{}/round_trip", "round_trip_ns", "round trip", colours.HAND, factor=_MS,
-                  positive_only=True),
+                  positive_only=True, behind=True),
             Curve("latency/{}/jitter", "jitter_ns", "jitter", colours.ASKED, factor=_MS,
-                  positive_only=True),
+                  positive_only=True, behind=True),
         ),
     ),),
     LATENCY: (CurveGroup(
         "sender",
         tuple(
             Curve(f"budget/{{}}/{k}", "p50_ns", name, colour, factor=_MS, entry=k,
-                  positive_only=True)
+                  positive_only=True, behind=True)
             for k, (name, colour) in enumerate(zip(STAGE_NAMES, STAGE_COLOURS, strict=True))
         ),
     ),),

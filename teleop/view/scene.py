@@ -3,10 +3,10 @@
 Entities, all on the timeline `time` (the stamp its sender gave a message):
 
 ======================================= ========================================================
-scene/tendon_<i>/tube, front            a sheath coloured by tension, and X' on it
+scene/tendon_<i>/tube                   a sheath coloured by tension, and X' on it
 scene/joint_<j>, scene/hand_<j>         tip and hand with the forces on them
 scene/legend                            the colour scale
-profile/tendon_<i>/curve, band, front   T(x), what is certain of it, and X' as a plot
+profile/tendon_<i>/curve, band          T(x) with X', and what is certain of it, as a plot
 profile/tendon_<i>/tension              T(x) [N] itself: component `tension`, 65 numbers of 64 bits
 loop/tendon_<i>/curve                   T_out over T_in
 tension, displacement, elongation,      curves over time, see `teleop.view.curves`
