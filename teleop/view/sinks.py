@@ -150,7 +150,7 @@ class Sink:
         if not has_display():
             raise UsageError("--view native: there is no display here; use --view web")
         port = free_port(config.grpc_port)
-        memory = f"{config.server_memory_mb}MB"
+        memory = f"{config.page_memory_mb}MB"
         arguments = [*self._saved, "--hide-welcome-screen", "--memory-limit", memory]
         arguments.append("--expect-data-soon")
         self._viewer = stack.enter_context(ViewerProcess(arguments, port))
