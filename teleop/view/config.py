@@ -60,7 +60,7 @@ class ViewConfig:
         0.012  # of the size of the scene; radius of a sheath where its tendon slides
     )
     tendon_spacing: float = 0.05  # of the size of the scene, between sheaths
-    server_memory_mb: int = 16  # [MB] of history for a page that is opened later: half a minute
+    server_memory_mb: int = 8  # [MB] of history for a page that is opened later: half a minute
     page_memory_mb: int = 1024  # [MB] memory of the viewer, in a browser or a window
     web_port: int = 9090  # preferred port; a free one if it is in use
     grpc_port: int = 9876  # likewise

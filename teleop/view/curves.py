@@ -8,6 +8,7 @@ from teleop.topics import COMMAND, HAND, LATENCY, LEDGER, LINK, REPORT, STATE, T
 from teleop.view import colours
 
 STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.ASKED, colours.TRUTH)
+BESIDE = 4.0  # [points] of a curve below another that is nearly equal: seen on both sides of it
 LOSS, LATENESS = colours.PHASES[2], colours.PHASES[4]
 
 
@@ -61,14 +62,14 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         "tendon",
         (
             Curve("tension/{}/in", "proximal_tension", "measured", colours.HOUSING),
-            Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, 2.0),
+            Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, BESIDE),
             Curve("tension/{}/out_true", "bench_distal_tension", "true", colours.TRUTH),
             Curve("displacement/{}/in", "proximal_displacement", "measured",
                   colours.HOUSING, factor=MILLI, behind=True),
             Curve("displacement/{}/asked", "commanded_displacement", "commanded",
                   colours.ASKED, factor=MILLI, behind=True),
             Curve("displacement/{}/out_true", "bench_distal_displacement", "true",
-                  colours.TRUTH, factor=MILLI),
+                  colours.TRUTH, BESIDE, factor=MILLI),
             Curve("elongation/{}", "elongation", "estimated", colours.ESTIMATE, factor=MILLI,
                   behind=True),
         ),
@@ -77,7 +78,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         CurveGroup(
             "joint",
             (
-                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, 2.0),
+                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, BESIDE),
                 Curve("position/{}/tip", "position", "estimated", colours.ESTIMATE,
                       2.0, factor=MILLI),
             ),
