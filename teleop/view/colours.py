@@ -70,12 +70,12 @@ def lighter(colour: int) -> int:
 
 
 PLAIN = 0xF0F0F0FF  # of words and numbers
-_QUALITIES = {"good": 0x4FD1A5FF, "poor": 0xF0E442FF, "bad": 0xFF6A4BFF}
+_QUALITIES = {"good": 0x4FD1A5FF, "poor": 0xF0E442FF, "bad": 0xFF6A4BFF, "none": 0xFF6A4BFF}
 _NEAR = 0.8  # share of the limit from which a force is shown as near to it
 
 
 def quality_colour(word: str) -> int:
-    """Return the colour of a link that is good, poor or bad."""
+    """Return the colour of a link that is good, poor, bad or none."""
     return _QUALITIES[word]
 
 

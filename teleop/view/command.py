@@ -177,7 +177,10 @@ def _feed(
     if sink.stream is not None:
         whole = sink.file is not None
         live = file is None and not whole
-        show = Scene(config, sink.stream, sink.lay_out, everything=whole, live=live)
+        scene = Scene(config, sink.stream, sink.lay_out, everything=whole, live=live)
+        show = scene
+        if file is None:
+            sink.follow(lambda: scene.newest_ns)
     _say(sink)
     let_loops_first()  # not before: after a failure the view must be back soon
     if file is not None:

@@ -60,8 +60,8 @@ class ViewConfig:
         0.012  # of the size of the scene; radius of a sheath where its tendon slides
     )
     tendon_spacing: float = 0.05  # of the size of the scene, between sheaths
-    server_memory_mb: int = 512  # [MB] of history for a browser that connects later
-    page_memory_mb: int = 1024  # [MB] memory of the viewer in a browser
+    server_memory_mb: int = 8  # [MB] of history for a page that is opened later: half a minute
+    page_memory_mb: int = 1024  # [MB] memory of the viewer, in a browser or a window
     web_port: int = 9090  # preferred port; a free one if it is in use
     grpc_port: int = 9876  # likewise
     foxglove: bool = False  # also serve the messages to the Foxglove app, on this machine
@@ -88,7 +88,7 @@ class ViewConfig:
             ("hand_radius_m", 1e-4, 10, " m"),
             ("tube_radius", 1e-4, 0.1, ""),
             ("tendon_spacing", 1e-3, 1, ""),
-            ("server_memory_mb", 16, 65536, " MB"),
+            ("server_memory_mb", 4, 65536, " MB"),
             ("page_memory_mb", 256, 4000, " MB"),
             ("web_port", 1024, 65535, ""),
             ("grpc_port", 1024, 65535, ""),

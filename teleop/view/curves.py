@@ -8,6 +8,7 @@ from teleop.topics import COMMAND, HAND, LATENCY, LEDGER, LINK, REPORT, STATE, T
 from teleop.view import colours
 
 STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.ASKED, colours.TRUTH)
+BESIDE = 4.0  # [points] of a curve below another that is nearly equal: seen on both sides of it
 LOSS, LATENESS = colours.PHASES[2], colours.PHASES[4]
 
 
@@ -61,14 +62,14 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         "tendon",
         (
             Curve("tension/{}/in", "proximal_tension", "measured", colours.HOUSING),
-            Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, 2.0),
+            Curve("tension/{}/out", "distal_tension", "estimated", colours.ESTIMATE, BESIDE),
             Curve("tension/{}/out_true", "bench_distal_tension", "true", colours.TRUTH),
             Curve("displacement/{}/in", "proximal_displacement", "measured",
                   colours.HOUSING, factor=MILLI, behind=True),
             Curve("displacement/{}/asked", "commanded_displacement", "commanded",
                   colours.ASKED, factor=MILLI, behind=True),
             Curve("displacement/{}/out_true", "bench_distal_displacement", "true",
-                  colours.TRUTH, factor=MILLI),
+                  colours.TRUTH, BESIDE, factor=MILLI),
             Curve("elongation/{}", "elongation", "estimated", colours.ESTIMATE, factor=MILLI,
                   behind=True),
         ),
@@ -77,7 +78,7 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
         CurveGroup(
             "joint",
             (
-                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, 2.0),
+                Curve("force/{}/tip", "force", "estimated", colours.ESTIMATE, BESIDE),
                 Curve("position/{}/tip", "position", "estimated", colours.ESTIMATE,
                       2.0, factor=MILLI),
             ),
@@ -132,31 +133,32 @@ CURVES: dict[Topic[Any], tuple[CurveGroup, ...]] = {
     REPORT: (CurveGroup(
         "role",
         (
-            Curve("rate/{}", "rate_hz", "rate", colours.HOUSING),
+            Curve("rate/{}", "rate_hz", "rate", colours.HOUSING, behind=True),
             Curve("latency/{}/p50", "latency_p50_ns", "median", colours.ESTIMATE, 2.0, factor=_MS,
-                  positive_only=True),
+                  positive_only=True, behind=True),
             Curve("latency/{}/p99", "latency_p99_ns", "99 %", colours.INTERVAL, factor=_MS,
-                  positive_only=True),
-            Curve("latency/{}/late", "lateness_max_ns", "latest tick", LATENESS, factor=_MS),
-            Curve("loss/{}/lost", "lost", "lost", LOSS),
-            Curve("loss/{}/rejected", "rejected", "rejected", colours.ASKED),
-            Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH),
+                  positive_only=True, behind=True),
+            Curve("latency/{}/late", "lateness_max_ns", "latest tick", LATENESS, factor=_MS,
+                  behind=True),
+            Curve("loss/{}/lost", "lost", "lost", LOSS, behind=True),
+            Curve("loss/{}/rejected", "rejected", "rejected", colours.ASKED, behind=True),
+            Curve("loss/{}/overruns", "overruns", "overruns", colours.TRUTH, behind=True),
         ),
     ),),
     LINK: (CurveGroup(
         "role",
         (
             Curve("latency/{}/round_trip", "round_trip_ns", "round trip", colours.HAND, factor=_MS,
-                  positive_only=True),
+                  positive_only=True, behind=True),
             Curve("latency/{}/jitter", "jitter_ns", "jitter", colours.ASKED, factor=_MS,
-                  positive_only=True),
+                  positive_only=True, behind=True),
         ),
     ),),
     LATENCY: (CurveGroup(
         "sender",
         tuple(
             Curve(f"budget/{{}}/{k}", "p50_ns", name, colour, factor=_MS, entry=k,
-                  positive_only=True)
+                  positive_only=True, behind=True)
             for k, (name, colour) in enumerate(zip(STAGE_NAMES, STAGE_COLOURS, strict=True))
         ),
     ),),

@@ -107,7 +107,8 @@ def from_link(
         [Hz] rate of reading the listener.
     periods_s : tuple of two floats
         [s] between updates of the scene, and of the curves; stretched, and rows thinned by the
-        same factor, where they would take more than `processor_share`, of one processor.
+        same factor, where they would take more than `processor_share`, of one processor, or where
+        a page does not keep up.
     """
     fed = FeedCounts()
     pictures, curves = (PacedMessages(period_s, 1.0 / drain_hz) for period_s in periods_s)
@@ -132,7 +133,7 @@ def from_link(
             fed.fault = "" if sink.window else "the viewer program ended"
             stop.request("the viewer has ended")
             continue
-        factor = pacing.update(time.process_time(), time.monotonic())
+        factor = pacing.update(time.process_time(), time.monotonic(), sink.behind_s)
         pictures.stretch = curves.stretch = factor
         show.stretch(factor)
         pass_on(tick.stamp_ns, all_of_it=False)

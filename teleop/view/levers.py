@@ -1,7 +1,8 @@
 """Joint, tip, environment and hand in the scene, with the forces on them.
 
 A joint is drawn as a link that turns with the travel of its tip, the hand as a handle. The force
-at the tip is positive against pulling, that on the hand along its own positive travel.
+at the tip is positive against pulling, that on the hand along its own positive travel. What comes
+of one message is one entity where it can be: a page takes in blocks, whatever is in them.
 """
 
 import math
@@ -22,6 +23,7 @@ from teleop.view.stage import ARROW, Lever
 
 _WEDGE = 0.5  # [rad] of the environment, as drawn
 _WEDGE_STEPS = 12
+Columns = list[rr.ComponentColumn]  # of one block of rows
 
 
 class Levers:
@@ -55,8 +57,8 @@ class Levers:
             self._style(f"{path}/link", colours.BODY, thick)
             self._style(f"{path}/asked", colours.ASKED, 0.35 * thick)
             self._arrow_style(f"{path}/force", colours.ESTIMATE, 0.7 * thick)
-            self._number_style(f"{path}/newtons", colours.ESTIMATE)
-            self._style(f"{path}/interval", colours.INTERVAL, 0.35 * thick)
+            self._number_style(f"{path}/force", colours.ESTIMATE)
+            self._style(f"{path}/force", colours.INTERVAL, 0.35 * thick)
             self._arrow_style(f"{path}/truth", colours.TRUTH, 0.45 * thick)
             self._environment(f"{path}/environment", joint, lever)
         for joint, lever in stage.hands.items():
@@ -69,8 +71,8 @@ class Levers:
             )
             self._sender.static(f"scene/hand_{joint}/pivot", pivot)
             self._style(f"scene/hand_{joint}/handle", colours.HAND, thick)
-            self._arrow_style(f"scene/hand_{joint}/force", colours.HAND, 0.7 * thick)
-            self._number_style(f"scene/hand_{joint}/newtons", colours.HAND)
+            self._arrow_style(f"scene/hand_{joint}/handle", colours.HAND, 0.7 * thick)
+            self._number_style(f"scene/hand_{joint}/handle", colours.HAND)
 
     def draw(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Draw some instants; returns the number of messages drawn."""
@@ -93,17 +95,20 @@ class Levers:
         for joint, lever, path in self._joints(rows):
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
             self._travel[joint] = float(travel[-1])
-            ends = self._link(f"{path}/link", rows, lever, travel)
+            ends, link = _link(lever, travel)
+            self._sender.columns(f"{path}/link", rows, link)
             back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
-            self._arrow(f"{path}/force", rows, ends, force[:, None] * back)
-            self._number(f"{path}/newtons", rows, ends + lever.label, force, joint)
             low, high = rows["force_low"][:, joint], rows["force_high"][:, joint]
-            self._interval(f"{path}/interval", rows, lever, ends, back, low, high)
+            parts = _arrow(ends, force[:, None] * back)
+            parts += self._number(ends + lever.label, force, joint)
+            parts += self._interval(lever, ends, back, low, high)
+            self._sender.columns(f"{path}/force", rows, parts)
 
     def _asked(self, rows: Rows) -> None:
         stage = self._sheaths.stage
         for joint, lever in () if stage is None else stage.joints.items():
-            self._link(f"scene/joint_{joint}/asked", rows, lever, rows["position"][:, joint])
+            _, link = _link(lever, rows["position"][:, joint])
+            self._sender.columns(f"scene/joint_{joint}/asked", rows, link)
 
     def _truth(self, rows: Rows) -> None:
         """Draw the force of the bench sensors, if any."""
@@ -114,7 +119,9 @@ class Levers:
             travel = np.where(np.isfinite(travel), travel, self._travel.get(joint, 0.0))
             back = -lever.onward(travel) * self._length(self._config.tension_scale_N)
             ends = lever.tip(travel) + 0.12 * lever.length * np.cross(lever.along, lever.aside)
-            self._arrow(f"scene/joint_{joint}/truth", rows, ends, force[:, None] * back)
+            if np.isfinite(force).any():
+                truth = _arrow(ends, force[:, None] * back)
+                self._sender.columns(f"scene/joint_{joint}/truth", rows, truth)
 
     def _hands(self, rows: Rows) -> None:
         stage = self._sheaths.stage
@@ -123,10 +130,11 @@ class Levers:
             if joint >= count:
                 continue
             travel, force = rows["position"][:, joint], rows["force"][:, joint]
-            ends = self._link(f"scene/hand_{joint}/handle", rows, lever, travel)
+            ends, parts = _link(lever, travel)
             onward = lever.onward(travel) * self._length(self._config.hand_scale_N)
-            self._arrow(f"scene/hand_{joint}/force", rows, ends, force[:, None] * onward)
-            self._number(f"scene/hand_{joint}/newtons", rows, ends + lever.label, force, joint)
+            parts += _arrow(ends, force[:, None] * onward)
+            parts += self._number(ends + lever.label, force, joint)
+            self._sender.columns(f"scene/hand_{joint}/handle", rows, parts)
 
     def _joints(self, rows: Rows) -> list[tuple[int, Lever, str]]:
         stage = self._sheaths.stage
@@ -139,35 +147,16 @@ class Levers:
         stage = self._sheaths.stage
         return 0.0 if stage is None else ARROW * stage.size / scale
 
-    def _link(self, path: str, rows: Rows, lever: Lever, travel: Array) -> Array:
-        """Draw the lever; returns its far ends."""
-        ends = lever.tip(travel)
-        known = np.isfinite(travel)
-        to = ends[known]
-        strips = np.stack([np.broadcast_to(lever.pivot, to.shape), to], axis=1)
-        self._sender.columns(path, rows, columns(rr.LineStrips3D, known, strips=strips))
-        return ends
-
-    def _arrow(self, path: str, rows: Rows, origins: Array, vectors: Array) -> None:
-        known = np.isfinite(vectors).all(axis=1) & np.isfinite(origins).all(axis=1)
-        if known.any():
-            arrows = columns(rr.Arrows3D, known, origins=origins[known], vectors=vectors[known])
-            self._sender.columns(path, rows, arrows)
-
-    def _number(self, path: str, rows: Rows, at: Array, force: Array, joint: int) -> None:
-        """Write forces [N] at places clear of what is drawn; of several joints with the number."""
+    def _number(self, at: Array, force: Array, joint: int) -> Columns:
+        """Return forces [N] at places clear of what is drawn; of several joints with the number."""
         stage = self._sheaths.stage
         of = f"{joint + 1}: " if stage is not None and len(stage.joints) > 1 else ""
         known = np.isfinite(at).all(axis=1) & np.isfinite(force)
-        if known.any():
-            words = [f"{of}{value:.1f} N" for value in force[known]]
-            numbers = columns(rr.Points3D, known, positions=at[known], labels=words)
-            self._sender.columns(path, rows, numbers)
+        words = [f"{of}{value:.1f} N" for value in force[known]]
+        return columns(rr.Points3D, known, positions=at[known], labels=words)
 
-    def _interval(
-        self, path: str, rows: Rows, lever: Lever, ends: Array, back: Array, low: Array, high: Array
-    ) -> None:
-        """Draw a line from the low to the high end beside the arrow, with a bar across each end.
+    def _interval(self, lever: Lever, ends: Array, back: Array, low: Array, high: Array) -> Columns:
+        """Return a line from the low to the high end beside the arrow, with a bar across each end.
 
         The interval can be far wider than the scene; an end beyond the scale of tension is drawn
         there, and has no bar.
@@ -182,7 +171,7 @@ class Levers:
 
         (begin, a), (to, b) = end(low), end(high)
         strips = np.stack([begin - a, begin + a, begin, to, to - b, to + b], axis=1)
-        self._sender.columns(path, rows, columns(rr.LineStrips3D, known, strips=strips))
+        return columns(rr.LineStrips3D, known, strips=strips)
 
     def _environment(self, path: str, joint: int, lever: Lever) -> None:
         """Draw a wedge from the travel at contact."""
@@ -212,6 +201,20 @@ class Levers:
         """Let only the words of points be seen."""
         style = rr.Points3D.from_fields(colors=colour, radii=1e-6, show_labels=True)
         self._sender.static(path, style)
+
+
+def _link(lever: Lever, travel: Array) -> tuple[Array, Columns]:
+    """Return the far ends of a lever, and the columns that draw it."""
+    ends = lever.tip(travel)
+    known = np.isfinite(travel)
+    to = ends[known]
+    strips = np.stack([np.broadcast_to(lever.pivot, to.shape), to], axis=1)
+    return ends, columns(rr.LineStrips3D, known, strips=strips)
+
+
+def _arrow(origins: Array, vectors: Array) -> Columns:
+    known = np.isfinite(vectors).all(axis=1) & np.isfinite(origins).all(axis=1)
+    return columns(rr.Arrows3D, known, origins=origins[known], vectors=vectors[known])
 
 
 def true_force(rows: Rows, tendons: list[int]) -> Array:

@@ -1,11 +1,16 @@
 """Stretches the periods of the view so that it takes no more than its share of a processor.
 
+So does a page that does not keep up: a browser that draws by software takes in a few dozen blocks
+with each of its two or three pictures a second, and would fall further behind without end.
+
 Each call and each row has its cost, so the rows drawn of a second become fewer by the same factor.
 """
 
 _SPAN_S = 1.0  # over which the share is measured
 _RELAX = 0.8  # per span, of the stretch, while the share is well below the limit
 _CALM = 0.8  # of the limit: below it the periods may shrink again
+_LATE_S, _CURRENT_S = 2.0, 1.0  # [s] a page is behind: stretched above, may relax below
+_LATER = 1.25  # per span, of the stretch, while a page is late
 _LONGEST = 10.0  # stretch at most: pieces of a loop must not look like gaps between two loops
 
 
@@ -25,8 +30,16 @@ class Pacing:
         self._limit = limit
         self._since: tuple[float, float] | None = None  # [s] processor time, clock
 
-    def update(self, processor_s: float, now_s: float) -> float:
-        """Return the factor, given the processor time [s] of this process and the clock [s]."""
+    def update(self, processor_s: float, now_s: float, behind_s: float = 0.0) -> float:
+        """Return the factor.
+
+        Parameters
+        ----------
+        processor_s, now_s : float
+            [s] processor time of this process, and the clock.
+        behind_s : float
+            [s] by which the slowest page is behind what was sent.
+        """
         if self._since is None:
             self._since = processor_s, now_s
         used_s, passed_s = processor_s - self._since[0], now_s - self._since[1]
@@ -35,6 +48,8 @@ class Pacing:
             share = used_s / passed_s
             if share > self._limit:
                 self.stretch = min(self.stretch * min(share / self._limit, 2.0), _LONGEST)
-            elif share < _CALM * self._limit:
+            elif behind_s > _LATE_S:
+                self.stretch = min(self.stretch * _LATER, _LONGEST)
+            elif share < _CALM * self._limit and behind_s < _CURRENT_S:
                 self.stretch = max(1.0, self.stretch * _RELAX)
         return self.stretch

@@ -2,7 +2,8 @@
 
 `/` is a page of ours that shows Rerun's viewer in a frame. It asks for `/instance` all the time and
 loads the frame again when another view process answers at the same address: so a page that was
-left open comes back by itself after a restart.
+left open comes back by itself after a restart. The answer names the newest stamp that was sent;
+the page compares it with the newest that the viewer has, says so when that is old, and reports it.
 
 Rerun's viewer loads a font from Google and posts usage statistics to tel.rerun.io from the browser,
 whatever the settings here. This server adds a content security policy that restricts both pages to
@@ -13,13 +14,17 @@ this server adds that; without a bound a page grows to 2.5 GB.
 """
 
 import json
+import math
 import secrets
 import shutil
 import sys
 import threading
+import time
 import urllib.error
 import urllib.parse
 import urllib.request
+from collections import deque
+from collections.abc import Callable
 from http.client import HTTPResponse
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -39,6 +44,7 @@ _VIEWERS = {  # path -> path at the viewer program
     "/favicon.ico": "/favicon.ico",
 }
 _MARK = b'hide_welcome_screen: query.has("hide_welcome_screen"),'  # in the viewer's own page
+_REPORTED_S = 3.0  # [s] for which a page's report counts; it comes twice a second
 _PASSED_ON = ("Content-Type", "Content-Length", "rerun-final-length")
 
 
@@ -62,11 +68,20 @@ class Page:
         query = urllib.parse.urlencode(
             {"url": data_url, "theme": "dark", "hide_welcome_screen": ""}
         )
-        answer = json.dumps({"instance": secrets.token_hex(8), "query": query})
+        self.newest_ns: Callable[[], int] = lambda: 0  # [ns] the newest stamp sent, 0: unknown
+        self._reports: deque[tuple[float, float]] = deque(
+            maxlen=100
+        )  # [s] when, and how far behind
+        instance = {"instance": secrets.token_hex(8), "query": query}
+
+        def looked(behind_s: float) -> bytes:
+            if math.isfinite(behind_s):
+                self._reports.append((time.monotonic(), behind_s))
+            return json.dumps(instance | {"newest_s": self.newest_ns() * 1e-9}).encode()
 
         class Handler(_Handler):
             source = f"http://{LOOPBACK}:{source_port}"
-            instance = answer.encode()
+            answer = staticmethod(looked)
             limit = memory_mb
             policy = (
                 f"default-src 'self'; connect-src 'self' http://{data_address}; "
@@ -85,6 +100,13 @@ class Page:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def behind_s(self) -> float:
+        """Return how far [s] the slowest of the open pages is behind what was sent."""
+        since = time.monotonic() - _REPORTED_S
+        return max(
+            (behind_s for when, behind_s in list(self._reports) if when > since), default=0.0
+        )
 
     def close(self) -> None:
         """Stop serving."""
@@ -106,7 +128,7 @@ class _Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     source = ""
     policy = ""
-    instance = b""
+    answer: Callable[[float], bytes] = staticmethod(lambda _: b"")
     limit = 0  # [MB]
     timeout = 60
 
@@ -117,13 +139,21 @@ class _Handler(BaseHTTPRequestHandler):
             name, kind = _OURS[path]
             self._answer((_HERE / name).read_bytes(), kind)
         elif path == "/instance":
-            self._answer(self.instance, "application/json")
+            self._answer(self.answer(self._behind_s()), "application/json")
         elif path == _VIEWER:
             self._bound()
         elif path in _VIEWERS:
             self._pass_on(_VIEWERS[path])
         else:
             self.send_error(404)
+
+    def _behind_s(self) -> float:
+        """Return how far [s] the page that asks says it is behind; NaN if it does not."""
+        query = urllib.parse.parse_qs(urllib.parse.urlsplit(self.path).query)
+        try:
+            return float(query["behind"][0])
+        except (KeyError, ValueError):
+            return math.nan
 
     def _answer(self, content: bytes, kind: str) -> None:
         headers = {"Content-Type": kind, "Content-Length": str(len(content))}

@@ -35,11 +35,20 @@ from teleop.view.panel_layout import (
 )
 from teleop.view.sender import Sender
 from teleop.view.sheaths import Sheaths
-from teleop.view.status import NO_DATA, Banner, LinkCounts, LinkQuality, banner, link_quality
+from teleop.view.status import (
+    NO_DATA,
+    NO_LINK,
+    Banner,
+    LinkCounts,
+    LinkQuality,
+    banner,
+    link_quality,
+)
 from teleop.view.stroke_text import STROKE, fitted_height, text_strips, text_width
 
 _NUMBER_HZ, _BAR_HZ = 4.0, 10.0  # a number that changes more often cannot be read
 _AGAIN_NS = 2_000_000_000  # [ns] after which a banner is repeated, for pages opened later
+_OLD_NS = 1_000_000_000  # [ns] after which a force of a slave that sends no more is not shown
 _MARGIN = 0.4
 
 
@@ -54,10 +63,13 @@ class Panel:
         self._sides: dict[Role, tuple[int, int]] = {}
         self._shown: tuple[Banner | None, int] = (None, 0)  # and its stamp [ns]
         self._counts: dict[Role, LinkCounts] = {}
+        self._deaf: dict[Role, bool] = {}  # whether it received nothing between its last reports
+        self._force_ns: int | None = None  # [ns] `newest_ns` when a force came; None: none shown
         self._latency_ms: float | None = None
         self._jitter_ms: float | None = None
         self._allowed: dict[Role, str] = {}  # what the link allows, where that is not all
         self._limit_N = math.nan
+        self._placed: tuple[list[ForceRow], list[bool]] = ([], [])
         self._bar_rows, self._number_rows = Paced(_BAR_HZ), Paced(_NUMBER_HZ)
         self._framed: tuple[float, list[bool]] | None = None  # limit, and which are two-way
         self.newest_ns = 0
@@ -75,6 +87,9 @@ class Panel:
             return
         if STATE in batches and len(batches[STATE]):
             self._forces(batches[STATE])
+            self._force_ns = self.newest_ns
+        elif self._force_ns is not None and self.newest_ns - self._force_ns > _OLD_NS:
+            self._forget_forces(self.newest_ns)
         if LINK in batches and len(batches[LINK]):
             self._health(batches[LINK])
         if REPORT in batches and len(batches[REPORT]):
@@ -83,7 +98,14 @@ class Panel:
     def silence(self, silent_ns: int) -> None:
         """Say that nothing has arrived for so long [ns]."""
         self._sides.clear()
-        self._show(Banner(NO_DATA, "the session sends nothing"), self.newest_ns + silent_ns)
+        stamp_ns = self.newest_ns + silent_ns
+        self._show(Banner(NO_DATA, "the session sends nothing"), stamp_ns)
+        if self._whole and self._counts:
+            self._counts.clear()
+            self._deaf.clear()
+            self._drawing("panel/link", stamp_ns, [], PLAIN, 0.0)
+        if self._force_ns is not None:
+            self._forget_forces(stamp_ns)
 
     def _banners(self, batches: Mapping[AnyTopic, Rows]) -> None:
         """Draw the banner at each change of state or reason of a side, in order of time."""
@@ -128,6 +150,7 @@ class Panel:
         limit = self._limit_N if known else self._scale_N
         top, height, places = force_rows(joints)
         two_way = [len(self._sheaths.tendons_of(joint)) > 1 for joint in range(joints)]
+        self._placed = places, two_way
         if self._framed != (limit, two_way):
             self._framed = limit, two_way
             self._words(top, height, f"{'limit' if known else 'scale'} {number_text(limit)} N")
@@ -141,6 +164,15 @@ class Panel:
                 self._bar(joint, place, bars, bars["force"][:, joint] / limit, two_way[joint])
             if len(numbers):
                 self._number(joint, place, numbers, numbers["force"][:, joint])
+
+    def _forget_forces(self, stamp_ns: int) -> None:
+        """Write that no force is known, from one instant on."""
+        self._force_ns = None
+        unknown = np.array([(stamp_ns, math.nan)], [("stamp_ns", np.int64), ("force", np.float64)])
+        places, two_way = self._placed
+        for joint, place in enumerate(places):
+            self._bar(joint, place, unknown, unknown["force"], two_way[joint])
+            self._number(joint, place, unknown, unknown["force"])
 
     def _bar(self, joint: int, place: ForceRow, rows: Rows, shares: Array, two_way: bool) -> None:
         """Draw a force, as shares of its limit, at the stamps of `rows`."""
@@ -195,7 +227,9 @@ class Panel:
             self._counts[role] = LinkCounts(int(newest["received"]), lost)
             if role is Role.MASTER and newest["latency_p50_ns"] > 0:
                 self._latency_ms = float(newest["latency_p50_ns"]) * 1e-6
-            quality = link_quality(before, self._counts, self._latency_ms)
+            self._deaf[role] = role in before and before[role] == self._counts[role]
+            deaf = any(self._deaf.values())
+            quality = link_quality(before, self._counts, self._latency_ms, deaf)
             self._quality(quality, int(newest["stamp_ns"]))
 
     def _health(self, rows: Rows) -> None:
@@ -268,6 +302,8 @@ def link_parts(
 
     What the link allows, where that is not all, stands in the place of the jitter.
     """
+    if quality.word == NO_LINK:
+        return "no link", "", "", ""
     delay, jitter = (
         f"{word} {_milliseconds(value)}" if value is not None else ""
         for word, value in (("delay", quality.latency_ms), ("jitter", jitter_ms))

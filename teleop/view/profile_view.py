@@ -66,9 +66,10 @@ class ProfileView:
         path, side = f"profile/tendon_{tendon}", self._side(tendon)
         slides, sticks = _CURVES[side]
         style = rr.LineStrips2D.from_fields(colors=[slides, sticks], radii=[0.012, 0.005])
-        self._sender.once(f"{path}/curve", style)
         mark = rr.Points2D.from_fields(colors=FRONT, radii=0.022)
-        self._sender.once(f"{path}/front", mark)
+        if not self._sender.styled(f"{path}/curve"):
+            self._sender.once(f"{path}/curve", style)
+            self._sender.static(f"{path}/curve", mark)
         name = rr.Points2D(
             [[WIDTH - 0.95 + 0.75 * side, -1.12]],
             labels=f"estimated {self._sheaths.name(tendon)}",
@@ -87,10 +88,9 @@ class ProfileView:
             pieces.append(np.concatenate([points[behind], [point, point][: 2 - behind.any()]]))
             pieces.append(np.concatenate([[point, point][: 2 - ahead.any()], points[ahead]]))
         curve = columns(rr.LineStrips2D, np.full(len(rows), 2), strips=pieces)
-        self._sender.columns(f"{path}/curve", rows, curve)
         known = np.isfinite(rows["front"])
-        marks = columns(rr.Points2D, known, positions=fronts[known])
-        self._sender.columns(f"{path}/front", rows, marks)
+        curve += columns(rr.Points2D, known, positions=fronts[known])
+        self._sender.columns(f"{path}/curve", rows, curve)
 
     def _band(self, tendon: int, rows: Rows, plane: Plane, x: Array) -> None:
         """Draw the certified band of T(x) as one broad zigzag line."""

@@ -3,10 +3,10 @@
 Entities, all on the timeline `time` (the stamp its sender gave a message):
 
 ======================================= ========================================================
-scene/tendon_<i>/tube, front            a sheath coloured by tension, and X' on it
+scene/tendon_<i>/tube                   a sheath coloured by tension, and X' on it
 scene/joint_<j>, scene/hand_<j>         tip and hand with the forces on them
 scene/legend                            the colour scale
-profile/tendon_<i>/curve, band, front   T(x), what is certain of it, and X' as a plot
+profile/tendon_<i>/curve, band          T(x) with X', and what is certain of it, as a plot
 profile/tendon_<i>/tension              T(x) [N] itself: component `tension`, 65 numbers of 64 bits
 loop/tendon_<i>/curve                   T_out over T_in
 tension, displacement, elongation,      curves over time, see `teleop.view.curves`
@@ -79,6 +79,11 @@ class Scene:
         self._plots = Plots(config, self._sender, self._sheaths, self._thinned, live)
         self._lanes = StateLanes(self._sender)
         self._panel = Panel(config, self._sender, self._sheaths)
+
+    @property
+    def newest_ns(self) -> int:
+        """The newest stamp that was sent [ns]; 0 before any."""
+        return self._sender.newest_ns
 
     def send(self, batches: Mapping[AnyTopic, Rows]) -> int:
         """Send one batch of each topic, all of it; returns the number of rows that were shown."""

@@ -17,6 +17,7 @@ class Sender:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._styled: set[str] = set()
+        self.newest_ns = 0  # [ns] the newest stamp sent
 
     def columns(self, path: str, rows: Rows, columns: Iterable[rr.ComponentColumn]) -> None:
         """Send `columns`, one row at the stamp of each of `rows`."""
@@ -29,6 +30,7 @@ class Sender:
     ) -> None:
         """Send `columns`, one row at each stamp [ns since the epoch]."""
         self._stream.send_columns(path, [Stamps(stamps_ns)], columns)
+        self.newest_ns = max(self.newest_ns, int(stamps_ns.max(initial=0)))
 
     def static(self, path: str, archetype: AsComponents) -> None:
         """Send static data, replacing earlier ones."""

@@ -2,7 +2,7 @@
 
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
@@ -58,6 +58,7 @@ class Sink:
         self._config = config
         self.file = _new_file(config, session) if mode == "rrd" and out is None else out
         self._viewer: ViewerProcess | None = None
+        self._page: Page | None = None
         self._joints: Mapping[int, Sequence[int]] = {}  # as laid out
         self._sinks: list[rr.GrpcSink | rr.FileSink] = []
         self._slow_probes = 0
@@ -108,6 +109,16 @@ class Sink:
             self._joints = joints
             self.stream.send_blueprint(blueprint(self._config, joints))
 
+    def follow(self, newest_ns: Callable[[], int]) -> None:
+        """Let a page compare what it shows with the newest stamp [ns] that was sent."""
+        if self._page is not None:
+            self._page.newest_ns = newest_ns
+
+    @property
+    def behind_s(self) -> float:
+        """How far [s] the slowest open page is behind what was sent; 0 if none says so."""
+        return 0.0 if self._page is None else self._page.behind_s()
+
     def stuck(self) -> bool:
         """Return whether the viewer has stopped accepting data: two probes in a row failed."""
         if self.stream is None or not self.alive():
@@ -139,7 +150,7 @@ class Sink:
         if not has_display():
             raise UsageError("--view native: there is no display here; use --view web")
         port = free_port(config.grpc_port)
-        memory = f"{config.server_memory_mb}MB"
+        memory = f"{config.page_memory_mb}MB"
         arguments = [*self._saved, "--hide-welcome-screen", "--memory-limit", memory]
         arguments.append("--expect-data-soon")
         self._viewer = stack.enter_context(ViewerProcess(arguments, port))
@@ -159,6 +170,7 @@ class Sink:
         self._viewer = stack.enter_context(ViewerProcess(arguments, port))
         web_port = free_port(config.web_port, patience_s)
         page = stack.enter_context(Page(web_port, inner, self._viewer.url, config.page_memory_mb))
+        self._page = page
         self._sinks.append(rr.GrpcSink(self._viewer.url))
         self.lines.append(f"{WEB_VIEW}{page.address}")
 

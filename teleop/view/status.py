@@ -14,6 +14,7 @@ _RANK = (
 )  # fmt: skip
 _REASONS = {int(reason): reason for reason in Reason}
 NO_DATA = "no data"
+NO_LINK = "none"
 _POOR_LOSS, _BAD_LOSS = 0.01, 0.1  # shares of the peer's messages
 
 
@@ -28,18 +29,23 @@ def banner(sides: Mapping[Role, tuple[int, int]]) -> Banner:
     """Return the state of the session from each side's state and reason.
 
     It is the most severe of the two, so it is engaged only if both are. Of two sides in that state
-    the one whose reason is its own is quoted.
+    the one whose reason is its own is quoted. Its peer has its name: who watches sees both sides.
     """
     if set(sides) != {Role.MASTER, Role.SLAVE}:
         missing = [role_name(role) for role in (Role.MASTER, Role.SLAVE) if role not in sides]
         return Banner("off", f"waiting for the {' and the '.join(missing)}")
     states = {role: State(number) for role, (number, _) in sides.items()}
     worst = min(states.values(), key=_RANK.index)
-    numbers = [sides[role][1] for role, state in states.items() if state is worst]
-    reasons = [_REASONS.get(number, Reason.UNKNOWN) for number in numbers]
-    own = [reason for reason in reasons if reason not in FROM_PEER]
-    reason = (own or reasons)[0]
-    return Banner(worst.name.lower(), "" if reason is Reason.NONE else reason.text)
+    reasons = [
+        (role, _REASONS.get(sides[role][1], Reason.UNKNOWN))
+        for role, state in states.items()
+        if state is worst
+    ]
+    own = [(role, reason) for role, reason in reasons if reason not in FROM_PEER]
+    role, reason = (own or reasons)[0]
+    peer = role_name(Role.SLAVE if role is Role.MASTER else Role.MASTER)
+    text = "" if reason is Reason.NONE else reason.text.replace("peer", peer)
+    return Banner(worst.name.lower(), text)
 
 
 class LinkCounts(NamedTuple):
@@ -52,15 +58,21 @@ class LinkCounts(NamedTuple):
 class LinkQuality(NamedTuple):
     """Quality of the link over the last reports."""
 
-    word: str  # good, poor or bad
+    word: str  # good, poor, bad or `NO_LINK`
     loss: float  # share of the messages that did not arrive in order, the worse way
     latency_ms: float | None  # median, command to force; None if not known
 
 
 def link_quality(
-    before: Mapping[Role, LinkCounts], now: Mapping[Role, LinkCounts], latency_ms: float | None
+    before: Mapping[Role, LinkCounts],
+    now: Mapping[Role, LinkCounts],
+    latency_ms: float | None,
+    deaf: bool = False,
 ) -> LinkQuality:
-    """Return the quality from two reports of each side; the worse way counts."""
+    """Return the quality from two reports of each side; the worse way counts.
+
+    With `deaf` a side has received nothing at all between its reports.
+    """
     shares = [0.0]
     for role, counts in now.items():
         earlier = before.get(role, counts)
@@ -68,5 +80,7 @@ def link_quality(
         if lost > 0:
             shares.append(lost / (lost + max(received, 0)))
     loss = max(shares)
+    if deaf:
+        return LinkQuality(NO_LINK, loss, None)
     word = "good" if loss < _POOR_LOSS else "poor" if loss < _BAD_LOSS else "bad"
     return LinkQuality(word, loss, latency_ms)

@@ -41,7 +41,7 @@ class Tubes:
             )
             self._sender.static(f"scene/tendon_{tendon}/tube", tube)
             front = rr.Points3D.from_fields(radii=1.8 * radius, colors=FRONT)
-            self._sender.static(f"scene/tendon_{tendon}/front", front)
+            self._sender.static(f"scene/tendon_{tendon}/tube", front)
 
     def draw(self, tendon: int, rows: Rows) -> None:
         """Draw T(x) and X' of some instants."""
@@ -54,18 +54,11 @@ class Tubes:
         slides = sliding(front, length)
         radius = self._config.tube_radius * stage.size
         radii = np.where(slides, radius, _STUCK * radius).astype(np.float32).ravel()
-        self._sender.columns(
-            f"scene/tendon_{tendon}/tube",
-            rows,
-            columns(rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii),
-        )
         known = np.isfinite(front)
         at = along(stage.lines[tendon], (front / length)[known])
-        self._sender.columns(
-            f"scene/tendon_{tendon}/front",
-            rows,
-            columns(rr.Points3D, known, positions=at),
-        )
+        tube = columns(rr.Capsules3D, np.full(len(rows), SEGMENTS), colors=colours, radii=radii)
+        tube += columns(rr.Points3D, known, positions=at)
+        self._sender.columns(f"scene/tendon_{tendon}/tube", rows, tube)
 
 
 def sliding(front: Array, length: Array) -> NDArray[np.bool_]:

@@ -122,6 +122,23 @@ def test_state_and_force_are_seen_in_both_themes_and_sizes(chromium, layout, siz
         assert is_dark(picture)
 
 
+@pytest.mark.slow
+def test_a_page_says_how_old_what_it_shows_is(chromium):
+    config = replace(CONFIG, layout="surgeon")
+    chromium.emulate(1280, 800, "light")
+    with Sink("web", config, "test", None, live=True) as sink:
+        scene = Scene(config, sink.stream, sink.lay_out)
+        scene.send(decode(MESSAGES))
+        sink.stream.flush()
+        sink.follow(lambda: scene.newest_ns + 12_000_000_000)
+        chromium.open(sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl")
+        strip = (0, 0, 1280, 60)
+        assert wait_for(lambda: pixels(chromium.picture(), strip, LOST) > 5000, APPEARS_S, 1.0)
+        assert sink.behind_s == pytest.approx(12.0, abs=0.1)
+        sink.follow(lambda: scene.newest_ns)
+        assert wait_for(lambda: pixels(chromium.picture(), strip, LOST) == 0, 60)
+
+
 @pytest.mark.slow  # half a minute of a browser
 def test_the_page_comes_back_when_another_view_serves_it(chromium):
     """Two views one after the other at the same address; the second shows another layout."""

@@ -253,6 +253,21 @@ def test_the_page_is_served_and_may_reach_only_this_machine(web):
     assert "*" not in policy
 
 
+def test_the_page_learns_the_newest_stamp_and_says_how_far_it_is_behind():
+    with Sink("web", CONFIG, "test", None, live=True) as sink:
+        address = sink.lines[0].removeprefix("Web view: ") + "instance"
+        sink.follow(lambda: T0)
+        for query, behind_s in (
+            ("", 0),
+            ("?behind=nan", 0),
+            ("?behind=x", 0),
+            ("?behind=4.5", 4.5),
+        ):
+            with urllib.request.urlopen(address + query, timeout=10) as answer:  # noqa: S310
+                assert json.load(answer)["newest_s"] == pytest.approx(T0 * 1e-9)
+            assert sink.behind_s == behind_s
+
+
 @pytest.mark.parametrize(
     "path", ["/../etc/passwd", "/signed-in", "//example.org/", "/re_viewer.wasm"]
 )

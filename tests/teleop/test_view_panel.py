@@ -66,8 +66,9 @@ def test_every_letter_of_a_reason_and_a_state_has_a_glyph_and_all_glyphs_differ(
 
 def test_every_reason_fits_on_the_banner():
     for reason in Reason:
-        height = fitted_height(reason.text, WIDE - 0.8, 0.45)
-        assert text_width(reason.text, height) <= WIDE - 0.8 + 1e-9
+        text = banner(dict.fromkeys((Role.MASTER, Role.SLAVE), (State.FAULT, reason))).reason
+        height = fitted_height(text, WIDE - 0.8, 0.45)
+        assert text_width(text, height) <= WIDE - 0.8 + 1e-9
         assert height > 0.2
 
 
@@ -91,6 +92,20 @@ def test_of_two_faults_the_first_hand_reason_is_quoted():
     }
     assert banner(sides) == Banner("fault", Reason.TENDON_BROKEN.text)
     assert banner({Role.SLAVE: (State.READY, 0)}).reason == "waiting for the master"
+
+
+@pytest.mark.parametrize(("role", "peer"), [(Role.MASTER, "slave"), (Role.SLAVE, "master")])
+def test_the_banner_names_the_side_that_sends_nothing(role, peer):
+    other = {Role.MASTER: Role.SLAVE, Role.SLAVE: Role.MASTER}[role]
+    sides = {role: (State.FAULT, Reason.PEER_SILENT), other: (State.ENGAGED, Reason.NONE)}
+    assert banner(sides).reason == f"no messages from the {peer}"
+
+
+def test_a_link_over_which_nothing_comes_has_no_figures():
+    counts = {Role.SLAVE: LinkCounts(1000, 0)}
+    assert link_quality(counts, counts, 0.5).word == "good"  # the report of the other side
+    quality = link_quality(counts, counts, 0.5, deaf=True)
+    assert link_parts(quality, 0.1, []) == ("no link", "", "", "")
 
 
 def test_the_link_is_as_good_as_its_worse_way():
@@ -233,11 +248,48 @@ def test_the_whole_banner_is_repeated_while_nothing_changes(tmp_path):
 
 
 def test_the_bar_shows_the_force_as_a_share_of_its_limit(drawn):
-    strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-1]
+    strips = list(drawn["/panel/joint_0/bar"]["LineStrips2D:strips"].values())[-2]
     left, _, right, _ = force_rows(1)[2][0].bar(0.5, two_way=False)
     points = np.array(strips).reshape(-1, 2)
     assert points[:, 0].max() == pytest.approx(right, abs=0.1)
     assert points[:, 0].min() == pytest.approx(left, abs=0.1)
+
+
+def empty(drawn, part):
+    """Return whether the newest drawing of a part has no line."""
+    newest = max(drawn[part]["LineStrips2D:strips"].items())
+    return len(newest[1]) == 0
+
+
+def test_neither_force_nor_link_outlives_a_session(drawn):
+    assert empty(drawn, "/panel/joint_0/bar")
+    assert empty(drawn, "/panel/link")
+    dashes = max(drawn["/panel/joint_0/number"]["LineStrips2D:strips"].items())[1]
+    assert len(dashes) == 3
+    assert all(strip[0][1] == strip[-1][1] for strip in dashes)
+
+
+def test_a_force_does_not_outlive_its_slave_and_the_link_is_none_without_messages(tmp_path):
+    path, session = tmp_path / "panel.rrd", Session(0)
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        for k in range(30):
+            session, stamp = Session(0), T0 + k * 100_000_000
+            session.add(HAND, Hand(state=State.ENGAGED, joints=1), stamp)
+            if k < 10:
+                state = SlaveState(state=State.ENGAGED, joints=1, force=padded((6.0,), MAX_JOINTS))
+                session.add(STATE, state, stamp)
+            if k % 5 == 0:
+                heard = LoopReport(role=Role.MASTER, received=100 * min(k, 10), lost=0)
+                session.add(REPORT, heard, stamp)
+            scene.send(decode(session.messages))
+    entities = read(path)
+    assert empty(entities, "/panel/joint_0/bar")
+    bars = entities["/panel/joint_0/bar"]["LineStrips2D:strips"]
+    last = T0 + 900_000_000
+    assert 1_000_000_000 < max(bars) - last <= 1_200_000_000
+    inks = entities["/panel/link"]["LineStrips2D:colors"]
+    assert inks[max(inks)][0] != inks[min(inks)][0]
 
 
 def test_a_number_changes_four_times_a_second_however_short_the_blocks_are(tmp_path):
@@ -311,3 +363,16 @@ def test_a_view_that_would_take_too_much_draws_less_often_and_recovers():
     for second in range(30, 60):
         pacing.update(used, float(second))
     assert pacing.stretch == 1.0
+
+
+@pytest.mark.parametrize("keeps_up", [0.5, 2.0])
+def test_a_page_that_does_not_keep_up_is_sent_less_until_it_does(keeps_up):
+    """It takes in so many seconds a second of what comes without stretching, after a late start."""
+    pacing, behind_s, worst_s = Pacing(1.0), 20.0, 0.0
+    for second in range(120):
+        behind_s = max(0.0, behind_s + 1.0 - keeps_up * pacing.stretch)
+        worst_s = max(worst_s, behind_s)
+        pacing.update(0.0, float(second), behind_s)
+    assert worst_s < 25
+    assert behind_s < 3
+    assert keeps_up * pacing.stretch > 0.7

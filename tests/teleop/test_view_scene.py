@@ -138,7 +138,7 @@ def test_T_of_x_is_the_estimators_profile_at_chosen_instants(tmp_path):  # noqa:
         T, front = at(expected, stamp)
         shown = at(file["/profile/tendon_0/tension"]["tension"], stamp)
         np.testing.assert_allclose(shown, T, atol=1e-6)
-        (ball,) = at(file["/scene/tendon_0/front"]["Points3D:positions"], stamp)
+        (ball,) = at(file["/scene/tendon_0/tube"]["Points3D:positions"], stamp)
         fronts.append(front)
         whole = np.linspace(0, model.length, SEGMENTS * PIECES + 1)
         there = [np.interp(front, whole, line[:, axis]) for axis in range(3)]
@@ -148,7 +148,7 @@ def test_T_of_x_is_the_estimators_profile_at_chosen_instants(tmp_path):  # noqa:
 
 def test_the_plotted_curve_is_the_profile_in_two_pieces_that_meet_at_the_front(session, saved):
     sent = {m.stamp_ns: m for m in session.of(PROFILE) if m.tendon == 1}
-    fronts = saved["/profile/tendon_1/front"]["Points2D:positions"]
+    fronts = saved["/profile/tendon_1/curve"]["Points2D:positions"]
     for stamp, pieces in saved["/profile/tendon_1/curve"]["LineStrips2D:strips"].items():
         message, (slides, sticks) = sent[stamp], (np.array(piece) for piece in pieces)
         x = np.linspace(0, 0.8, PROFILE_POINTS)
@@ -209,7 +209,7 @@ def test_the_tube_is_the_sheath(saved, placed):
 
 def test_the_front_is_marked_where_it_is(session, saved, placed):
     sent = {m.stamp_ns: m for m in session.of(PROFILE) if m.tendon == 1}
-    marks = saved["/scene/tendon_1/front"]["Points3D:positions"]
+    marks = saved["/scene/tendon_1/tube"]["Points3D:positions"]
     assert len(marks) >= 20
     whole = np.linspace(0, 0.8, SEGMENTS * PIECES + 1)
     for stamp, (position,) in marks.items():
@@ -223,7 +223,7 @@ def test_a_front_that_is_not_known_is_not_drawn(tmp_path):
     lost = TensionProfile(length=0.8, front=math.nan, tension=(math.nan,) * PROFILE_POINTS)
     session.add(PROFILE, lost, T0 + 60_000_000)
     file = save(session.messages, tmp_path / "lost.rrd")
-    assert not file["/scene/tendon_0/front"]["Points3D:positions"][T0 + 60_000_000]
+    assert not file["/scene/tendon_0/tube"]["Points3D:positions"][T0 + 60_000_000]
     grey = file["/scene/tendon_0/tube"]["Capsules3D:colors"][T0 + 60_000_000]
     assert set(grey) == {0x808080FF}
 
@@ -267,7 +267,7 @@ def test_the_interval_reaches_from_its_low_to_its_high_end(session, saved):
     sent = {m.stamp_ns: m for m in session.of(STATE)}
     arrows = saved["/scene/joint_0/force"]
     beyond = 0
-    for stamp, (strip,) in saved["/scene/joint_0/interval"]["LineStrips3D:strips"].items():
+    for stamp, (strip,) in saved["/scene/joint_0/force"]["LineStrips3D:strips"].items():
         message, drawn = sent[stamp], np.array(strip)
         (origin,), (vector,) = (
             np.array(arrows[f"Arrows3D:{part}"][stamp]) for part in ("origins", "vectors")
@@ -285,7 +285,7 @@ def test_the_interval_reaches_from_its_low_to_its_high_end(session, saved):
 
 def test_the_arrow_at_the_tip_says_its_newtons(session, saved):
     sent = {m.stamp_ns: m for m in session.of(STATE)}
-    words = saved["/scene/joint_0/newtons"]["Points3D:labels"]
+    words = saved["/scene/joint_0/force"]["Points3D:labels"]
     assert len(words) >= 20
     for stamp, (text,) in words.items():
         assert float(text.removesuffix(" N")) == pytest.approx(sent[stamp].force[0], abs=0.051)
@@ -298,8 +298,12 @@ def test_with_several_joints_each_number_says_whose_it_is(tmp_path):
     several.add(STATE, SlaveState(joints=2, force=padded((1.0, -7.8), MAX_JOINTS)), T0)
     several.add(HAND, Hand(joints=2, force=padded((0.5, -2.0), MAX_JOINTS)), T0)
     drawn = save(several.messages, tmp_path / "two.rrd")
-    for path, word in (("joint_0", "1: 1.0 N"), ("joint_1", "2: -7.8 N"), ("hand_1", "2: -2.0 N")):
-        assert drawn[f"/scene/{path}/newtons"]["Points3D:labels"] == {T0: [word]}
+    for path, word in (
+        ("joint_0/force", "1: 1.0 N"),
+        ("joint_1/force", "2: -7.8 N"),
+        ("hand_1/handle", "2: -2.0 N"),
+    ):
+        assert drawn[f"/scene/{path}"]["Points3D:labels"] == {T0: [word]}
 
 
 def test_the_environment_is_drawn_where_the_config_says(session, tmp_path):
