@@ -48,7 +48,7 @@ from teleop.view.stroke_text import STROKE, fitted_height, text_strips, text_wid
 
 _NUMBER_HZ, _BAR_HZ = 4.0, 10.0  # a number that changes more often cannot be read
 _AGAIN_NS = 2_000_000_000  # [ns] after which a banner is repeated, for pages opened later
-_OLD_NS = 1_000_000_000  # [ns] after which a force of a slave that sends no more is not shown
+_OLD_NS = 1_000_000_000  # [ns] after which state and force of a side that sends no more are old
 _MARGIN = 0.4
 
 
@@ -61,6 +61,7 @@ class Panel:
         self._sender = sender
         self._sheaths = sheaths
         self._sides: dict[Role, tuple[int, int]] = {}
+        self._heard_ns: dict[Role, int] = {}  # [ns] `newest_ns` when a side sent its state
         self._shown: tuple[Banner | None, int] = (None, 0)  # and its stamp [ns]
         self._counts: dict[Role, LinkCounts] = {}
         self._deaf: dict[Role, bool] = {}  # whether it received nothing between its last reports
@@ -114,6 +115,7 @@ class Panel:
             rows = batches.get(topic)
             if rows is None or len(rows) == 0:
                 continue
+            self._heard_ns[role] = self.newest_ns
             both = np.stack([rows["state"], rows["reason"]], axis=1).astype(np.int64)
             first = np.append(True, (both[1:] != both[:-1]).any(axis=1))
             changes += [
@@ -123,6 +125,10 @@ class Panel:
         for stamp_ns, role, now in sorted(changes):
             self._sides[role] = now
             self._show(banner(self._sides), stamp_ns)
+        for role in [*self._sides]:
+            if self.newest_ns - self._heard_ns[role] > _OLD_NS:
+                del self._sides[role]
+                self._show(banner(self._sides), self.newest_ns)
 
     def _show(self, now: Banner, stamp_ns: int) -> None:
         before, said_ns = self._shown

@@ -12,6 +12,7 @@ _RANK = (
     State.STOPPED, State.FAULT, State.HOLDING, State.OFF, State.READY, State.CLUTCHED,
     State.ENGAGED,
 )  # fmt: skip
+_SERIOUS = {State.STOPPED, State.FAULT, State.HOLDING}  # said even if the other side is gone
 _REASONS = {int(reason): reason for reason in Reason}
 NO_DATA = "no data"
 NO_LINK = "none"
@@ -31,10 +32,11 @@ def banner(sides: Mapping[Role, tuple[int, int]]) -> Banner:
     It is the most severe of the two, so it is engaged only if both are. Of two sides in that state
     the one whose reason is its own is quoted. Its peer has its name: who watches sees both sides.
     """
-    if set(sides) != {Role.MASTER, Role.SLAVE}:
+    states = {role: State(number) for role, (number, _) in sides.items()}
+    serious = any(state in _SERIOUS for state in states.values())
+    if set(sides) != {Role.MASTER, Role.SLAVE} and not serious:
         missing = [role_name(role) for role in (Role.MASTER, Role.SLAVE) if role not in sides]
         return Banner("off", f"waiting for the {' and the '.join(missing)}")
-    states = {role: State(number) for role, (number, _) in sides.items()}
     worst = min(states.values(), key=_RANK.index)
     reasons = [
         (role, _REASONS.get(sides[role][1], Reason.UNKNOWN))

@@ -292,6 +292,23 @@ def test_a_force_does_not_outlive_its_slave_and_the_link_is_none_without_message
     assert inks[max(inks)][0] != inks[min(inks)][0]
 
 
+@pytest.mark.parametrize(("state", "shown"), [(State.READY, "off"), (State.FAULT, "fault")])
+def test_a_side_that_sends_no_more_is_waited_for_unless_the_other_has_a_fault(
+    tmp_path, state, shown
+):
+    path = tmp_path / "panel.rrd"
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        scene = Scene(SURGEON, sink.stream, sink.lay_out)
+        for k in range(30):
+            session, stamp = Session(0), T0 + k * 100_000_000
+            session.add(STATE, SlaveState(state=state, joints=1), stamp)
+            if k < 10:
+                session.add(HAND, Hand(state=State.READY, joints=1), stamp)
+            scene.send(decode(session.messages))
+    colours = read(path)["/panel/banner/area"]["LineStrips2D:colors"]
+    assert colours[max(colours)][0] == STATES[shown]
+
+
 def test_a_number_changes_four_times_a_second_however_short_the_blocks_are(tmp_path):
     session = Session(0)
     for k in range(200):
