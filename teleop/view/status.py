@@ -12,7 +12,7 @@ _RANK = (
     State.STOPPED, State.FAULT, State.HOLDING, State.OFF, State.READY, State.CLUTCHED,
     State.ENGAGED,
 )  # fmt: skip
-_SERIOUS = {State.STOPPED, State.FAULT, State.HOLDING}  # said even if the other side is gone
+_SERIOUS = {State.STOPPED, State.FAULT, State.HOLDING}  # shown even if the peer sends nothing
 _REASONS = {int(reason): reason for reason in Reason}
 NO_DATA = "no data"
 NO_LINK = "none"
