@@ -2,9 +2,10 @@
 
 Just behind a turn the tension changes with the root of the travel: where the motor goes back by
 less than the noise, the travel looks at rest while the tension falls or rises by many times its own
-noise. There the tension tells the motion better. So, in a simulation by the plain law, it drives
-the few samples in which the travel-driven one leaves the measured tension, if the motion that this
-asks for lies within the noise of the travel. Otherwise something else is wrong and nothing changes.
+noise. There the tension tells the motion better. So where a simulation by the plain law leaves the
+measured tension, the most probable motion is followed sample by sample, by tension and travel
+together, until the travel alone tells the tension again: a few samples. It is taken if it lies
+within the noise of the travel. Otherwise something else is wrong and nothing changes.
 """
 
 from dataclasses import replace
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from estimator.diagnosis.drive import rate, tension_drive
+from estimator.diagnosis.drive import rate
 from estimator.diagnosis.model import Base, plain_physics
 from estimator.diagnosis.record import Record, Trouble
 from estimator.diagnosis.settings import SETTINGS
@@ -23,17 +24,34 @@ from estimator.lumped.lumped_model import Drivable
 
 Mask = NDArray[np.bool_]
 
-AGREES = 3  # neighbouring samples in which the tension agrees again: the end of a stretch
+AGREES = 3  # neighbouring samples in which the tension agrees: nothing is hidden any more
+LATER = 6  # samples in which the travel must tell the tension behind a hidden motion
 BEFORE = 4  # samples before the tension is seen off, in which the motion may have begun
+LONGEST = 400  # samples that the tension may tell together
+TRIED = np.linspace(-3.0, 3.0, 13)  # sigma: tensions about the measured one that are tried
 WHAT = "samples excluded, in which the motor moved within the noise of its travel"
 
 
-class _Stretch(NamedTuple):
-    """Samples that the tension drives, and the travel that it asks for [m]."""
+class _Readings(NamedTuple):
+    """What a record says of tension and travel."""
+
+    tension: Array  # [N]
+    travel: Array  # [m] since the tendon is taut
+    known: Mask  # which tensions were measured
+    good: Mask  # and count
+    noise: Array  # [N] of the tension, and what the noise of the travel makes of a simulation's
+    accuracy: float  # [N] of the tension itself, and of a simulation
+    sigma: float  # [m] noise of the travel
+    inaccuracy: float  # [m] by which the travel of a simulation may be off
+
+
+class _Motion(NamedTuple):
+    """A hidden motion."""
 
     begin: int
-    end: int  # the first one that it does not drive
-    travel: Array  # shape (end - begin,)
+    told: int  # the first sample that the tension does not tell
+    end: int  # the first one in which the motor is where the travel has it
+    travel: Array  # [m], shape (end - begin,)
 
 
 def with_hidden_motion(
@@ -56,86 +74,151 @@ def with_hidden_motion(
     if record.loop or not sigma > 0.0:
         return record
     physics = plain_physics(record, base, base.values(shared, own))
-    drive, driven = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
+    drive, told = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
     for noise in (record.sigma[PROXIMAL_TENSION], record.noise[PROXIMAL_TENSION]):
-        tendon = Drivable(physics, record.time)
-        position, off_by = 0, np.full(len(drive), noise)
-        while (found := _next(record, tendon, drive, position, off_by, sigma, own[0])) is not None:
-            begin, end, travel = found
-            resumed = _resumed(drive, end, float(travel[-1]))
-            drive[begin:end] = travel
-            drive[end:resumed] = travel[-1]
-            driven[begin:end] = True
-            position = resumed
-        if driven.mean() > SETTINGS.hidden_share:  # a misfit all over is no noise
+        tendon, position = Drivable(physics, record.time), 0
+        readings = _readings(record, own[0], np.full(len(drive), noise))
+        while (found := _next(readings, tendon, drive, position)) is not None:
+            drive[found.begin : found.end] = found.travel
+            told[found.begin : found.told] = True
+            position = found.end
+        if told.mean() > SETTINGS.hidden_share:  # a misfit all over is no noise
             return record
-    if not driven.any():
+    if not told.any():
         return record
-    good = record.good | {PROXIMAL_TENSION: record.good[PROXIMAL_TENSION] & ~driven}
-    first = record.start + float(record.time[int(np.argmax(driven))])
+    good = record.good | {PROXIMAL_TENSION: record.good[PROXIMAL_TENSION] & ~told}
+    first = record.start + float(record.time[int(np.argmax(told))])
     return replace(
         record,
         drive=drive + own[0],
         speed=rate(record.time, drive),
         good=good,
-        troubles=(*record.troubles, Trouble(WHAT, PROXIMAL_TENSION, int(driven.sum()), first)),
+        troubles=(*record.troubles, Trouble(WHAT, PROXIMAL_TENSION, int(told.sum()), first)),
     )
 
 
-def _next(
-    record: Record,
-    tendon: Drivable,
-    drive: Array,
-    position: int,
-    noise: Array,
-    sigma: float,
-    taut: float,
-) -> _Stretch | None:
-    """Return the first stretch from `position` on in which the travel hides a motion."""
-    measured = record.signals[PROXIMAL_TENSION]
-    good = record.good[PROXIMAL_TENSION]
+def _readings(record: Record, taut: float, noise: Array) -> _Readings:
+    tension, travel = record.signals[PROXIMAL_TENSION], record.signals[PROXIMAL_DISPLACEMENT]
+    off = SETTINGS.accuracy * float(np.ptp(tension))
+    return _Readings(
+        tension,
+        travel - taut,
+        record.known[PROXIMAL_TENSION],
+        record.good[PROXIMAL_TENSION],
+        noise,
+        float(np.hypot(record.noise[PROXIMAL_TENSION], off)),
+        record.noise[PROXIMAL_DISPLACEMENT],
+        SETTINGS.accuracy * float(np.ptp(travel)),
+    )
+
+
+def _next(readings: _Readings, tendon: Drivable, drive: Array, position: int) -> _Motion | None:
+    """Return the first hidden motion from a sample on."""
     while position < len(drive):
-        off = np.abs(tendon.by_travel(drive, position) - measured[position:]) / noise[position:]
-        off[~good[position:]] = 0.0
+        off = tendon.by_travel(drive, position) - readings.tension[position:]
+        off = np.abs(off) / readings.noise[position:]
+        off[~readings.good[position:]] = 0.0
         far = off > SETTINGS.hidden_tension
         both = far[:-1] & far[1:]
         if not both.any():
             return None
         first = position + int(np.argmax(both))
+        begin = max(first - BEFORE, position, 1)
+        for about in (drive, readings.travel):  # a short motion may have been smoothed away
+            found = _followed(readings, tendon, drive, about, begin, first)
+            if found is not None:
+                return found
         near = np.convolve(off < SETTINGS.hidden_again, np.ones(AGREES), "full")[AGREES - 1 :]
         again = np.flatnonzero(near[first - position :] == AGREES)
-        end = first + int(again[0]) if len(again) else len(drive)
-        begin = max(first - BEFORE, position, 1)
-        driven_by = tension_drive(measured[begin:end], record.noise[PROXIMAL_TENSION])
-        tension = np.maximum(driven_by.signal, 0.0)
-        travel, compliance = tendon.by_tension(drive, begin, tension)
-        off = record.signals[PROXIMAL_DISPLACEMENT][begin:end] - taut - travel
-        known = record.known[PROXIMAL_TENSION][begin:end].all()
-        if known and _is_within(off, sigma, SETTINGS.accuracy * float(np.ptp(drive))):
-            noise_of_tension = compliance * record.noise[PROXIMAL_TENSION]
-            share = sigma**2 / (sigma**2 + noise_of_tension**2)
-            return _Stretch(begin, end, drive[begin:end] + share * (travel - drive[begin:end]))
-        position = end
+        position = first + int(again[0]) if len(again) else len(drive)
     return None
 
 
-def _is_within(off: Array, sigma: float, inaccuracy: float) -> bool:
-    """Return whether a travel is off by no more than its noise, on average and in its scatter.
+def _followed(
+    readings: _Readings, tendon: Drivable, drive: Array, about: Array, begin: int, first: int
+) -> _Motion | None:
+    """Return the most probable motion `about` a travel [m] from a sample on.
 
-    A simulation may be off by its own `inaccuracy` [m] besides, up to half the noise.
+    It ends where the travel alone tells the tension best from there on, of the first few samples in
+    which it does. None if it leaves the tension or the travel by more than noise, or never ends.
     """
-    n, most = len(off), SETTINGS.hidden_travel
-    bias = abs(float(off.mean())) / np.hypot(sigma / np.sqrt(n), min(inaccuracy, 0.5 * sigma))
-    square = float(np.mean(off**2)) / sigma**2
-    return bool(bias < most and square < 1.5 + most * np.sqrt(2.0 / n))
+    tendon, moved = tendon.copy(), drive.copy()
+    found: _Motion | None = None
+    missed, least = 0.0, SETTINGS.hidden_again**2
+    last = min(begin + LONGEST, len(drive) - LATER)
+    for i in range(begin, last):
+        if i > last or not readings.known[i]:
+            break
+        moved[i], off = _placed(readings, tendon, moved, about, i)
+        missed += off**2
+        if missed > SETTINGS.hidden_again**2 * (i - begin + LATER):
+            break
+        for end in _ends(readings, drive, i + 1, float(moved[i])) if i >= first else ():
+            moved[i + 1 : end], moved[end:] = moved[i], drive[end:]
+            then = _missed(readings, tendon, moved, i + 1)
+            if then < least:
+                last = last if found else i + LATER
+                least, found = then, _Motion(begin, i + 1, end, moved[begin:end].copy())
+    if found and _is_within(readings, readings.travel[begin : found.end] - found.travel):
+        return found
+    return None
 
 
-def _resumed(drive: Array, end: int, left_at: float) -> int:
-    """Return where the motor passes the place at which the tension left it, or turns before."""
-    steps = np.diff(drive[end - 1 :])
+def _placed(
+    readings: _Readings, tendon: Drivable, moved: Array, about: Array, i: int
+) -> tuple[float, float]:
+    """Return where the motor most probably is at a sample [m], and by how far that tension is off.
+
+    That is counted in its noise. The motor is at `about`, or where it has a tension near the
+    measured one; behind a turn that is within nanometres, on the way millimetres.
+    """
+    tensions = np.maximum(readings.tension[i] + TRIED * readings.accuracy, 0.0)
+    places = [tendon.by_tension(moved, i, tensions[k : k + 1])[0][0] for k in range(len(TRIED))]
+    costs = TRIED**2 + ((np.array(places) - about[i]) / readings.sigma) ** 2
+    best = int(np.argmin(costs))
+    there = np.append(moved[:i], about[i])
+    off = float(tendon.by_travel(there, i)[0] - readings.tension[i]) / readings.accuracy
+    if off**2 <= costs[best]:
+        return float(about[i]), off
+    return float(places[best]), float(TRIED[best])
+
+
+def _missed(readings: _Readings, tendon: Drivable, moved: Array, begin: int) -> float:
+    """Return the mean square by which a travel misses the tension in the samples from one on."""
+    later = slice(begin, begin + LATER)
+    simulated = tendon.copy().by_travel(moved[: later.stop], begin)
+    return float(np.mean(((simulated - readings.tension[later]) / readings.accuracy) ** 2))
+
+
+def _is_within(readings: _Readings, off: Array) -> bool:
+    """Return whether a travel is off by no more than noise: on average, in its scatter, anywhere.
+
+    A simulation may be off itself besides, up to half the noise.
+    """
+    n, sigma, most = len(off), readings.sigma, SETTINGS.hidden_travel
+    average = np.hypot(sigma / np.sqrt(n), min(readings.inaccuracy, 0.5 * sigma))
+    scatter = 1.5 + most * np.sqrt(2.0 / n)
+    return bool(
+        abs(float(off.mean())) < most * average
+        and float(np.mean(off**2)) < scatter * sigma**2
+        and float(np.abs(off).max()) < SETTINGS.hidden_farthest * sigma
+    )
+
+
+def _ends(readings: _Readings, drive: Array, begin: int, left_at: float) -> tuple[int, int]:
+    """Return where a motor that the tension left at a place [m] may go on as the travel has it.
+
+    Where it passes the place or turns before; or where it is further off than noise.
+    """
+    steps = np.diff(drive[begin - 1 :])
     moving = np.flatnonzero(steps)
-    if not len(moving):
-        return len(drive)
-    way = np.sign(steps[moving[0]])
-    on_its_own = (way * (drive[end:] - left_at) > 0.0) | (way * steps < 0.0)
-    return end + int(np.argmax(on_its_own)) if on_its_own.any() else len(drive)
+    way = np.sign(steps[moving[0]]) if len(moving) else 0.0
+    off = drive[begin:] - left_at
+    passed = (way * off > 0.0) | (way * steps < 0.0)
+    left = np.abs(off) > SETTINGS.hidden_travel * readings.sigma
+    return _first_of(passed, begin), _first_of(left, begin)
+
+
+def _first_of(mask: Mask, begin: int) -> int:
+    """Return the first sample from `begin` on of which a mask is true, or behind the last."""
+    return begin + (int(np.argmax(mask)) if mask.any() else len(mask))

@@ -32,6 +32,7 @@ class Settings:
     hidden_tension: float = 4.0  # sigma: a tension so far off shows a motion that travel hides,
     hidden_again: float = 2.0  # until it is no further off than that;
     hidden_travel: float = 3.0  # sigma: the motion may be so far from the measured travel,
+    hidden_farthest: float = 5.0  # sigma, in one sample;
     hidden_share: float = 0.3  # of the samples at most: more are no noise
     loose_tension: float = 0.5  # [N] at the tip that hardly moves what it pulls at
 

@@ -9,7 +9,8 @@ from the tip to the housing. At its neutral values `Physics` is the law of `esti
 """
 
 import math
-from typing import NamedTuple
+from copy import copy
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -208,6 +209,12 @@ class Drivable:
         self._constants, self._samples = _ready(physics, time)
         self._memory = start(self._constants, physics.start, *self._samples[0, [STRETCH, OFFSET]])
         self._done = 0
+
+    def copy(self) -> Self:
+        """Return it where it is; what is done with the one leaves the other."""
+        other = copy(self)
+        other._memory = self._memory.copy()
+        return other
 
     def by_travel(self, travel: Array, begin: int) -> Array:
         """Return T_in [N] from sample `begin` on under a `travel` [m], shape (n - begin,)."""

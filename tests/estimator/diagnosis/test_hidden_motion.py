@@ -46,6 +46,18 @@ def test_with_the_motion_beneath_the_noise_the_plain_law_leaves_noise_alone(benc
     assert max(excess(after)) < 1.4
 
 
+@pytest.mark.parametrize(
+    "seed", [63, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (64, 65))]
+)
+def test_a_turn_that_smoothing_took_away_is_found_in_a_few_samples(seed):
+    """The motor overshoots by 2 um and rests for seconds, a newton below what the travel tells."""
+    made = hidden.make(seed, (), bench="spring", duration=40.0, rate=100.0, travel_noise=5e-7)
+    before, after = before_and_after(made.time, made.channels)
+    assert 0 < (before.good[TENSION] & ~after.good[TENSION]).sum() < 40
+    assert max(excess(after)) < 1.4
+    assert np.abs(after.drive - made.channels[TRAVEL]).max() < 6 * before.noise[TRAVEL]
+
+
 def test_a_travel_without_noise_hides_nothing():
     made = make_grid(1, duration=30.0, rate=100.0)
     before, after = before_and_after(made.time, made.channels)
