@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.smoothing import smooth
+from estimator.effects.effect import PROXIMAL_TENSION
 
 SPEED_OVER = 0.02  # [s] over which speed is taken
 TRIED_TURNS = 24  # places in a rest at which the motor may have turned
@@ -24,6 +25,13 @@ class Drive(NamedTuple):
 
     signal: Array  # shape (n,)
     jitter: float  # how far it goes back at a turn, at least
+
+
+def drive_of(driver: str, time: Array, measured: Array, sigma: float) -> Drive:
+    """Return the drive of a channel with white noise `sigma`, sampled at `time` [s]."""
+    if driver == PROXIMAL_TENSION:
+        return tension_drive(measured, sigma)
+    return travel_drive(measured, sigma, time)
 
 
 def tension_drive(tension: Array, sigma: float) -> Drive:

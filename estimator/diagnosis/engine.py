@@ -17,6 +17,7 @@ from estimator.diagnosis.dataset import (
     whole,
 )
 from estimator.diagnosis.detection_limit import detection_limits
+from estimator.diagnosis.driver_noise import with_driver_noise
 from estimator.diagnosis.fit import improved
 from estimator.diagnosis.folds import fitnesses, two_folds
 from estimator.diagnosis.free_friction import wanders
@@ -36,12 +37,7 @@ from estimator.diagnosis.outcome import (
 )
 from estimator.diagnosis.prediction import as_driven, left_out, predicted
 from estimator.diagnosis.progress import Report, quiet
-from estimator.diagnosis.record import (
-    Record,
-    RecordError,
-    in_full,
-    with_driver_noise,
-)
+from estimator.diagnosis.record import Record, RecordError, in_full
 from estimator.diagnosis.record_units import bench_scale, in_bench_units, in_record_units
 from estimator.diagnosis.residual_dependence import structure
 from estimator.diagnosis.score import (

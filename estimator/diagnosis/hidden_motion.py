@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.diagnosis.drive import rate
 from estimator.diagnosis.model import Base, plain_physics
-from estimator.diagnosis.record import Record, Trouble
+from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.troubles import Trouble
 from estimator.effects.effect import PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
 from estimator.lumped.lumped_model import Drivable
 

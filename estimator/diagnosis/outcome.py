@@ -8,9 +8,9 @@ from estimator.diagnosis.dataset import Dataset, Fit
 from estimator.diagnosis.force import FileForce, RivalForce
 from estimator.diagnosis.law_choice import Choice
 from estimator.diagnosis.prediction import Fitness, Predicted
-from estimator.diagnosis.record import Trouble
 from estimator.diagnosis.rivals import Rival
 from estimator.diagnosis.simple_models import SimpleFit, SimpleGain
+from estimator.diagnosis.troubles import Trouble
 from estimator.effects.effect import Effect, Values
 from estimator.units import Units
 

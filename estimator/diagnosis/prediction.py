@@ -15,10 +15,11 @@ from estimator.diagnosis.dataset import (
     whole,
     with_records,
 )
+from estimator.diagnosis.driver_noise import with_driver_noise
 from estimator.diagnosis.fit import improved, own_only
 from estimator.diagnosis.hidden_motion import with_hidden_motion
 from estimator.diagnosis.model import Simulated, simulate
-from estimator.diagnosis.record import Record, with_driver_noise
+from estimator.diagnosis.record import Record
 
 ROUNDS = 12  # of a fit to the other files
 

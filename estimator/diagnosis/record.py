@@ -6,10 +6,9 @@ are, without filters.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,25 +16,19 @@ from numpy.typing import NDArray
 from estimator.array_types import Array
 from estimator.diagnosis.bench_scale import UNSCALED, BenchScale
 from estimator.diagnosis.channel_noise import counted_step, white_noise
-from estimator.diagnosis.drive import (
-    Drive,
-    rate,
-    tension_drive,
-    travel_drive,
-    turning_points,
-    turns_between_samples,
-)
-from estimator.diagnosis.held_samples import held
-from estimator.diagnosis.missing_values import (
-    LONG_GAP,
-    PERIODS,
-    as_missing,
-    in_stretches,
-    known,
-    only_rows,
-)
-from estimator.diagnosis.sampling import LONG, times_of
+from estimator.diagnosis.drive import drive_of, rate, turning_points, turns_between_samples
+from estimator.diagnosis.halves import blocks_of, fitted_half
+from estimator.diagnosis.missing_values import as_missing, in_stretches, known, only_rows
+from estimator.diagnosis.sampling import times_of
 from estimator.diagnosis.settings import SETTINGS
+from estimator.diagnosis.thinning import thinned
+from estimator.diagnosis.troubles import (
+    Trouble,
+    away_from_turns,
+    counted_samples,
+    repeated_samples,
+    unseen_turns,
+)
 from estimator.effects.effect import (
     CHANNELS,
     DISTAL_TENSION,
@@ -45,41 +38,15 @@ from estimator.effects.effect import (
 )
 from estimator.measured_data import Samples
 from estimator.plausibility import doubts
-from estimator.signals import noise_sigma
-from estimator.spikes import single_spikes
 from estimator.units import LINEAR, Units
 
 Mask = NDArray[np.bool_]
 
-DRAWS = 8  # of the driver's noise
-STEPS_OFF = 0.05  # of the period: a time step is uneven
-UNEVEN_SHARE = 0.02  # of the time steps, that are uneven before it is said
-NEARBY = 5  # samples over which the variance that it makes is averaged, or a speed is taken
-TURNED = 0.5  # of the speed beside a gap: in one that is crossed slower the motor may have turned
-GAPS_NAMED = 3
 EXACT = 1e-9  # of the range of a drive: what rounds off in sums turns nothing
-
-
-class Simulation(Protocol):
-    """What a simulation gives."""
-
-    @property
-    def signals(self) -> Signals:
-        """By channel, shape (n,)."""
 
 
 class RecordError(ValueError):
     """Data that cannot be diagnosed; the message says why and what to do."""
-
-
-class Trouble(NamedTuple):
-    """Samples that were excluded, or are odd, and why."""
-
-    what: str
-    channel: str
-    samples: int
-    first: float  # [s], as in the data
-    excluded: bool = True
 
 
 @dataclass(frozen=True)
@@ -225,16 +192,16 @@ def prepare(
     start = float(time[0])
     time, late = times_of(time - start, signals)
     present = {name: np.isfinite(signal) for name, signal in signals.items()}
-    good, rounded, troubles = {}, {}, _repeated(time, signals)
+    good, rounded, troubles = {}, {}, repeated_samples(time, signals)
     if late > 0.0:
         what = f"time stamps jitter by {1e3 * late:.2g} ms where samples are even: taken as even"
         troubles.append(Trouble(what, "all channels", len(time), 0.0, excluded=False))
     for name, signal in signals.items():
-        good[name], found = _counted(time, name, signal)
+        good[name], found = counted_samples(time, name, signal)
         rounded[name] = counted_step(signal[good[name]]) / math.sqrt(12.0)
         signals[name] = np.interp(time, time[good[name]], signal[good[name]])
         troubles += found
-    thin = _thinned(time, signals, good, present, most)
+    thin = thinned(time, signals, good, present, most)
     time, signals, good, present = thin.time, thin.signals, thin.good, thin.present
     rounded, given = (
         {name: value / math.sqrt(thin.averaged[name]) for name, value in each.items()}
@@ -242,8 +209,8 @@ def prepare(
     )
     sigma = _noise_of(driver, time, signals, good, rounded, given)
     measured = np.ones(len(time), dtype=np.bool_)
-    drive, jitter = _drive(driver, time, signals[driver], sigma[driver])
-    troubles += _unseen_turns(driver, time, drive, jitter, start)
+    drive, jitter = drive_of(driver, time, signals[driver], sigma[driver])
+    troubles += unseen_turns(driver, time, drive, jitter, start)
     if driver != PROXIMAL_TENSION:
         turns = turns_between_samples(time, drive, jitter)
         signals = {name: turns.insert(time, signal) for name, signal in signals.items()}
@@ -252,9 +219,9 @@ def prepare(
         measured = np.insert(measured, turns.rows, False)
         time = np.insert(time, turns.rows, turns.time)
         drive = np.insert(drive, turns.rows, turns.drive)
-        good[PROXIMAL_TENSION], trouble = _between_turns(time, drive, good[PROXIMAL_TENSION])
+        good[PROXIMAL_TENSION], trouble = away_from_turns(time, drive, good[PROXIMAL_TENSION])
         troubles += trouble
-    block, speed = _blocks(time), rate(time, drive)
+    block, speed = blocks_of(time), rate(time, drive)
     return Record(
         time=time,
         signals=signals,
@@ -265,7 +232,7 @@ def prepare(
         sigma={name: np.full(len(time), sigma[name]) for name in signals if name != driver},
         good=good,
         measured=measured,
-        train=_fitted(block, drive, speed),
+        train=fitted_half(block, drive, speed),
         block=block,
         troubles=(*absent, *(one._replace(first=one.first + start) for one in troubles)),
         thinned=thin.thinned,
@@ -386,84 +353,8 @@ def in_short_blocks(record: Record) -> Record:
 
     What is wrong in one block only can be fitted and not judged, or judged and not fitted.
     """
-    block = _blocks(record.time, SETTINGS.short_block)
-    return replace(record, train=_fitted(block, record.drive, record.speed), block=block)
-
-
-def _fitted(block: NDArray[np.int64], drive: Array, speed: Array) -> Mask:
-    """Return which samples are fitted: every other block, if both halves see the same motion.
-
-    A motion that repeats itself may be in one half while it pulls and in the other while it lets
-    go. Then it is the blocks whose number has an even count of ones, a sequence (of Thue and Morse)
-    that repeats nothing.
-    """
-    alternate: Mask = block % 2 == 0
-    if _imbalance(alternate, drive, speed) < SETTINGS.imbalance_max:
-        return alternate
-    odd = np.zeros_like(block)
-    while block.any():
-        odd, block = odd ^ (block & 1), block >> 1
-    aperiodic = np.asarray(odd == 0)
-    return min((alternate, aperiodic), key=lambda one: _imbalance(one, drive, speed))
-
-
-def _imbalance(fitted: Mask, drive: Array, speed: Array) -> float:
-    """Return how differently two halves are moved: 0 if the same, 1 if nothing is in both.
-
-    It is the distance in total variation between what they have of low, middle and high drive,
-    each while it rises, rests and falls.
-    """
-    level = np.searchsorted(np.quantile(drive, [1.0 / 3.0, 2.0 / 3.0]), drive)
-    rest = SETTINGS.rest * float(np.quantile(np.abs(speed), 0.95))
-    way = np.sign(speed) * (np.abs(speed) > rest)
-    state = (3 * level + way + 1.0).astype(np.int64)
-    shares = [
-        np.bincount(state[half], minlength=9) / max(int(half.sum()), 1)
-        for half in (fitted, ~fitted)
-    ]
-    return 0.5 * float(np.abs(shares[0] - shares[1]).sum())
-
-
-def _blocks(time: Array, share: float = 1.0) -> NDArray[np.int64]:
-    length = share * min(SETTINGS.block, float(time[-1] - time[0]) / SETTINGS.blocks_min)
-    length = max(length, 2.0 * float(np.median(np.diff(time))))
-    return np.asarray((time - time[0]) / length, dtype=np.int64)
-
-
-def with_driver_noise(record: Record, simulate: Callable[[Record], Simulation]) -> Record:
-    """Return a record whose `sigma` has in it what the driver's noise does to a simulation.
-
-    Friction remembers where the driver turned, so an error of the driver shows most just behind a
-    turn, where the tension changes with the root of the travel. `simulate` takes the record with
-    noise put on its drive once more (parametric bootstrap); the variance that this makes of each
-    channel is taken sample by sample.
-    """
-    sigma = record.noise[record.driver]
-    if not sigma > 0.0:
-        return record
-    rng = np.random.default_rng(0)
-    same = simulate(record).signals
-    variance = {channel: np.zeros_like(record.time) for channel in record.compared}
-    for _ in range(DRAWS):
-        noisy = record.drive + sigma * rng.standard_normal(len(record.time))
-        drive = _drive(record.driver, record.time, noisy, sigma).signal
-        other = simulate(replace(record, drive=drive)).signals
-        for channel in variance:
-            variance[channel] += (other[channel] - same[channel]) ** 2 / DRAWS
-    nearby = np.full(NEARBY, 1.0 / NEARBY)
-    return replace(
-        record,
-        sigma={
-            channel: np.sqrt(record.noise[channel] ** 2 + np.convolve(total, nearby, mode="same"))
-            for channel, total in variance.items()
-        },
-    )
-
-
-def _drive(driver: str, time: Array, measured: Array, sigma: float) -> Drive:
-    if driver == PROXIMAL_TENSION:
-        return tension_drive(measured, sigma)
-    return travel_drive(measured, sigma, time)
+    block = blocks_of(record.time, SETTINGS.short_block)
+    return replace(record, train=fitted_half(block, record.drive, record.speed), block=block)
 
 
 def first_look(record: Record, most: int) -> Mask:
@@ -493,129 +384,4 @@ def at_rows(record: Record, kept: Mask) -> Record:
         measured=record.measured[kept],
         train=record.train[kept],
         block=record.block[kept],
-    )
-
-
-def _between_turns(time: Array, drive: Array, good: Mask) -> tuple[Mask, list[Trouble]]:
-    """Return which samples of the tension are not at a turn of the motor, and what is said of them.
-
-    There friction reverses within less than an encoder resolves, or between two samples: the state
-    of the reversal is unknown.
-    """
-    turns = np.array(turning_points(drive, SETTINGS.reversal * float(np.ptp(drive))))[1:-1]
-    beside = np.zeros_like(good)
-    for off in (-1, 0, 1):
-        beside[turns + off] = True
-    if not beside.any() or np.mean(beside) > SETTINGS.reversals_max:
-        return good, []
-    first = float(time[int(np.argmax(beside))])
-    what = "samples at motor reversals excluded"
-    return good & ~beside, [Trouble(what, PROXIMAL_TENSION, int(beside.sum()), first)]
-
-
-def _counted(time: Array, name: str, signal: Array) -> tuple[Mask, list[Trouble]]:
-    """Return which samples of a channel count, and what is said of the others."""
-    present = np.isfinite(signal)
-    repeats = np.zeros(len(signal), dtype=np.bool_)
-    repeats[present] = held(signal[present], counted_step(signal[present]))
-    excluded = {"single-sample spikes": single_spikes(signal), "held samples excluded": repeats}
-    troubles = [
-        Trouble(what, name, int(rows.sum()), float(time[int(np.argmax(rows))]))
-        for what, rows in excluded.items()
-        if rows.any()
-    ]
-    return present & ~np.logical_or.reduce(list(excluded.values())), troubles
-
-
-def _repeated(time: Array, signals: Signals) -> list[Trouble]:
-    """Say where all channels repeat a sample, or where samples are missing."""
-    found = []
-    same = np.ones(len(time) - 1, dtype=np.bool_)
-    for signal in signals.values():
-        change = np.diff(signal)
-        same &= (change == 0.0) | np.isnan(change)
-    noisy = any(noise_sigma(known(signal)) > 0.0 for signal in signals.values())
-    if noisy and same.any():
-        first = float(time[1:][same][0])
-        found.append(Trouble("repeated samples", "all channels", int(same.sum()), first, False))
-    steps = np.diff(time)
-    period = float(np.median(steps))
-    uneven = np.abs(steps - period) > STEPS_OFF * period
-    gaps = steps > LONG * period
-    if np.mean(uneven & ~gaps) > UNEVEN_SHARE:
-        what = f"uneven time steps, from {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms"
-        first = float(time[1:][uneven][0])
-        found.append(Trouble(what, "all channels", int(uneven.sum()), first, False))
-    if gaps.any():
-        missing, first = int(np.rint(steps[gaps] / period - 1.0).sum()), float(time[1:][gaps][0])
-        found.append(Trouble("missing samples", "all channels", missing, first, False))
-    return found
-
-
-def _unseen_turns(
-    driver: str, time: Array, drive: Array, jitter: float, start: float
-) -> list[Trouble]:
-    """Say in which gaps the drive may have turned: it went another way, or slower, than beside."""
-    steps = np.diff(time)
-    gaps = np.flatnonzero(steps > max(LONG_GAP, PERIODS * float(np.median(steps))))
-    found = []
-    for i in gaps.tolist():
-        spans = ((max(i - NEARBY, 0), i), (i, i + 1), (i + 1, min(i + 1 + NEARBY, len(time) - 1)))
-        ways = [float(drive[end] - drive[begin]) for begin, end in spans]
-        speeds = [
-            way / float(time[end] - time[begin]) if abs(way) > jitter else 0.0
-            for way, (begin, end) in zip(ways, spans, strict=True)
-        ]
-        before, across, after = speeds
-        beside = min(abs(before), abs(after))
-        if min(speeds) < 0.0 < max(speeds) or abs(across) < TURNED * beside:
-            found.append((start + float(time[i]), start + float(time[i + 1])))
-    if not found:
-        return []
-    times = ", ".join(f"{begin:.4g} to {end:.4g} s" for begin, end in found[:GAPS_NAMED])
-    times += ", ..." * (len(found) > GAPS_NAMED)
-    what = f"gaps in which the motor may have turned ({times}): friction after them is uncertain"
-    return [Trouble(what, driver, len(found), found[0][0] - start, excluded=False)]
-
-
-class _Thinned(NamedTuple):
-    """A record of which several samples were averaged to one."""
-
-    time: Array
-    signals: Signals
-    good: dict[str, Mask]
-    present: dict[str, Mask]
-    averaged: dict[str, float]  # values in a sample, by channel
-    thinned: int  # samples in one
-
-
-def _thinned(
-    time: Array,
-    signals: Signals,
-    good: dict[str, Mask],
-    present: dict[str, Mask],
-    most: int,
-) -> _Thinned:
-    """Return every k-th sample, all channels averaged over the k around it.
-
-    What does not count is interpolated in `signals`, so that a mean of few values is one at the
-    same time as that of many. A channel counts where it has more than half as many values as it
-    usually has, and none where samples before and after a gap come together.
-    """
-    k = math.ceil(len(time) / most)
-    if k <= 1:
-        return _Thinned(time, signals, good, present, dict.fromkeys(signals, 1.0), 1)
-    rows = np.arange(k // 2, len(time) - (k - 1) // 2, k)
-    window = rows[:, None] + np.arange(k) - k // 2
-    spans = time[window[:, -1]] - time[window[:, 0]]
-    unbroken = spans < float(np.median(spans)) + LONG_GAP
-    counts = {name: mask[window].sum(axis=1) for name, mask in good.items()}
-    usual = {name: float(np.median(count[count > 0])) for name, count in counts.items()}
-    return _Thinned(
-        time[window].mean(axis=1),
-        {name: signal[window].sum(axis=1) / k for name, signal in signals.items()},
-        {name: unbroken & (count > 0.5 * usual[name]) for name, count in counts.items()},
-        {name: mask[window].any(axis=1) for name, mask in present.items()},
-        usual,
-        k,
     )

@@ -5,9 +5,10 @@ import pytest
 
 from estimator.diagnosis.baseline import again, baseline
 from estimator.diagnosis.dataset import dataset_of
+from estimator.diagnosis.driver_noise import with_driver_noise
 from estimator.diagnosis.engine import simulated_by
 from estimator.diagnosis.hidden_motion import with_hidden_motion
-from estimator.diagnosis.record import prepare, with_driver_noise
+from estimator.diagnosis.record import prepare
 from estimator.diagnosis.score import errors
 from tests import hidden
 from tests.hidden.play_grid import make_grid

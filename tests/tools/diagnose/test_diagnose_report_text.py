@@ -8,7 +8,8 @@ import pytest
 from estimator.diagnosis import report_text
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import DetectionLimit, Number, Structure, Verdict
-from estimator.diagnosis.record import Trouble, prepare
+from estimator.diagnosis.record import prepare
+from estimator.diagnosis.troubles import Trouble
 from teleop.tools.diagnose import page, report_json
 from teleop.tools.diagnose.effect_choice import parse_effects
 from tests import hidden
