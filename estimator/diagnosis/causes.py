@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.diagnosis.baseline import again
-from estimator.diagnosis.dataset import Dataset, Fit, rescaled, with_records
+from estimator.diagnosis.dataset import Dataset, Fit, contexts, rescaled, with_records
+from estimator.diagnosis.fit import improved
+from estimator.diagnosis.hidden_motion import with_motion_beside
 from estimator.diagnosis.law_choice import Choice, applicable, choose_loads
 from estimator.diagnosis.layout import Layout
-from estimator.diagnosis.needed_causes import matters, needed, without
+from estimator.diagnosis.needed_causes import LAST, matters, needed, without
 from estimator.diagnosis.next_cause import next_cause, ranking, score_of
 from estimator.diagnosis.outcome import Step
 from estimator.diagnosis.progress import Report, part
@@ -29,6 +31,7 @@ from estimator.effects.effect import Effect
 
 SEARCHES = (0.1, 0.4, 0.55, 0.65)  # shares of the time between which each search for a cause runs
 SAME = 0.01  # of a cost: an effect that does the same leads nowhere else
+WORTH = 0.5  # of the error beyond noise, to which hidden motion must lower it
 AGAIN = 0.9  # share at which a search that begins with another cause is done
 
 
@@ -68,9 +71,35 @@ def find_causes(
         if _is_explained(tried[-1][0]):
             break
     found, law = max(tried, key=lambda one: _evidence(one[0], tried[0][0]))
+    if not _is_explained(found) and (moved := _moved_beside(found)) is not None:
+        found = _one_by_one(found.loads, *moved, effects, report, workers)
     if not _is_explained(found):
         found = _from_another(found, effects, part(report, SEARCHES[-1], AGAIN), workers)
     return found, law
+
+
+def _moved_beside(found: Found) -> tuple[Dataset, Fit] | None:
+    """Return records with the hidden motion that shows beside a cause, and the base law's fit.
+
+    A cause hides it from the base law. None where with it no more is explained.
+    """
+    dataset = found.dataset
+    best = min(found.firsts, key=lambda one: one.cost, default=None)
+    fit = found.fit if found.steps or best is None else best.fit
+    about = contexts(dataset, found.plain)
+    most = improved(dataset, about, fit.model, LAST, robust=True).model
+    records = [
+        with_motion_beside(record, context, dataset.base, most.shared, own, most.effects)
+        for record, context, own in zip(dataset.records, about, most.own, strict=True)
+    ]
+    if all(new is old for new, old in zip(records, dataset.records, strict=True)):
+        return None
+    moved = with_records(dataset, records)
+    plain = again(moved, found.plain)
+    then = improved(rescaled(moved, fit), contexts(moved, plain), most, LAST)
+    if left_of(errors(moved, then), errors(dataset, fit)) > WORTH:
+        return None
+    return rescaled(moved, plain), plain
 
 
 def _is_explained(found: Found) -> bool:

@@ -8,6 +8,7 @@ together, until the travel alone tells the tension again: a few samples. It is t
 within the noise of the travel. Otherwise something else is wrong and nothing changes.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,11 +17,17 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.diagnosis.drive import rate
-from estimator.diagnosis.model import Base, plain_physics
+from estimator.diagnosis.model import Base, inverted, plain_physics, simulate
 from estimator.diagnosis.record import Record
 from estimator.diagnosis.settings import SETTINGS
 from estimator.diagnosis.troubles import Trouble
-from estimator.effects.effect import PROXIMAL_DISPLACEMENT, PROXIMAL_TENSION
+from estimator.effects.effect import (
+    PROXIMAL_DISPLACEMENT,
+    PROXIMAL_TENSION,
+    Effect,
+    EffectContext,
+    Values,
+)
 from estimator.lumped.lumped_model import Drivable
 
 Mask = NDArray[np.bool_]
@@ -71,8 +78,7 @@ def with_hidden_motion(
     shared, own : tuple of float
         Its numbers, fitted to the record.
     """
-    sigma = record.noise[PROXIMAL_DISPLACEMENT] if record.driver == PROXIMAL_DISPLACEMENT else 0.0
-    if record.loop or not sigma > 0.0:
+    if not _may_hide(record):
         return record
     physics = plain_physics(record, base, base.values(shared, own))
     drive, told = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
@@ -96,6 +102,55 @@ def with_hidden_motion(
         good=good,
         troubles=(*record.troubles, Trouble(WHAT, PROXIMAL_TENSION, int(told.sum()), first)),
     )
+
+
+def with_motion_beside(
+    record: Record,
+    context: EffectContext,
+    base: Base,
+    shared: tuple[float, ...],
+    own: tuple[float, ...],
+    effects: Sequence[tuple[Effect, Values]],
+) -> Record:
+    """Return a record with the hidden motion that shows beside effects.
+
+    What they make of readings and of the tension is taken off first, as they are without it.
+
+    Parameters
+    ----------
+    record : Record
+        Without hidden motion.
+    context : EffectContext
+        What effects may know of it.
+    base, shared, own, effects
+        The model, fitted to the record.
+    """
+    if not _may_hide(record):
+        return record
+    alone = simulate(record, context, base, shared, own, effects).signals[PROXIMAL_TENSION]
+    travel = inverted(record.signals[PROXIMAL_DISPLACEMENT], context, effects)
+    bare = replace(record, drive=inverted(record.drive, context, effects))
+    plain = simulate(bare, context, base, shared, own, ()).signals[PROXIMAL_TENSION]
+    tension = record.signals[PROXIMAL_TENSION] - (alone - plain)
+    taken = {PROXIMAL_TENSION: tension, PROXIMAL_DISPLACEMENT: travel}
+    bare = replace(bare, signals=record.signals | taken)
+    moved = with_hidden_motion(bare, base, shared, own)
+    if moved is bare:
+        return record
+    drive = record.drive + (moved.drive - bare.drive)
+    return replace(
+        record,
+        drive=drive,
+        speed=rate(record.time, drive),
+        good=moved.good,
+        troubles=moved.troubles,
+    )
+
+
+def _may_hide(record: Record) -> bool:
+    """Return whether a tendon is driven by a travel that has noise."""
+    travels = record.driver == PROXIMAL_DISPLACEMENT and not record.loop
+    return travels and record.noise[PROXIMAL_DISPLACEMENT] > 0.0
 
 
 def _readings(record: Record, taut: float, noise: Array) -> _Readings:
@@ -127,7 +182,10 @@ def _next(readings: _Readings, tendon: Drivable, drive: Array, position: int) ->
         begin = max(first - BEFORE, position, 1)
         for about in (drive, readings.travel):  # a short motion may have been smoothed away
             found = _followed(readings, tendon, drive, about, begin, first)
-            if found is not None:
+            if found is not None and not _is_within(readings, found):
+                shifted = _shifted(readings, about, found)
+                found = _followed(readings, tendon, drive, shifted, begin, first)
+            if found is not None and _is_within(readings, found):
                 return found
         near = np.convolve(off < SETTINGS.hidden_again, np.ones(AGREES), "full")[AGREES - 1 :]
         again = np.flatnonzero(near[first - position :] == AGREES)
@@ -141,7 +199,7 @@ def _followed(
     """Return the most probable motion `about` a travel [m] from a sample on.
 
     It ends where the travel alone tells the tension best from there on, of the first few samples in
-    which it does. None if it leaves the tension or the travel by more than noise, or never ends.
+    which it does. None if it leaves the tension by more than noise, or never ends.
     """
     tendon, moved = tendon.copy(), drive.copy()
     found: _Motion | None = None
@@ -160,9 +218,21 @@ def _followed(
             if then < least:
                 last = last if found else i + LATER
                 least, found = then, _Motion(begin, i + 1, end, moved[begin:end].copy())
-    if found and _is_within(readings, readings.travel[begin : found.end] - found.travel):
-        return found
-    return None
+    return found
+
+
+def _shifted(readings: _Readings, about: Array, found: _Motion) -> Array:
+    """Return a travel moved so that a motion about it ends where the motor rests behind it.
+
+    From the turn on the tension tells by how far the motor went back; where it turned was read in
+    one noisy sample, where it rests is read in many.
+    """
+    rest = slice(found.told, found.end)
+    off = readings.travel[rest] - found.travel[rest.start - found.begin :]
+    shift = np.zeros_like(about)
+    if len(off):
+        shift[found.begin : found.told] = off.mean()
+    return np.asarray(about + shift)
 
 
 def _placed(
@@ -191,11 +261,12 @@ def _missed(readings: _Readings, tendon: Drivable, moved: Array, begin: int) -> 
     return float(np.mean(((simulated - readings.tension[later]) / readings.accuracy) ** 2))
 
 
-def _is_within(readings: _Readings, off: Array) -> bool:
-    """Return whether a travel is off by no more than noise: on average, in its scatter, anywhere.
+def _is_within(readings: _Readings, found: _Motion) -> bool:
+    """Return whether a motion is within the noise of the travel: on average, in scatter, anywhere.
 
     A simulation may be off itself besides, up to half the noise.
     """
+    off = readings.travel[found.begin : found.end] - found.travel
     n, sigma, most = len(off), readings.sigma, SETTINGS.hidden_travel
     average = np.hypot(sigma / np.sqrt(n), min(readings.inaccuracy, 0.5 * sigma))
     scatter = 1.5 + most * np.sqrt(2.0 / n)

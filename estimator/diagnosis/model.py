@@ -133,10 +133,7 @@ def simulate(
     physics = plain_physics(record, base, values)
     for effect, numbers in effects:
         physics = effect.physics(physics, numbers, context)
-    drive = record.drive
-    for effect, numbers in reversed(effects):
-        drive = effect.invert(drive, numbers, context)
-    motion = _moved(record, physics, drive, values)
+    motion = _moved(record, physics, inverted(record.drive, context, effects), values)
     signals: Signals = {
         PROXIMAL_TENSION: motion.proximal_tension,
         PROXIMAL_DISPLACEMENT: motion.proximal_displacement,
@@ -147,6 +144,15 @@ def simulate(
     for effect, numbers in effects:
         signals = effect.measure(signals, numbers, context)
     return Simulated({name: signals[name] for name in record.compared}, motion)
+
+
+def inverted(
+    drive: Array, context: EffectContext, effects: Sequence[tuple[Effect, Values]]
+) -> Array:
+    """Return what a reading of the driver is of, without what the effects have made of it."""
+    for effect, numbers in reversed(effects):
+        drive = effect.invert(drive, numbers, context)
+    return drive
 
 
 def plain_physics(record: Record, base: Base, values: Mapping[str, float]) -> Physics:

@@ -73,7 +73,6 @@ def one_in_thirty(cases):
 
 
 MISSED = {
-    ("cogging_ripple",): "three waves in all: found, but the rest stays above the noise",
     ("pulley_eccentricity",): "a ninth of a turn: the base law leaves less than two noises of it",
 }
 
