@@ -65,3 +65,15 @@ def test_a_pulley_that_turns_by_a_part_of_a_turn_is_named_although_its_radius_is
     )
     assert found.verdict in {Verdict.NAMED, Verdict.AMBIGUOUS}
     assert found.causes == ("pulley_eccentricity",)
+
+
+def test_a_turn_that_a_ripple_hides_is_found_beside_it():
+    """It lies within the noise of the travel; what it does to 8 s of rest outweighs the ripple."""
+    how = {"duration": 40.0, "travel_noise": 5e-7}
+    made, found = diagnosed(63, "cogging_ripple", "spring", (), **how)
+    assert found.causes == ("cogging_ripple",)
+    assert found.verdict is Verdict.NAMED
+    size = np.hypot(
+        *(found.parameters[f"cogging_ripple.{one}"].value for one in ("sine", "cosine"))
+    )
+    assert size == pytest.approx(made.truth["cogging_ripple"]["amplitude"], rel=0.1)
