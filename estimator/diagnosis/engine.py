@@ -21,7 +21,7 @@ from estimator.diagnosis.driver_noise import with_driver_noise
 from estimator.diagnosis.fit import improved
 from estimator.diagnosis.folds import fitnesses, two_folds
 from estimator.diagnosis.free_friction import wanders
-from estimator.diagnosis.hidden_motion import with_hidden_motion
+from estimator.diagnosis.hidden_motion import may_hide, with_hidden_motion
 from estimator.diagnosis.intervals import parameters
 from estimator.diagnosis.law_choice import Choice, applicable, choose_law
 from estimator.diagnosis.model import Simulated, simulate
@@ -140,6 +140,8 @@ def _with_hidden_motion(dataset: Dataset, plain: Fit) -> tuple[Dataset, Fit]:
     record.
     """
     noisy = dataset.records
+    if not any(may_hide(record) for record in noisy):
+        return dataset, again(dataset, plain)
     fit = plain if is_noise(dataset, errors(dataset, plain)) else by_most(dataset, plain)
     for _ in range(HIDDEN):
         moved = [

@@ -62,6 +62,12 @@ class _Motion(NamedTuple):
     travel: Array  # [m], shape (end - begin,)
 
 
+def may_hide(record: Record) -> bool:
+    """Return whether a tendon is driven by a travel that has noise."""
+    travels = record.driver == PROXIMAL_DISPLACEMENT and not record.loop
+    return travels and record.noise[PROXIMAL_DISPLACEMENT] > 0.0
+
+
 def with_hidden_motion(
     record: Record, base: Base, shared: tuple[float, ...], own: tuple[float, ...]
 ) -> Record:
@@ -78,7 +84,7 @@ def with_hidden_motion(
     shared, own : tuple of float
         Its numbers, fitted to the record.
     """
-    if not _may_hide(record):
+    if not may_hide(record):
         return record
     physics = plain_physics(record, base, base.values(shared, own))
     drive, told = record.drive - own[0], np.zeros(len(record.time), dtype=np.bool_)
@@ -125,7 +131,7 @@ def with_motion_beside(
     base, shared, own, effects
         The model, fitted to the record.
     """
-    if not _may_hide(record):
+    if not may_hide(record):
         return record
     alone = simulate(record, context, base, shared, own, effects).signals[PROXIMAL_TENSION]
     travel = inverted(record.signals[PROXIMAL_DISPLACEMENT], context, effects)
@@ -145,12 +151,6 @@ def with_motion_beside(
         good=moved.good,
         troubles=moved.troubles,
     )
-
-
-def _may_hide(record: Record) -> bool:
-    """Return whether a tendon is driven by a travel that has noise."""
-    travels = record.driver == PROXIMAL_DISPLACEMENT and not record.loop
-    return travels and record.noise[PROXIMAL_DISPLACEMENT] > 0.0
 
 
 def _readings(record: Record, taut: float, noise: Array) -> _Readings:

@@ -73,7 +73,5 @@ def test_a_turn_that_a_ripple_hides_is_found_beside_it():
     made, found = diagnosed(63, "cogging_ripple", "spring", (), **how)
     assert found.causes == ("cogging_ripple",)
     assert found.verdict is Verdict.NAMED
-    size = np.hypot(
-        *(found.parameters[f"cogging_ripple.{one}"].value for one in ("sine", "cosine"))
-    )
-    assert size == pytest.approx(made.truth["cogging_ripple"]["amplitude"], rel=0.1)
+    waves = [found.parameters[f"cogging_ripple.{one}"].value for one in ("sine", "cosine")]
+    assert np.hypot(*waves) == pytest.approx(made.truth["cogging_ripple"]["amplitude"], rel=0.1)
