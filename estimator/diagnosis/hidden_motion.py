@@ -125,7 +125,7 @@ def with_motion_beside(
     Parameters
     ----------
     record : Record
-        Without hidden motion.
+        With what hidden motion was found before, if any.
     context : EffectContext
         What effects may know of it.
     base, shared, own, effects
