@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 
 from estimator.text_table import Table
 
+_WORD = 12  # [letters] that stay together in a cell
+
 BLACK, BLUE, VERMILION, GREEN, GREY = "black", "#0072B2", "#D55E00", "#009E73", "#888888"
 
 STYLE: dict[Any, Any] = {
@@ -55,14 +57,20 @@ def svg(figure: Figure, *, cut: bool = False) -> str:
 
 def html_table(table: Table, mark: str = "") -> str:
     """Return a table for a page; rows with a cell `mark` stand out."""
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in table.head)
+    head = "".join(f"<th>{_breakable(cell)}</th>" for cell in table.head)
     rows = "".join(
         ('<tr class="ours">' if mark in row else "<tr>")
-        + "".join(f"<td>{html.escape(cell)}</td>" for cell in row)
+        + "".join(f"<td>{_breakable(cell)}</td>" for cell in row)
         + "</tr>"
         for row in table.rows
     )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+
+
+def _breakable(text: str) -> str:
+    """Return text for a cell whose long words, such as paths, may be broken; others are not."""
+    marked = re.sub(rf"\S{{{_WORD}}}(?=\S)", lambda match: match[0] + "\0", text)
+    return html.escape(marked).replace("\0", "<wbr>")
 
 
 def html_figure(figure: Figure, caption: str) -> str:

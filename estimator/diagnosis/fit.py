@@ -61,13 +61,19 @@ def improved(
     however far it is off the rest.
     """
     layout = Layout(dataset, start)
+    jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
+    if jumping and rounds > ROUNDS:  # a sample beside its time a descent takes an effect to nothing
+        dated = simulated(dataset, about, start)
+        for i in jumping:
+            times = _likely_times(dataset, about, layout, dated, i)
+            dated = _stepped(dataset, about, layout, dated, i, times)
+        start = dated.model
     fit = _descended(dataset, about, layout, start, rounds, layout.smooth, robust=robust)
     for _ in range(REDIRECTED if rounds > ROUNDS else 0):
         model = _redirected(dataset, about, layout, fit)
         if model is None:
             break
         fit = _descended(dataset, about, layout, model, ROUNDS, layout.smooth)
-    jumping = [i for i, p in enumerate(layout.parameters) if p.jumps]
     for i in jumping if rounds > ROUNDS else ():
         fit = _stepped(
             dataset, about, layout, fit, i, _likely_times(dataset, about, layout, fit, i)
@@ -106,7 +112,8 @@ def _likely_times(
     """Return times about the one before which nothing fits better, and after which the effect [s].
 
     A search in steps passes by it: until a sample or two about the right time, the model of a
-    sensor that slipped goes to the slip and back, and friction remembers it.
+    sensor that slipped goes to the slip and back, and friction remembers it. They are between
+    samples, each of which is then before it or after.
     """
     x = layout.pack(fit.model)
     ends = min(r.time[0] for r in dataset.records), max(r.time[-1] for r in dataset.records)
@@ -121,7 +128,7 @@ def _likely_times(
     gain = np.concatenate([[0.0], np.cumsum((off[0] - off[1])[order])])
     at = float(time[order][min(int(np.argmin(gain)), len(order) - 1)])
     step = min(float(np.median(np.diff(record.time))) for record in dataset.records)
-    return np.asarray(at + step * np.arange(-AROUND, AROUND + 1))
+    return np.asarray(at + step * (np.arange(-AROUND, AROUND) + 0.5))
 
 
 def _distances(dataset: Dataset, fit: Fit) -> Array:

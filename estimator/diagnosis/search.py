@@ -27,7 +27,7 @@ from estimator.diagnosis.dataset import (
 from estimator.diagnosis.fit import QUICK, improved, moved, slopes_of
 from estimator.diagnosis.layout import Layout
 from estimator.diagnosis.progress import Report, part
-from estimator.diagnosis.score import Errors, errors
+from estimator.diagnosis.score import Errors, errors, is_noise
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects.effect import Effect, EffectContext, Parameter, Values
 
@@ -115,14 +115,18 @@ def candidates(
         best = _best_of_each(_each(fitted, models, fitting, "fitting candidates", workers))[:kept]
         models = [one.fit.model for one in best if one.cost < hopeless * best[0].cost]
 
+    def fit_cheapest(starts: Iterable[Model]) -> Candidate:
+        return min(
+            (_candidate(dataset, about, one, LONG) for one in starts), key=lambda one: one.cost
+        )
+
     def finished(model: Model) -> Candidate:
         begun = [model] if (inside := _off_bounds(model, about[0])) is None else [model, inside]
-        effect = model.effects[-1][0]
-        if effect.brief:
-            begun += _begun(dataset, about, fit.model, effect)
-        return min(
-            (_candidate(dataset, about, one, LONG) for one in begun), key=lambda one: one.cost
-        )
+        best = fit_cheapest(begun)
+        if best.effect.brief and not is_noise(dataset, best.held_out):
+            restarted = fit_cheapest(_begun(dataset, about, fit.model, best.effect))
+            best = min(best, restarted, key=lambda one: one.cost)
+        return best
 
     finishing = part(report, FITTING[-1], 1.0)
     refined = list(_each(finished, models, finishing, "finishing the best", workers))

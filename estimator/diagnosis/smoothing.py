@@ -2,7 +2,7 @@
 
 At each sample the widest window is taken whose estimate agrees with those of all narrower ones
 (intersection of confidence intervals: Goldenshluger and Nemirovski 1997, Katkovnik 1999): wide at
-rest and at constant speed, narrow where the motor turns.
+rest and at constant speed, narrow where the motor turns, and never across a step of the reading.
 """
 
 import math
@@ -18,6 +18,7 @@ _HALF_WIDTHS = (1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90)  # [samples]
 _ORDER = 2
 _CONFIDENCE = 1.2  # standard deviations on each side
 _STEADY = 9  # samples over which the median of the chosen windows is taken
+_STRADDLED = 5.0  # sigma from a reading: a window over a step, as where an encoder slipped
 
 
 class Smoothed(NamedTuple):
@@ -57,8 +58,9 @@ def smooth(signal: Array, sigma: float, time: Array | None = None) -> Smoothed:
         agreed &= low <= high
         agreed[:half] = agreed[n - half :] = False
         chosen[agreed] = k
-    chosen = median_filter(chosen, _STEADY)
-    rows = np.arange(n)
+    rows, steady = np.arange(n), median_filter(chosen, _STEADY)
+    straddles = np.abs(estimates[steady, rows] - signal) > _STRADDLED * sigma
+    chosen = np.where(straddles, chosen, steady)
     return Smoothed(estimates[chosen, rows], sigmas[chosen, rows])
 
 

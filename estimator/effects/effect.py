@@ -131,7 +131,8 @@ class Effect:
     from_zero
         Its values for readings of the motor's encoder that are more by `zero`.
     brief
-        Whether it shows in the first samples of a motion only, which a thin record does not have.
+        Whether it shows in short times only, such as the first samples of a motion, which a thin
+        record does not have.
     """
 
     name: str

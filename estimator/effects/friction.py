@@ -122,6 +122,7 @@ STRIBECK_LATE = Effect(
         stribeck=values[0], stribeck_speed=values[1], stribeck_memory=values[2]
     ),
     where="by each contact's own, with a memory",
+    brief=True,
 )
 
 PRESLIDING = Effect(

@@ -23,6 +23,7 @@ from estimator.effects.ends import play
 from estimator.online.reading_correction import CorrectionKind
 
 ONSETS = 12
+STEPS = 6  # of a reading, that may be slips
 MOST_TURNS = 10.0  # of the pulley in a record
 BANDS = 3  # of wave numbers of a pulley that turns often, each with starts of its own
 PHASE_STEP = 5.0  # [rad] over a record, that a step of the pulley's radius is at most
@@ -241,6 +242,21 @@ def _slipped(values: Values, context: EffectContext) -> Array:
     return slip * since(context.time, onset)
 
 
+def _slip_starts(context: EffectContext, channel: str) -> Iterable[Values]:
+    """Return slips at times all over the record, and the largest steps of the reading itself.
+
+    A step is what a reading advances by between two samples beyond the speed on both sides.
+    """
+    time, q = context.time, context.measured[channel]
+    dt, advance = np.diff(time), np.diff(q)
+    speed = advance / dt
+    beside = np.median([speed[:-4], speed[1:-3], speed[3:-1], speed[4:]], axis=0)
+    step = advance[2:-2] - beside * dt[2:-2]
+    largest = np.argsort(-np.abs(step))[:STEPS]
+    seen = [(float(step[k]), float(time[k + 2] + 0.5 * dt[k + 2])) for k in largest]
+    return [*((5e-5, t) for t in context.instants(2 * ONSETS)), *seen]
+
+
 def _slip(channel: str) -> Effect:
     return _of_sensor(
         channel,
@@ -256,7 +272,7 @@ def _slip(channel: str) -> Effect:
             ),
             source="range assumed: 0.01 to 1 mm",
             advice=f"Return to a hard stop and compare; tighten the coupling of {WORDS[channel]}.",
-            starts=lambda context: [(5e-5, t) for t in context.instants(2 * ONSETS)],
+            starts=lambda context: _slip_starts(context, channel),
             where=WORDS[channel],
             needs=frozenset({PROXIMAL_DISPLACEMENT}),
         ),

@@ -7,9 +7,11 @@ from estimator.diagnosis.baseline import baseline
 from estimator.diagnosis.dataset import contexts_without, dataset_of, simulated, thin
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.progress import quiet
 from estimator.diagnosis.record import prepare
-from estimator.diagnosis.search import THIN
+from estimator.diagnosis.search import THIN, candidates
 from estimator.effects import CATALOGUE
+from estimator.effects.friction import STRIBECK_LATE
 from tests import hidden
 from tests.hidden.play_grid import pulled
 
@@ -59,6 +61,18 @@ def test_a_slip_of_the_encoder_is_named_and_dated(size, bench):
     assert onset.value == pytest.approx(made.truth["encoder_slip"]["time"], abs=0.03)
 
 
+def test_a_slip_while_the_tendon_slides_is_not_taken_for_a_tip_that_moved():
+    """With the tip blocked and not measured, both look the same but for the step of the reading."""
+    how = {"duration": 40.0, "rate": 50.0, "travel_noise": 5e-7}
+    made = hidden.make(41, "encoder_slip", bench="blocked", channels=hidden.CHANNELS[:3], **how)
+    effects = [effect for effect in CATALOGUE if effect.name in {"encoder_slip", "tip_moved"}]
+    found = diagnose([prepare(made.time, dict(made.channels))], effects)
+    assert found.causes == ("encoder_slip",)
+    truth = made.truth["encoder_slip"]
+    assert found.parameters["encoder_slip.slip"].value == pytest.approx(truth["slip"], rel=0.05)
+    assert found.parameters["encoder_slip.onset"].value == pytest.approx(truth["time"], abs=0.03)
+
+
 def test_a_pulley_that_turns_by_a_part_of_a_turn_is_named_although_its_radius_is_not_known():
     _, found = diagnosed(
         11, "pulley_eccentricity", "spring", {"creep", "encoder_scale"}, duration=30.0, rate=50.0
@@ -75,3 +89,14 @@ def test_a_turn_that_a_ripple_hides_is_found_beside_it():
     assert found.verdict is Verdict.NAMED
     waves = [found.parameters[f"cogging_ripple.{one}"].value for one in ("sine", "cosine")]
     assert np.hypot(*waves) == pytest.approx(made.truth["cogging_ripple"]["amplitude"], rel=0.1)
+
+
+def test_a_fit_of_friction_that_is_late_is_restarted_on_all_samples():
+    """A thin record does not have the memory, and leads to a ratio that is a seventh too large."""
+    how = {"bench": "spring", "duration": 40.0, "travel_noise": 5e-7}
+    made = hidden.make(1, "stribeck_friction", **how)
+    dataset = dataset_of([prepare(made.time, dict(made.channels))])
+    (best,) = candidates(dataset, baseline(dataset), [STRIBECK_LATE], quiet)
+    ratio, speed, _ = best.fit.model.effects[-1][1]
+    assert ratio == pytest.approx(made.truth["stribeck_friction"]["ratio"], rel=0.05)
+    assert speed == pytest.approx(made.truth["stribeck_friction"]["speed"], rel=0.05)

@@ -78,3 +78,13 @@ def test_what_noise_is_left_is_known():
     inside = slice(100, -100)
     assert np.std((smoothed - true)[inside]) < 2.0 * np.sqrt(np.mean(left[inside] ** 2))
     assert left[inside].mean() < 0.35e-6
+
+
+@pytest.mark.parametrize("slip", [8e-5, -4e-5, 2e-5])
+def test_an_encoder_that_slips_is_not_smoothed_into_a_motion(slip):
+    sigma, at = 5e-7, 120
+    time = np.arange(240) / 100.0
+    true = 2e-3 * np.sin(time) + slip * (time >= time[at])
+    measured = true + sigma * np.random.default_rng(3).standard_normal(len(true))
+    smoothed, _ = smooth(measured, sigma, time)
+    assert np.abs(smoothed - true)[at - 6 : at + 6].max() < 5.0 * sigma
