@@ -65,7 +65,8 @@ def doubts(data: MeasuredData, units: Units = LINEAR) -> tuple[str, ...]:
     """Return what is wrong with the channels of a record, one line each with its remedy.
 
     A sensor that never changes while the tension does is stuck; only a tip that is blocked stays.
-    The data are in `units`.
+    One tension of a tendon in another unit is told by `unit_slip`. The data are in `units`, NaN
+    where a value is missing.
     """
     T_in, T_out = data.proximal_tension, data.distal_tension
     q_p, q_d = data.proximal_displacement, data.distal_displacement
@@ -92,6 +93,9 @@ def doubts(data: MeasuredData, units: Units = LINEAR) -> tuple[str, ...]:
         )
     if not units.signed:
         out += _backwards(data, units)
+        if moves and T_out is not None and _span(T_out) > 0.0:
+            known = np.isfinite(T_in) & np.isfinite(T_out)
+            out += [slip] if (slip := unit_slip(T_in[known], T_out[known])) else []
     return tuple(out)
 
 
@@ -152,10 +156,14 @@ def unit_slip(proximal_tension: Array, distal_tension: Array, *, may_be_right: b
     `may_be_right` the units are known to be wrong.
     """
     step = max(len(proximal_tension) // _TRIED, 1)
+    if not len(proximal_tension):
+        return ""
     T_in, T_out = proximal_tension[::step], distal_tension[::step]
     if not (T_in.max() > 0.0 and T_out.max() > 0.0):
         return ""
     plain = _residual(T_in, T_out) if may_be_right else math.inf
+    if plain < _FITS:
+        return ""
     tried = [("distal", slip, T_in, slip.factor * T_out) for slip in FORCES]
     tried += [("proximal", slip, slip.factor * T_in, T_out) for slip in FORCES]
     found = [(_residual(one, other), end, slip) for end, slip, one, other in tried]

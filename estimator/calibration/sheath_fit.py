@@ -33,6 +33,7 @@ LONGEST = 100.0  # [m]
 SMOOTHED = 9  # samples, where the loop's turns are looked for
 GIVES_WAY = 0.02  # of the motor's travel: a tip that moves by more is not blocked
 MOST = 200_000  # samples that are fitted; of a longer record every so many
+STRUCTURE_MAX = 0.003  # of the peak: residual beyond noise (RMS); above it K is off by 0.6 to 7 %
 TURN = 0.05  # of the peak: a tension that comes back by so much has turned
 
 
@@ -237,9 +238,22 @@ def _from_bench(data: MeasuredData, length: float) -> SheathFit:
         parameters["EA"] = elastic.parameters["axial_stiffness"]
         EA = parameters["EA"].value
     model = _model(data, parameters["K"], length, EA)
-    return SheathFit(
-        model, "symmetric law, by re-simulation", parameters, result.accept, result.reason
-    )
+    noise = math.hypot(signals.noise_sigma(data.distal_tension), model.tension_noise)
+    structure = _structure(result.residuals, noise)
+    accept, reason = result.accept, result.reason
+    if accept and structure > STRUCTURE_MAX * float(data.distal_tension.max()):
+        accept = False
+        reason = (
+            f"the residual is no noise: {structure:.2g} N of its {result.rmse:.2g} N follow the "
+            "motion, so K may be off by more than its interval; run teleop diagnose on this record"
+        )
+    return SheathFit(model, "symmetric law, by re-simulation", parameters, accept, reason)
+
+
+def _structure(residuals: Array, noise: float) -> float:
+    """Return the RMS [N] of residuals beyond white noise of a standard deviation; 0 if within."""
+    power = float(np.mean(residuals**2))
+    return math.sqrt(power - noise**2) if power > 2.0 * noise**2 else 0.0
 
 
 def _require_decided(result: FitResult) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from estimator import plausibility
 from estimator.measured_data import Samples
+from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from teleop.app import cli
 from teleop.data.table import read_table, write_table
 from tests.tools.test_estimate import EVEN, SPRING, simulate
@@ -53,7 +54,6 @@ def estimate(columns, changes, words, folder, capsys):
         ({Q_P: times(100), Q_D: times(100)}, "which no tendon does"),
         ({Q_P: times(50), Q_D: times(50)}, "mm or cm or inches"),
         ({Q_P: times(1e-3), Q_D: times(1e-3)}, "stiffer than any tendon"),
-        ({T_OUT: times(1 / KGF)}, "distal_tension in kgf"),
     ],
 )
 def test_an_implausible_fit_is_not_accepted(columns, changes, said, tmp_path, capsys):
@@ -70,6 +70,7 @@ def test_an_implausible_fit_is_not_accepted(columns, changes, said, tmp_path, ca
     ("changes", "said"),
     [
         ({T_IN: times(1 / KGF)}, "proximal_tension in kgf"),
+        ({T_OUT: times(1 / KGF)}, "distal_tension in kgf"),
         ({Q_P: constant}, "proximal_displacement never changes"),
         ({T_OUT: constant}, "distal_tension never changes"),
         ({Q_P: times(1000)}, "in metres, not mm"),
@@ -108,6 +109,36 @@ def test_good_data_raise_no_doubt(columns, words, tmp_path, capsys):
     assert summary["doubts"] == []
     assert "WARNING" not in printed
     assert summary.get("fit", {"accept": True})["accept"]
+
+
+@pytest.mark.parametrize(
+    "change", [lambda T: T + 0.02 * T.max(), lambda T: np.maximum(T - 0.02 * T.max(), 0.0)]
+)
+def test_a_fit_whose_residual_is_no_noise_is_not_accepted(columns, change, tmp_path, capsys):
+    _, summary, printed = estimate(columns, {T_OUT: change}, FIT, tmp_path, capsys)
+    K = summary["fit"]["parameters"]["K"]
+    assert not K["low"] < 1.0 < K["high"]  # else there is nothing to warn of
+    assert not summary["fit"]["accept"]
+    assert "NOT accepted: the residual is no noise" in printed
+    assert "run teleop diagnose" in printed
+
+
+@pytest.mark.parametrize("factor", [1 / KGF, 1e3 / KGF], ids=["kgf", "gram-force"])
+def test_a_cell_in_another_unit_is_refused_before_a_diagnosis(columns, factor, tmp_path, capsys):
+    path = tmp_path / "data.csv"
+    tensions = {T_IN: 0.2 * columns[T_IN], T_OUT: 0.2 * factor * columns[T_OUT]}
+    write_table(path, columns | tensions)  # smaller, so that gram-force are below 1000
+    for words in (["diagnose", str(path)], ["estimate", str(path), *FIT]):
+        assert cli.main(words) == 2
+        (said,) = [s for s in capsys.readouterr().err.splitlines() if not s.endswith(" ...")]
+        assert f"distal_tension in {'kgf' if factor < 1 else 'gram-force'}" in said
+
+
+def test_a_replay_names_what_an_estimate_does(columns, tmp_path, capsys):
+    path = tmp_path / "data.csv"
+    write_table(path, columns | {T_OUT: columns[T_OUT] / KGF})
+    ReplayedRig(ReplayedRigConfig(file=path)).close()
+    assert "distal_tension in kgf" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", [T_IN, T_OUT])
