@@ -1,14 +1,18 @@
-"""Where compiled code is cached: one folder per state of the sources.
+"""Where compiled code is cached: one folder per state of the sources, which nobody else can change.
 
 Numba checks only the date of a function's own file, so after a change in one module it would run
 outdated code inlined into another. A folder named after a hash of all sources is never outdated.
+What lies in the folder is run as it is, so it must be this user's alone, as must those above it.
 """
 
 import contextlib
+import grp
 import hashlib
 import os
+import pwd
 import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,30 +21,75 @@ KEPT = 3  # folders of earlier states, for switching between versions
 IN_USE_S = 3600.0  # [s] since its last use, within which another process may use a folder
 _COMPILED = ("estimator", "master", "slave", "teleop")
 _NAME = "tendon-teleop"
+_VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def choose() -> Path | None:
     """Set the folder in the environment, before numba is imported, and delete old ones.
 
-    `NUMBA_CACHE_DIR` set by the user has precedence. Returns None, with numba's default, if no
-    folder can be created.
+    `NUMBA_CACHE_DIR` set by the user has precedence. A folder that other users own or can change is
+    left out, with a line on standard error. Returns None, with nothing cached, if none is left.
     """
-    if named := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(named)
+    if named := os.environ.get(_VARIABLE):
+        with contextlib.suppress(OSError):
+            return _enter(Path(named))
     state = _state()
     for caches in _places():
-        folder = caches / state
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder = _enter(_enter(caches) / state)
             os.utime(folder)
-            for old in sorted(caches.iterdir(), key=_last_used)[: -1 - KEPT]:
+            for old in sorted(folder.parent.iterdir(), key=_last_used)[: -1 - KEPT]:
                 if _last_used(folder) - _last_used(old) > IN_USE_S * 1e9:
                     shutil.rmtree(old, ignore_errors=True)
         except OSError:
             continue
-        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        os.environ[_VARIABLE] = str(folder)
         return folder
     return None
+
+
+def _enter(folder: Path) -> Path:
+    """Return a folder without links in its path, made if it is missing, readable by us only.
+
+    Raises
+    ------
+    OSError
+        It cannot be made or written, or others can change it, which is said on standard error.
+    """
+    folder = folder.resolve()
+    for place in (*reversed(folder.parents), folder):
+        place.mkdir(mode=0o700, exist_ok=True)
+    if why := _distrust(folder):
+        print(f"WARNING: {folder}: no compiled code is kept there: {why}", file=sys.stderr)
+        raise PermissionError(why)
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(folder)
+    return folder
+
+
+def _distrust(folder: Path) -> str:
+    """Return why others could put code into a folder, and the remedy; empty if nobody can."""
+    trusted = {0, os.geteuid(), Path("/").stat().st_uid}  # in a user namespace / is of nobody
+    for place in (folder, *folder.parents):
+        status = place.stat()
+        if status.st_uid not in trusted:
+            return f"{place} belongs to another user; set XDG_CACHE_HOME to a folder of yours"
+        sticky = status.st_mode & stat.S_ISVTX and place != folder
+        if _others_can_write(status) and not sticky:
+            remedy = f"delete {place}" if place == folder else f"chmod go-w {place}"
+            return f"other users can write {place}; {remedy}"
+    return ""
+
+
+def _others_can_write(status: os.stat_result) -> bool:
+    """Return whether a mode lets others write; a group of nobody but this user is this user."""
+    if not status.st_mode & stat.S_IWGRP or status.st_mode & stat.S_IWOTH:
+        return bool(status.st_mode & stat.S_IWOTH)
+    try:
+        user, group = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(status.st_gid)
+    except KeyError:
+        return True
+    return group.gr_name != user or not set(group.gr_mem) <= {user}
 
 
 def _state() -> str:
@@ -58,15 +107,7 @@ def _places() -> Iterator[Path]:
         yield named / _NAME
     with contextlib.suppress(RuntimeError):  # a user id without a home
         yield Path.home() / ".cache" / _NAME
-    private = Path(tempfile.gettempdir()) / f"{_NAME}-{os.getuid()}"
-    try:
-        private.mkdir(mode=0o700, exist_ok=True)
-        found = private.lstat()
-    except OSError:
-        return
-    # code is loaded from there: it must be owned and writable by this user only
-    if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
-        yield private
+    yield Path(tempfile.gettempdir()) / f"{_NAME}-{os.getuid()}"
 
 
 def _last_used(folder: Path) -> int:

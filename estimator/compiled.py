@@ -18,11 +18,15 @@ R = TypeVar("R")
 
 # Without the entry for calls from C, which nobody makes: a sixth of the time that compiling takes.
 # Of any type, as the option is missing in numba's own.
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
+_OPTIONS: dict[str, Any] = {
+    "cache": _folder is not None,
+    "nogil": True,
+    "no_cfunc_wrapper": True,
+}
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile `function` with numba: IEEE arithmetic, no GIL, cached on disk between runs."""
+    """Compile `function` with numba: IEEE arithmetic, no GIL, cached on disk where that is safe."""
     return cast(Callable[P, R], numba.njit(function, **_OPTIONS))
 
 

@@ -1,6 +1,8 @@
 """Compiled code is not taken for that of other sources, and finding a place for it never fails."""
 
+import grp
 import os
+import pwd
 import subprocess
 import sys
 import tempfile
@@ -50,11 +52,11 @@ def test_each_state_of_the_sources_has_a_folder_of_its_own(unnamed, monkeypatch)
     assert set(folders[0].parent.iterdir()) == set(folders[-1 - compile_cache.KEPT :])
 
 
-def test_a_folder_named_by_the_user_is_left_alone(unnamed, monkeypatch):
+def test_a_folder_named_by_the_user_is_used(unnamed, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(unnamed / "mine"))
     assert compile_cache.choose() == unnamed / "mine"
     assert os.environ["NUMBA_CACHE_DIR"] == str(unnamed / "mine")
-    assert list(unnamed.iterdir()) == []
+    assert list(unnamed.iterdir()) == [unnamed / "mine"]
 
 
 def no_home():
@@ -69,14 +71,85 @@ def test_without_a_home_there_is_a_private_folder(unnamed, monkeypatch):
     assert folder.parent.stat().st_mode & 0o077 == 0
 
 
-def test_code_is_not_loaded_from_where_others_may_write(unnamed, monkeypatch):
+def test_its_folders_are_readable_by_their_owner_only(unnamed, monkeypatch):
+    before = os.umask(0)
+    try:
+        folder = chosen(monkeypatch)
+    finally:
+        os.umask(before)
+    for place in (folder, folder.parent):
+        assert place.stat().st_mode & 0o777 == 0o700
+
+
+def open_to_all(place):
+    place.chmod(0o777)
+    return f"other users can write {place}; "
+
+
+def open_to_a_group(place):
+    if os.geteuid() != 0:
+        pytest.skip("only root can give a folder to another group")
+    os.chown(place, -1, 65534)
+    place.chmod(0o770)
+    return f"other users can write {place}; "
+
+
+def of_somebody_else(place):
+    if os.geteuid() != 0:
+        pytest.skip("only root can give a folder away")
+    os.chown(place, 65534, -1)
+    return f"{place} belongs to another user; "
+
+
+@pytest.mark.parametrize("spoil", [open_to_all, open_to_a_group, of_somebody_else])
+@pytest.mark.parametrize("depth", [0, 1, 2])
+def test_code_is_not_loaded_from_where_others_may_write(unnamed, monkeypatch, capsys, depth, spoil):
+    monkeypatch.setattr(Path, "home", no_home)
+    good = chosen(monkeypatch)
+    assert capsys.readouterr().err == ""
+    says = spoil([good, good.parent, good.parent.parent][depth])
+    folder = chosen(monkeypatch)
+    assert folder.parent == unnamed / f"tendon-teleop-{os.getuid()}"
+    assert os.environ["NUMBA_CACHE_DIR"] == str(folder)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("WARNING: ")
+    assert says in line
+
+
+def test_a_group_of_this_user_alone_may_write(unnamed, monkeypatch, capsys):
+    user = pwd.getpwuid(os.geteuid()).pw_name
+    group = grp.struct_group((user, "x", os.getegid(), []))
+    monkeypatch.setattr(compile_cache.grp, "getgrgid", lambda _: group)
+    good = chosen(monkeypatch)
+    good.parent.parent.chmod(0o775)  # as a umask of 002 makes it
+    assert chosen(monkeypatch) == good
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("spoil", [open_to_all, of_somebody_else])
+def test_nor_from_there_if_the_user_names_it(unnamed, monkeypatch, capsys, spoil):
+    (unnamed / "mine").mkdir()
+    says = spoil(unnamed / "mine")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(unnamed / "mine"))
+    assert compile_cache.choose().parent == unnamed / "cache" / "tendon-teleop"
+    assert says in capsys.readouterr().err
+
+
+def test_without_a_folder_that_is_ours_nothing_is_cached(unnamed, monkeypatch, capsys):
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(Path, "home", no_home)
     taken = unnamed / f"tendon-teleop-{os.getuid()}"
     taken.mkdir()
     taken.chmod(0o777)
-    assert compile_cache.choose() is None
-    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    assert chosen(monkeypatch) is None
+    assert f"delete {taken}" in capsys.readouterr().err
+    assert not os.environ["NUMBA_CACHE_DIR"]
+
+
+def test_a_link_leads_to_the_folder_that_was_checked(unnamed, monkeypatch):
+    (unnamed / "real").mkdir()
+    (unnamed / "cache").symlink_to(unnamed / "real")
+    assert chosen(monkeypatch).parent == unnamed / "real" / "tendon-teleop"
 
 
 def test_a_cache_folder_that_cannot_be_made_is_passed_over(unnamed, monkeypatch):
