@@ -38,6 +38,8 @@ from teleop.suggestions import did_you_mean
 # of teleop.run_config.RunConfig
 SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime")
 SECTIONS = ("record", "view", "master", "slave", "impair", "ros", "router")
+RECORDING = ".mcap"  # a recording is a config file, too: that of its session
+_OF_ONE_RUN = ("session", "link")  # where a session ran; another one takes its own place
 MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
 
 T = TypeVar("T")
@@ -53,7 +55,7 @@ def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequen
     Parameters
     ----------
     path : Path or None
-        The file; None for defaults throughout.
+        The file, or a recording, which has the config of its session; None for defaults throughout.
     cls : type
         The config dataclass.
     section : str or None
@@ -112,6 +114,8 @@ class _Override:
         keys = tuple(key.strip().split("."))
         if not equals or not all(re.fullmatch(r"\w+", k) for k in keys):
             raise UsageError(f"--set {text}: expected dotted.key=value, e.g. master.force.scale=2")
+        if re.fullmatch(r"\[[0-9A-Fa-f:.]*::?[0-9A-Fa-f:.]*\]:\d+", value):  # no YAML: [::1]:7451
+            return cls(text, keys, value)
         return cls(text, keys, strict_yaml.parse(value, f"--set {text}"))
 
 
@@ -124,30 +128,42 @@ class _Source:
 
     def tree(self) -> dict[str, Any]:
         """Return the file's mapping with the overrides applied."""
-        tree = {} if self.path is None else strict_yaml.read(self.path)
+        tree = {} if self.path is None else self._read(self.path)
         for override in self.overrides:
-            self._lay(tree, override)
+            tree = self._replaced(tree, override, override.keys)
         return tree
 
-    def _lay(self, tree: dict[str, Any], override: _Override) -> None:
-        node: Any = tree
-        for depth, key in enumerate(override.keys):
-            last = depth == len(override.keys) - 1
-            slot: Any = key
-            if isinstance(node, list):
-                if not _INDEX.fullmatch(key) or int(key) >= len(node):
-                    raise self.error(
-                        override.keys, f"the list has {len(node)} items, counted from 0"
-                    )
-                slot = int(key)
-            if last:
-                node[slot] = override.value
-            else:
-                inner = node.get(key) if isinstance(node, dict) else node[slot]
-                if not isinstance(inner, dict | list):
-                    inner = {}
-                    node[slot] = inner
-                node = inner
+    def _read(self, path: Path) -> dict[str, Any]:
+        """Return the mapping of a config file, or of the session that a recording is of."""
+        if path.suffix != RECORDING:
+            return strict_yaml.read(path)
+        from teleop.recording.reader import recorded_config
+
+        text, overrides = recorded_config(path)
+        tree = strict_yaml.parse_mapping(text, str(path))
+        for override in map(_Override.parse, overrides):
+            tree = self._replaced(tree, override, override.keys)
+        return {key: value for key, value in tree.items() if key not in _OF_ONE_RUN}
+
+    def _replaced(self, node: Any, override: _Override, rest: tuple[str, ...]) -> Any:
+        """Return a copy of `node` with the value at the keys `rest` replaced.
+
+        Nodes on the way are copied: an alias in YAML makes one node of several places.
+        """
+        if not rest:
+            return override.value
+        slot: Any = rest[0]
+        if isinstance(node, list):
+            if not _INDEX.fullmatch(slot) or int(slot) >= len(node):
+                raise self.error(override.keys, f"the list has {len(node)} items, counted from 0")
+            slot = int(slot)
+            copy: Any = node.copy()
+            inner = node[slot]
+        else:
+            copy = dict(node) if isinstance(node, dict) else {}
+            inner = copy.get(slot)
+        copy[slot] = self._replaced(inner, override, rest[1:])
+        return copy
 
     def by_override(self, keys: tuple[str, ...]) -> _Override | None:
         """Return the override that set the value at `keys` or one of its parents."""
@@ -241,7 +257,11 @@ class _Builder:
         if hint is float:
             return self._float(data, keys, infinite)
         if hint is Path and isinstance(data, str) and data:
-            override, path = self.source.by_override(keys), Path(data).expanduser()
+            override = self.source.by_override(keys)
+            try:
+                path = Path(data).expanduser()
+            except RuntimeError as error:
+                raise self.source.error(keys, f"{_shown(data)}: no such home folder") from error
             in_file = self.source.path is not None and override is None
             return cast(Path, self.source.path).parent / path if in_file else path
         if hint in (bool, int, str) and type(data) is hint:

@@ -1,15 +1,33 @@
-"""Rigs, devices and effects of other packages, named in a config as `package.module:Name`.
+"""Rigs, devices and effects of other packages, named in a config or a model file.
 
-An installed package may also declare a short name as an entry point, in the group `teleop.rigs`,
-`teleop.devices` or `teleop.effects`. Only named extensions are imported.
+An installed package declares them as entry points, in the group `teleop.rigs`, `teleop.devices` or
+`teleop.effects`; a file may name these, and only what is named is imported. Any other code, as
+`package.module:Name`, only if the user allows it: the file may be somebody else's.
 """
 
 import importlib
+import traceback
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
+from teleop.options import ALLOW_IMPORTS
 from teleop.suggestions import did_you_mean
+
+
+@dataclass
+class ImportPolicy:
+    """What this process imports because a config or a model file names it."""
+
+    any_module: bool = False  # `package.module:Name`, besides entry points of installed packages
+
+
+policy = ImportPolicy()
+
+
+def allow_imports() -> None:
+    """Let configs and model files name any code as `package.module:Name`, in this process."""
+    policy.any_module = True
 
 
 class ExtensionError(ValueError):
@@ -30,7 +48,7 @@ class Extension:
 
 
 def resolve(name: str, group: str) -> Any:
-    """Return the object of a name.
+    """Return the object of a name, which is imported.
 
     Parameters
     ----------
@@ -42,17 +60,23 @@ def resolve(name: str, group: str) -> Any:
     Raises
     ------
     ExtensionError
-        There is no such package, module, attribute or entry point, or importing it fails.
+        There is no such package, module, attribute or entry point, importing it fails, or it is
+        neither an entry point nor allowed (`allow_imports`).
     """
     reference = name
+    points = {point.name: point.value for point in entry_points(group=group)}
     if ":" not in name:
-        points = {point.name: point.value for point in entry_points(group=group)}
         if name not in points:
             raise ExtensionError(
                 f"no installed package declares {name!r} in the entry points {group!r}"
                 f"{did_you_mean(name, points)}"
             )
         reference = points[name]
+    elif not policy.any_module and name not in points.values():
+        raise ExtensionError(
+            f"{name} is code that no installed package declares in the entry points {group!r}; if "
+            f"you trust this file and that package, add {ALLOW_IMPORTS}"
+        )
     module_name, _, attribute = reference.partition(":")
     try:
         found = importlib.import_module(module_name)
@@ -83,6 +107,14 @@ def resolve_class(name: str, base: type[Extension]) -> type[Extension]:
     if not (isinstance(found, type) and issubclass(found, base)):
         raise ExtensionError(f"{name}: must be a subclass of {base.__module__}:{base.__name__}")
     return found
+
+
+def call_failed(place: str, method: str, error: Exception) -> str:
+    """Return one line on an exception of an extension's own code, with the place in its code."""
+    message_text = " ".join(str(error).split())
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{frame.filename}, line {frame.lineno}"
+    return f"{place}: {method} fails: {type(error).__name__}: {message_text} ({where})"
 
 
 def opening_failed(place: str, config: Extension, error: Exception) -> str:

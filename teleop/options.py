@@ -7,6 +7,7 @@ from typing import Any, Literal, cast, get_args
 from teleop.output_file import OutputFile, OutputFolder
 from teleop.process import seconds
 
+ALLOW_IMPORTS = "--allow-imports"
 ViewMode = Literal["native", "web", "rrd", "none"]
 
 
@@ -30,6 +31,11 @@ view_mode = ViewOutput()
 
 
 _OPTIONS: dict[str, dict[str, Any]] = {
+    ALLOW_IMPORTS: {
+        "action": "store_true",
+        "help": "let config and model files name any code, as package.module:Name, which is run; "
+        "without it only entry points of installed packages",
+    },
     "--calibration": {"type": Path, "metavar": "FILE", "help": "calibration of the sheaths"},
     "--column": {
         "action": "append",

@@ -1,4 +1,4 @@
-"""Strict YAML: unique keys, YAML 1.2 scalars, one-line errors."""
+"""Strict YAML: unique keys, YAML 1.2 scalars, bounded size, one-line errors."""
 
 import re
 from collections.abc import Hashable
@@ -8,16 +8,25 @@ from typing import Any
 import yaml
 
 from teleop.errors import UsageError
+from teleop.small_file import read_small_file
+
+SIZE_MAX = 100_000  # [B] of a file, which PyYAML parses in 2 to 4 s; that of two arms has 5 kB
+VALUES_MAX = 100_000  # keys and values of a document, aliases written out
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML 1.2 scalars, and unique keys.
+    """YAML 1.2 scalars, unique keys, and no more values than `VALUES_MAX`.
 
     PyYAML follows YAML 1.1, where `1e-3` is text, `012` is ten, `1:30` is ninety and `no` is
     false: each a trap in a file of physical constants.
     """
 
     yaml_implicit_resolvers: dict[Any, Any] = {}  # noqa: RUF012 - PyYAML's own shape
+
+    def construct_document(self, node: yaml.Node) -> Any:
+        """Build the document, unless it would be too large once its aliases are written out."""
+        _count_values(node, {})
+        return super().construct_document(node)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """Build a mapping whose keys are words, each once."""
@@ -51,6 +60,26 @@ for _tag, _pattern, _first in (
     )
 
 
+def _count_values(node: yaml.Node, counts: dict[yaml.Node, int | None]) -> int:
+    """Return the number of keys and values below a node; raises `ConstructorError` if too many.
+
+    Each node is visited once: `counts` holds those of finished ones, None while one is visited.
+    """
+    if node not in counts:
+        counts[node] = None
+        parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+        pairs = (one if isinstance(one, tuple) else (one,) for one in parts)
+        counts[node] = 1 + sum(_count_values(one, counts) for pair in pairs for one in pair)
+    count = counts[node]
+    if count is None:
+        problem = "an alias contains itself"
+    elif count > VALUES_MAX:
+        problem = f"has more than {VALUES_MAX} values, its aliases written out"
+    else:
+        return count
+    raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+
+
 def parse(text: str, place: str) -> Any:
     """Parse one YAML document; errors are one line."""
     try:
@@ -69,15 +98,24 @@ def parse(text: str, place: str) -> Any:
 
 def read(path: Path, what: str = "config file") -> dict[str, Any]:
     """Read a config file, or one of another kind, whose top level is a mapping."""
+    return parse_mapping(read_text(path, what), str(path))
+
+
+def parse_mapping(text: str, place: str) -> dict[str, Any]:
+    """Parse a YAML document whose top level is a mapping; an empty one has no keys."""
+    tree = parse(text, place)
+    if tree is None:
+        return {}
+    if not isinstance(tree, dict):
+        raise UsageError(f"{place}: the top level is not a mapping (key: value lines)")
+    return tree
+
+
+def read_text(path: Path, what: str = "config file") -> str:
+    """Read the text of a config file; `UsageError` if it is none, or larger than `SIZE_MAX`."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        return read_small_file(path, SIZE_MAX).decode("utf-8-sig")
     except OSError as error:
         raise UsageError(f"{path}: cannot read the {what}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{path}: the {what} is not UTF-8 text") from error
-    tree = parse(text, str(path))
-    if tree is None:
-        return {}
-    if not isinstance(tree, dict):
-        raise UsageError(f"{path}: the top level is not a mapping (key: value lines)")
-    return tree

@@ -1,6 +1,5 @@
 """A hint at what a misspelt word may have meant."""
 
-import difflib
 from collections.abc import Iterable
 
 
@@ -18,5 +17,7 @@ def did_you_mean(word: str, allowed: Iterable[str], most: int = 1, cutoff: float
     cutoff
         Least similarity, from 0 to 1 (`difflib.get_close_matches`).
     """
+    import difflib  # slow to import, and needed only for a mistake
+
     close = difflib.get_close_matches(word, list(allowed), most, cutoff)
     return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""

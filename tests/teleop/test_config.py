@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from teleop.config import MAY_BE_INFINITE, SECTIONS, SHARED, as_tree, load
 from teleop.errors import UsageError
+from teleop.link import LinkConfig
 from teleop.options import add_options
 from teleop.run_config import RunConfig
 
@@ -289,6 +290,31 @@ def test_overrides_reach_into_default_lists_and_work_without_a_file() -> None:
 
 
 @pytest.mark.parametrize(
+    "sections",
+    [
+        "[&a {length: 1}, *a, *a]",
+        "&all [{length: 1}, {length: 1}, {length: 1}]\nspans: []",
+    ],
+)
+def test_an_override_changes_only_what_it_names_where_the_file_has_aliases(
+    tmp_path: Path, sections: str
+) -> None:
+    built = of(tmp_path, f"sections: {sections}", "slave.sections.1.length=9")
+    assert [s.length for s in built.sections] == [1.0, 9.0, 1.0]
+    line = refusal(tmp_path, f"sections: {sections}", "slave.sections.1.length=x")
+    assert "slave.sections.1.length: 'x' is not a number" in line
+    assert "sections.2.lenth: unknown key" in refusal(
+        tmp_path, f"sections: {sections}", "slave.sections.2.lenth=1"
+    )
+
+
+def test_an_override_of_what_another_override_gave_leaves_its_other_places(tmp_path: Path) -> None:
+    given = "slave.sections=[&a {length: 1}, *a]"
+    built = of(tmp_path, "tendons: 3", given, "slave.sections.0.length=9")
+    assert [s.length for s in built.sections] == [9.0, 1.0]
+
+
+@pytest.mark.parametrize(
     ("override", "says"),
     [
         ("slave.tendons", "expected dotted.key=value"),
@@ -308,6 +334,10 @@ def test_a_wrong_override_is_named_as_such(tmp_path: Path, override: str, says: 
     line = refusal(tmp_path, "sections: [{length: 1}]", override)
     assert line.startswith("--set ")
     assert says in line
+
+
+def test_an_address_of_ipv6_needs_no_quotes() -> None:
+    assert load(None, LinkConfig, "link", ["link.slave=[::1]:7452"]).slave == "[::1]:7452"
 
 
 def test_an_override_is_not_blamed_for_the_file(tmp_path: Path) -> None:

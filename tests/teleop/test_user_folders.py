@@ -1,0 +1,54 @@
+"""The folders of a user: as XDG names them, absolute, or a line that says what to set."""
+
+import pwd
+from pathlib import Path
+
+import pytest
+
+from master.devices.hid import signs
+from teleop.app import cli
+from teleop.keys.local import local_folder
+from teleop.view.runtime_log import log_path
+
+PLACES = {
+    "XDG_STATE_HOME": (local_folder, lambda: log_path("a")),
+    "XDG_CONFIG_HOME": (signs.default_path,),
+}
+
+
+@pytest.fixture
+def environment(monkeypatch, tmp_path):
+    for variable in PLACES:
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    return monkeypatch
+
+
+@pytest.mark.parametrize("variable", PLACES)
+def test_a_variable_goes_before_the_home_folder(environment, tmp_path, variable):
+    for place in PLACES[variable]:
+        assert tmp_path in place().parents
+    environment.setenv(variable, "/elsewhere")
+    for place in PLACES[variable]:
+        assert Path("/elsewhere") in place().parents
+
+
+def test_a_relative_one_is_refused_and_nothing_made(environment, tmp_path, capsys):
+    environment.chdir(tmp_path)
+    environment.setenv("XDG_STATE_HOME", "state")
+    assert cli.main(["stop"]) == 2
+    said = "teleop: XDG_STATE_HOME=state: is relative; set it to an absolute path\n"
+    assert capsys.readouterr().err == said
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("home", [None, "here"])
+def test_a_user_without_a_home_is_told_what_to_set(environment, home, capsys):
+    environment.delenv("HOME")
+    if home is not None:
+        environment.setenv("HOME", home)
+    environment.setattr(pwd, "getpwuid", {}.__getitem__)
+    assert cli.main(["stop"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert "has no home folder (HOME); set XDG_STATE_HOME to a folder of this user" in said[0]
