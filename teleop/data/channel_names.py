@@ -1,5 +1,10 @@
-"""Names of the columns of a record, which tell its units: linear or rotary as a whole."""
+"""Names of the columns of a record, which tell its units: linear or rotary as a whole.
 
+A column that is named by `--column` may be in another unit of the same dimension, which its name
+tells (`q_mm`, `Force [kgf]`) or the option (`--column time=t[ms]`); it is converted.
+"""
+
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -32,6 +37,25 @@ NAMES: Mapping[Units, Mapping[str, str]] = MappingProxyType(
 )
 """Channel -> standard column, by units."""
 
+FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+        | {"min": 60.0, "h": 3600.0},
+        "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "inch": 0.0254},
+        "force": {"N": 1.0, "mN": 1e-3, "cN": 1e-2, "kN": 1e3, "kgf": 9.80665, "kg": 9.80665}
+        | {"gf": 9.80665e-3, "g": 9.80665e-3, "lbf": 4.4482216, "lb": 4.4482216},
+        "torque": {"Nm": 1.0, "N m": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "N mm": 1e-3, "Ncm": 1e-2},
+        "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
+    }
+)
+"""Dimension -> unit -> its size in SI units."""
+
+_NO_UNIT = ("min", "sec", "g", "h", "s", "m", "N")
+"""Ends of names that mean something else beside another dimension, such as `T_min`."""
+
+_END = re.compile(r"(?:_|\s*[\[(]\s*|\s+)((?:N )?[A-Za-zµ]+)\s*[\])]?$")
+_TOLD = re.compile(r"(.+?)\s*\[([^\[\]]+)\]")
+
 _UNIT_OF = {
     "tension": "N",
     "force": "N",
@@ -48,7 +72,11 @@ _REMEDY = {"rad": "in radians", "Nm": "in newton metres", "N": "in newtons", "m"
 
 def standard(units: Units, channel: str, number: int = 1) -> str:
     """Return the standard column of a channel of tendon 1, 2, ..."""
-    name = NAMES[units][channel]
+    return numbered(NAMES[units][channel], number)
+
+
+def numbered(name: str, number: int) -> str:
+    """Return the name of a column `<what>_<unit>` for tendon 1, 2, ..."""
     if number == 1:
         return name
     stem, _, unit = name.rpartition("_")
@@ -91,6 +119,65 @@ def check_linear(path: Path, names: Collection[str]) -> None:
                 f"{path}: column {name!r} is of {meant}s, and is given as a tension or travel; "
                 f"name the channel by --column proximal_{meant}={name} or distal_{meant}={name}"
             )
+
+
+def unit_told(name: str, names: Collection[str]) -> tuple[str, str]:
+    """Split `COLUMN[UNIT]`, if there is no column of that whole name; the unit is "" without."""
+    match = None if name in names else _TOLD.fullmatch(name)
+    if match is None or match[1] not in names:
+        return name, ""
+    return match[1], match[2]
+
+
+def unit_factor(path: Path, name: str, channel: str, units: Units, told: str) -> tuple[str, float]:
+    """Return the unit of a column and its size in the unit of `units`; ("", 1) if none is known.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name, channel : str
+        Of the column, and the field of `MeasuredTable` that it is for.
+    units : Units
+        Of the record.
+    told : str
+        The unit by the option; "" for that of the name.
+
+    Raises
+    ------
+    UsageError
+        The unit is unknown or of another dimension.
+    """
+    dimension = _dimension(channel, units)
+    known = FACTORS[dimension]
+    if told and told not in known:
+        raise UsageError(f"{path}: column {name!r} [{told}]: {dimension} is in {', '.join(known)}")
+    end = _END.search(name)
+    unit = told or (_known_unit(end.group(1)) if end else "")
+    if unit in known:
+        return unit, known[unit]
+    if unit and unit not in _NO_UNIT:
+        raise UsageError(
+            f"{path}: column {name!r} is in {unit}, and is given as {channel.replace('_', ' ')}, "
+            f"which is in {', '.join(known)}"
+        )
+    return "", 1.0
+
+
+def _dimension(channel: str, units: Units) -> str:
+    if channel == "time":
+        return "time"
+    if channel.endswith("displacement"):
+        return "angle" if units.rotary else "length"
+    return "torque" if units.rotary else "force"
+
+
+def _known_unit(word: str) -> str:
+    """Return a unit that a word is, in small or capital letters; "" if it is none."""
+    every = [unit for known in FACTORS.values() for unit in known]
+    if word in every:
+        return word
+    return next((u for u in every if len(u) > 1 and u.lower() == word.lower()), "")
 
 
 def units_of(path: Path, names: Collection[str], number: int = 1) -> Units:

@@ -17,6 +17,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from teleop.data import bounds
 from teleop.progress import Progress
 
 BLOCK = 1 << 24  # [bytes] of text at once
@@ -60,8 +61,13 @@ def read(path: Path, header: Header) -> dict[str, NDArray[Any]] | None:
                 arrow.ParseOptions(newlines_in_values=False),
                 arrow.ConvertOptions(column_types=kinds, null_values=[""]),
             )
+            rows = 0
             for block in blocks:
+                rows += len(block)
+                bounds.check_size(path, len(names), rows, "split the file")
                 for part, column in zip(parts, block.columns, strict=True):
+                    if not _may_be_cells(column):
+                        return None
                     part.append(_values(column))
                 if time.monotonic() - begun > SHOWN_AFTER_S:
                     progress(f"reading {path}", min(place() / size, 1.0))
@@ -80,7 +86,7 @@ def _head(path: Path, file: IO[bytes], header: Header) -> tuple[list[str], list[
     """Return names and the first row of cells; none if they are not as one expects."""
     text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
     try:
-        rows = csv.reader(text, strict=True)
+        rows = csv.reader(bounds.bounded_lines(path, text), strict=True)
         names = header(path, next(rows, []))
         one_line = rows.line_num == 1
         first = next((cells for cells in rows if cells), [])
@@ -102,6 +108,17 @@ def _may_be_number(cell: str) -> bool:
     return True
 
 
+def _may_be_cells(column: Any) -> bool:
+    """Return whether no cell of a block of text is longer than `csv` reads."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    if pa.types.is_floating(column.type):
+        return True
+    longest = compute.max(compute.utf8_length(column)).as_py()
+    return longest is None or longest <= bounds.CELL_MAX
+
+
 def _values(column: Any) -> NDArray[Any]:
     """Return a block of a column: numbers, or text as objects."""
     import pyarrow as pa
@@ -115,8 +132,11 @@ def _values(column: Any) -> NDArray[Any]:
 def _opened(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
     """Open a file for reading; the second value tells how much of it has been read [bytes]."""
     with path.open("rb") as plain:
-        if path.name.lower().endswith(".gz"):
-            with gzip.open(plain, "rb") as unpacked:
-                yield unpacked, plain.tell
-        else:
-            yield plain, plain.tell
+        yield unpacked(path, plain), plain.tell
+
+
+def unpacked(path: Path, file: io.BufferedIOBase) -> io.BufferedReader:
+    """Return the text of an open .csv or .csv.gz file, as bytes, of which so much is read."""
+    packed = path.name.lower().endswith(".gz")
+    text = gzip.GzipFile(fileobj=file) if packed else file
+    return io.BufferedReader(bounds.BoundedReader(path, text), 1 << 16)

@@ -121,6 +121,8 @@ def text(saved: SavedModel, remark: str) -> str:
 def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     """Read a model: its numbers and its effects, without those of single records.
 
+    An effect that is not among `effects` is imported, as `teleop.extensions` allows.
+
     Raises
     ------
     UsageError
@@ -164,8 +166,10 @@ def _effect(path: Path, place: str, row: Any, effects: Sequence[Effect]) -> tupl
     row = _mapping(path, place, row)
     _known(path, place, row, ("name", "where", "parameters"))
     name, where = str(row.get("name", "")), str(row.get("where") or "")
-    known = load_effects(name, f"{path}: {place}.name") if is_extension(name) else effects
-    variants = {effect.where: effect for effect in known if effect.name == name}
+    variants = {effect.where: effect for effect in effects if effect.name == name}
+    if not variants and is_extension(name):
+        found = load_effects(name, f"{path}: {place}.name")
+        variants = {effect.where: effect for effect in found}
     if not variants:
         hint = did_you_mean(name, {effect.name for effect in effects}, 3, 0.5)
         raise UsageError(f"{path}: {place}.name: there is no effect {name!r}{hint}")

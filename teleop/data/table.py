@@ -18,6 +18,7 @@ from estimator.units import LINEAR, Units
 from teleop.data import channel_names
 from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_columns
 from teleop.errors import UsageError
+from teleop.process import print_warning
 from teleop.suggestions import did_you_mean
 
 __all__ = [
@@ -36,7 +37,7 @@ TORQUE_PEAK = 1000.0  # [N m] above this the unit is wrong: N mm
 ANGLE_SPAN = 30.0  # [rad] above this, five turns, the unit is wrong: degrees
 HOUSING = ("time", "proximal_tension", "proximal_displacement")  # what a force is estimated from
 NAMES_SHOWN = 12  # of a file's columns in an error message
-PERIOD = 1.5  # [s] above this the unit is wrong: milliseconds
+PERIOD = 0.4  # [s] above this the unit is wrong, unless it is told: milliseconds of 2 kHz are 0.5
 NOISE_FLOOR = 0.1  # [N] tolerated reading below zero ...
 NOISE_SHARE = 0.02  # ... plus this fraction of the peak (zero error)
 ZERO_SHARE = 0.25  # of its peak, where a wrong zero is identified or only scored
@@ -100,11 +101,11 @@ class MeasuredTable:
     dropped: int = 0  # number of rows omitted because of non-finite values
     units: Units = LINEAR
 
-    def columns(self) -> dict[str, Column]:
-        """Return all columns by standard names, followed by the further ones."""
+    def columns(self, number: int = 1) -> dict[str, Column]:
+        """Return all columns by standard names of tendon 1, 2, ..., then the further ones."""
         standard = {
             name: column
-            for item, name in Columns().in_units(self.units).names().items()
+            for item, name in Columns.of_tendon(number, self.units).names().items()
             if (column := getattr(self, item)) is not None
         }
         return standard | {k: v for k, v in self.extra.items() if k not in standard}
@@ -163,11 +164,17 @@ def read_tables(
     A row omitted for one tendon is omitted for all.
     """
     raw = read_columns(path)
+    told = [_units_told(raw, columns) for columns in tendons]
+    tendons = [
+        replace(c, **{k: name for k, (name, _) in t.items()})
+        for c, t in zip(tendons, told, strict=True)
+    ]
     units = _units(path, raw, tendons, diagnosed) if units is None else units
     tendons = [columns.in_units(units) for columns in tendons]
     claimed = {name for columns in tendons for name in columns.names().values()}
     found = [_find(path, raw, columns, claimed) for columns in tendons]
     numbers = {name: _numbers(path, raw, name) for names in found for name in names.values()}
+    converted = _convert(path, numbers, found, told, units)
     rows = len(numbers[tendons[0].time])
     if rows == 0:
         raise UsageError(f"{path}: has a header but no rows")
@@ -180,16 +187,48 @@ def read_tables(
     dropped = rows - int(keep.sum())
     if dropped:
         kept = np.flatnonzero(keep)
-        raw = RawTable({k: v[keep] for k, v in raw.columns.items()}, _renumbered(raw, kept))
+        columns_kept = {name: column[keep] for name, column in raw.columns.items()}
+        raw = replace(raw, columns=columns_kept, place=_renumbered(raw, kept))
         numbers = {name: column[keep] for name, column in numbers.items()}
     extra = {name: column for name, column in raw.columns.items() if name not in numbers}
     tables = []
+    time_unit_known = raw.clocked or bool(told[0]["time"][1])
     for names in found:
-        _check(path, raw, names, numbers, zero_errors, diagnosed, units)
+        _check(path, raw, names, numbers, zero_errors, diagnosed, units, time_unit_known)
         values: dict[str, Any] = dict.fromkeys(Columns().names())
         values |= {item: numbers[name] for item, name in names.items()}
         tables.append(MeasuredTable(**values, path=path, extra=extra, dropped=dropped, units=units))
+    for line in converted:
+        print_warning(line)
     return tuple(tables)
+
+
+def _units_told(raw: RawTable, columns: Columns) -> dict[str, tuple[str, str]]:
+    """Return field -> column name without its unit, and the unit; "" where none is told."""
+    return {
+        item: channel_names.unit_told(name, raw.columns) for item, name in columns.names().items()
+    }
+
+
+def _convert(
+    path: Path,
+    numbers: dict[str, Array],
+    found: Sequence[Mapping[str, str]],
+    told: Sequence[Mapping[str, tuple[str, str]]],
+    units: Units,
+) -> list[str]:
+    """Convert columns to SI units, in place; return what was converted, one line each."""
+    factors: dict[str, tuple[str, float]] = {}
+    for names, told_of in zip(found, told, strict=True):
+        for item, name in names.items():
+            unit = told_of[item][1]
+            factors[name] = channel_names.unit_factor(path, name, item, units, unit)
+    lines = []
+    for name, (unit, factor) in factors.items():
+        if factor != 1.0:
+            numbers[name] = factor * numbers[name]
+            lines.append(f"{path}: column {name!r} is in {unit}: converted to SI units")
+    return lines
 
 
 def write_table(path: Path, columns: Mapping[str, Column]) -> None:
@@ -229,8 +268,10 @@ def _find(path: Path, raw: RawTable, columns: Columns, claimed: set[str]) -> dic
             found[item] = name
             continue
         optional = item not in ("time", "proximal_tension") and columns.is_standard(item)
+        if raw.lacks and not optional:
+            raise UsageError(f"{path}: {raw.lacks}")
         hint = did_you_mean(name, spare, cutoff=0.88 if optional else 0.6)
-        meant = f"{hint} Then rename it, its unit converted" if hint else ""
+        meant = f"{hint} Then --column {item}=... names it, and converts its unit" if hint else ""
         if hint or not optional:
             has = ", ".join(list(raw.columns)[:NAMES_SHOWN]) + ", ..." * (
                 len(raw.columns) > NAMES_SHOWN
@@ -309,43 +350,23 @@ def _check(
     zero_errors: Collection[str],
     diagnosed: bool,
     units: Units,
+    time_unit_known: bool,
 ) -> None:
     """Check for increasing time, plausible units and non-negative tensions; some may be missing."""
-
-    def wrong(item: str, row: int, what: str) -> UsageError:
-        return UsageError(f"{path}: column {names[item]!r}, {raw.place(row)}: {what}")
-
-    time = numbers[names["time"]]
-    periods = np.diff(time)
-    if (late := np.flatnonzero(periods <= 0.0)).size:
-        row = int(late[0]) + 1
-        what = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
-        hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
-        raise wrong("time", row, f"{what}{hint}; time must increase from row to row")
+    name = names["time"]
+    told = f"name the unit, --column 'time={name}[ms]', or [s] if it is right"
+    check_time(path, raw, name, numbers[name], "" if time_unit_known else told)
     for item in ("proximal_tension", "distal_tension"):
-        if item not in names:
-            continue
-        tension = numbers[names[item]]
-        row = int(np.nanargmax(np.abs(tension)))
-        may_err = item in zero_errors
-        low = int(np.nanargmin(_without_dips(tension) if may_err else tension))
-        peak = float(tension[row])
-        if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
-            what = "torque in newton metres; check the unit (N mm?)"
-            if not units.rotary:
-                what = "tendon tension in newtons; check the unit (mN or g?), or remove the spike"
-            raise wrong(item, row, f"{peak:.6g} is too large for a {what}")
-        if units.signed:
-            continue
-        share = ZERO_SHARE if may_err else NOISE_SHARE
-        floor = NOISE_FLOOR + share * float(np.nanmax(tension, initial=0.0))
-        if tension[low] < -floor:
-            what = f"{float(tension[low]):.6g} N: a tendon cannot push"
-            below = "a zero offset" if may_err else "noise"
-            limit = f"{below} is taken to end at {-floor:.3g} N"
+        if item in names:
             loop = f"; a closed loop's forces are named {item.replace('tension', 'force')}_N"
-            raise wrong(
-                item, low, f"{what} ({limit}); correct its zero or its sign{loop * diagnosed}"
+            check_effort(
+                path,
+                raw,
+                names[item],
+                numbers[names[item]],
+                units,
+                may_err=item in zero_errors,
+                remedy=loop * diagnosed,
             )
     most = ANGLE_SPAN if units.rotary else TRAVEL_SPAN
     for item in ("proximal_displacement", "distal_displacement"):
@@ -357,9 +378,62 @@ def _check(
             what = f"travel spans {span:.6g} m; check that it is in metres, not mm"
             if units.rotary:
                 what = f"angle spans {span:.6g} rad; check that it is in radians, not degrees"
-            raise wrong(item, row, what)
-    if periods.size and (median := float(np.median(periods))) > PERIOD:
-        raise wrong("time", 1, f"samples are {median:.6g} s apart; check that it is in seconds")
+            raise UsageError(f"{path}: column {names[item]!r}, {raw.place(row)}: {what}")
+
+
+def check_time(path: Path, raw: RawTable, name: str, time: Array, remedy: str) -> None:
+    """Raise `UsageError` unless times [s] increase, at a rate at which tendons are measured.
+
+    Without a `remedy` the unit is known, and any rate is right.
+    """
+    periods = np.diff(time)
+    if (late := np.flatnonzero(periods <= 0.0)).size:
+        row = int(late[0]) + 1
+        what = f"{float(time[row])!r} does not come after {float(time[row - 1])!r}"
+        hint = " (a recording: was the slave restarted there?)" if path.suffix == ".mcap" else ""
+        what = f"{what}{hint}; time must increase from row to row"
+        raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {what}")
+    if remedy and periods.size and (median := float(np.median(periods))) > PERIOD:
+        raise UsageError(
+            f"{path}: column {name!r}, {raw.place(1)}: samples are {median:.6g} s apart: "
+            f"milliseconds, or sample numbers? Then {remedy}; divide sample numbers by the rate"
+        )
+
+
+def check_effort(
+    path: Path,
+    raw: RawTable,
+    name: str,
+    effort: Array,
+    units: Units = LINEAR,
+    *,
+    may_err: bool = False,
+    remedy: str = "",
+) -> None:
+    """Raise `UsageError` for a tension or torque that is too large, or a tension that pushes.
+
+    With `may_err` the cell's zero may be off, and single samples low. NaN where one is missing.
+    """
+    row = int(np.nanargmax(np.abs(effort)))
+    low = int(np.nanargmin(_without_dips(effort) if may_err else effort))
+    peak = float(effort[row])
+    if abs(peak) > (TORQUE_PEAK if units.rotary else TENSION_PEAK):
+        what = "torque in newton metres; check the unit (N mm?)"
+        if not units.rotary:
+            what = "tendon tension in newtons; check the unit (mN or g?), or remove the spike"
+        what = f"{peak:.6g} is too large for a {what}"
+        raise UsageError(f"{path}: column {name!r}, {raw.place(row)}: {what}")
+    if units.signed:
+        return
+    share = ZERO_SHARE if may_err else NOISE_SHARE
+    floor = NOISE_FLOOR + share * float(np.nanmax(effort, initial=0.0))
+    if effort[low] < -floor:
+        below = "a zero offset" if may_err else "noise"
+        what = (
+            f"{float(effort[low]):.6g} N: a tendon cannot push ({below} is taken to end at "
+            f"{-floor:.3g} N); correct its zero or its sign{remedy}"
+        )
+        raise UsageError(f"{path}: column {name!r}, {raw.place(low)}: {what}")
 
 
 def _without_dips(signal: Array) -> Array:

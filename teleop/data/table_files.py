@@ -1,10 +1,12 @@
 """File formats of measured data: named columns, and the place of each row in the file."""
 
+import contextlib
 import csv
 import gzip
 import io
 import itertools
 import zlib
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from teleop.data import large_csv
+from teleop.data import bounds, large_csv
 from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS
 from teleop.output_file import replacing
@@ -25,6 +27,8 @@ Column = NDArray[Any]  # float64, or object if some cell is text
 SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mcap")
 
 LARGE = 4_000_000  # [bytes] from which on a CSV file is read in blocks
+FOOTER_MAX = 1 << 24  # [bytes] of a Parquet file: 1000 columns in 100 row groups
+PACKED_RATIO = 20  # bytes of text of a byte of .csv.gz, at most as a rule
 
 _ROWS_AT_ONCE = 20_000
 _DAMAGE = (OSError, EOFError, zlib.error, UnicodeError, csv.Error)
@@ -36,12 +40,17 @@ class RawTable:
 
     columns: Mapping[str, Column]
     place: Callable[[int], str]
+    lacks: str = ""  # why columns of a tendon are not there, one line
+    clocked: bool = False  # the times are of a clock, so their unit is known
 
 
 def read_columns(path: Path) -> RawTable:
     """Read all columns of a table, a recording or a bag; raises `UsageError` on failure."""
-    if path.is_dir() and (path / "metadata.yaml").is_file():
-        return _read_bag(path)
+    if path.is_dir():
+        from teleop.ros.bag_table import is_bag
+
+        if is_bag(path):
+            return _read_bag(path)
     reader = _READERS[_suffix(path)]
     if not path.is_file():
         raise UsageError(f"{path}: {'is not a file' if path.exists() else 'file not found'}")
@@ -87,14 +96,18 @@ def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or " ".join(str(error).split())
 
 
-def _open_csv(path: Path) -> IO[str]:
-    if path.name.lower().endswith(".gz"):
-        return gzip.open(path, "rt", encoding="utf-8-sig", newline="")
-    return path.open(encoding="utf-8-sig", newline="")
+@contextlib.contextmanager
+def _csv_rows(path: Path) -> Iterator[Any]:
+    """Open the rows of a CSV file."""
+    with path.open("rb") as file:
+        packed = large_csv.unpacked(path, file)
+        text = io.TextIOWrapper(packed, encoding="utf-8-sig", newline="")
+        yield csv.reader(bounds.bounded_lines(path, text), strict=True)
 
 
 def _read_csv(path: Path) -> RawTable:
-    if path.stat().st_size >= LARGE:
+    packed = path.name.lower().endswith(".gz")
+    if path.stat().st_size >= (LARGE // PACKED_RATIO if packed else LARGE):
         columns = large_csv.read(path, _header)
         if columns is not None:
             return RawTable(columns, lambda row: f"line {_line_of(path, row)}")
@@ -103,23 +116,22 @@ def _read_csv(path: Path) -> RawTable:
 
 def _line_of(path: Path, row: int) -> int:
     """Return the line of a row of a CSV file, both as people count: the header is line 1."""
-    with _open_csv(path) as file:
-        rows = csv.reader(file)
+    with _csv_rows(path) as rows:
         next(rows)
         full = (rows.line_num for cells in rows if cells)
-        return next(itertools.islice(full, row, None))
+        return int(next(itertools.islice(full, row, None)))
 
 
 def _read_any_csv(path: Path) -> RawTable:
     """Read a CSV file row by row, so that whatever is wrong in it is found with its line."""
-    with _open_csv(path) as file:
-        rows = csv.reader(file, strict=True)
+    with _csv_rows(path) as rows:
         names = _header(path, next(rows, []))
-        lines: list[int] = []
+        lines = array("q")
         parts: list[list[Column]] = []
         full_rows = _checked(path, rows, names, lines)
         while chunk := list(itertools.islice(full_rows, _ROWS_AT_ONCE)):
             parts.append([_numbers(cells) for cells in zip(*chunk, strict=True)])
+            bounds.check_size(path, len(names), len(lines), "split the file")
     columns = {
         name: np.concatenate([part[i] for part in parts]) if parts else np.empty(0)
         for i, name in enumerate(names)
@@ -140,6 +152,7 @@ def _header(path: Path, names: Sequence[str]) -> list[str]:
         raise UsageError(f"{path}: line 1: is not text, must contain the column names")
     if all(_is_number(name) for name in names):
         raise UsageError(f"{path}: line 1: contains numbers, must contain the column names")
+    bounds.check_size(path, len(names), 0, "keep those that are needed")
     for name in names:
         if name and names.count(name) > 1:
             raise UsageError(f"{path}: line 1: column {name!r} occurs {names.count(name)} times")
@@ -147,7 +160,7 @@ def _header(path: Path, names: Sequence[str]) -> list[str]:
 
 
 def _checked(
-    path: Path, rows: Any, names: Sequence[str], lines: list[int]
+    path: Path, rows: Any, names: Sequence[str], lines: "array[int]"
 ) -> Iterator[Sequence[str]]:
     """Yield the rows and record their line numbers; blank lines are skipped."""
     for row in rows:
@@ -184,22 +197,110 @@ def _read_parquet(path: Path) -> RawTable:
     import pyarrow as pa
     from pyarrow import parquet
 
+    _check_footer(path)
     try:
-        table = parquet.ParquetFile(path).read(use_threads=False)
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
+        schema = parquet.read_schema(path)
+        texts = [f.name for f in schema if _is_text(f.type)]
+        with parquet.ParquetFile(path, read_dictionary=texts) as file:
+            _check_parquet(path, schema, file.metadata)
+            parts: list[list[Column]] = [[] for _ in schema]
+            rows = 0
+            for batch in file.iter_batches(_ROWS_AT_ONCE, use_threads=False):
+                rows += len(batch)
+                bounds.check_size(path, len(schema), rows, "split the file")
+                for name, part, column in zip(schema.names, parts, batch.columns, strict=True):
+                    part.append(_parquet_values(path, name, column))
+    except (pa.ArrowException, UnicodeError) as error:
         raise UsageError(f"{path}: not a valid Parquet file") from error
-    columns: dict[str, Column] = {}
-    if odd := [name for name in table.column_names if not name.isprintable()]:
-        raise UsageError(f"{path}: the column name {odd[0]!r} is not text on one line")
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        kind = column.type
-        if name in columns:
-            raise UsageError(f"{path}: column {name!r} occurs more than once")
-        if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-            columns[name] = column.cast(pa.float64(), safe=False).to_numpy()
-        else:
-            columns[name] = np.array([*column.to_pylist(), None], dtype=object)[:-1]
+    columns = {
+        name: np.concatenate(part) if part else np.empty(0)
+        for name, part in zip(schema.names, parts, strict=True)
+    }
     return RawTable(columns, lambda row: f"row {row + 1}")
+
+
+def _check_footer(path: Path) -> None:
+    """Raise `UsageError` if the description of a Parquet file is too large to be read."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - 8, 0))
+        length = int.from_bytes(file.read(4), "little")
+    if length > FOOTER_MAX and path.stat().st_size > length:
+        raise UsageError(
+            f"{path}: its footer has {length} bytes, at most {FOOTER_MAX} are read; keep at most "
+            f"{bounds.COLUMNS_MAX} columns, and write fewer row groups"
+        )
+
+
+def _check_parquet(path: Path, schema: Any, about: Any) -> None:
+    """Raise `UsageError` for columns that are no numbers or text, and for what is too large."""
+    import pyarrow as pa
+
+    bounds.check_size(path, len(schema), about.num_rows, "keep what is needed, or split it")
+    size = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
+    if size > bounds.TEXT_MAX:
+        raise UsageError(
+            f"{path}: unpacks to {size >> 20} MB, at most {bounds.TEXT_MAX >> 20} MB are read; "
+            "keep the columns that are needed, or split it"
+        )
+    for field in schema:
+        name, kind = field.name, field.type
+        if not name.isprintable():
+            raise UsageError(f"{path}: the column name {name!r} is not text on one line")
+        if schema.names.count(name) > 1:
+            raise UsageError(f"{path}: column {name!r} occurs more than once")
+        if pa.types.is_nested(kind) or not (_is_number_kind(kind) or _as_text(kind)):
+            raise UsageError(
+                f"{path}: column {name!r} is of type {kind}; numbers and text are read: convert or "
+                "remove it"
+            )
+
+
+def _is_number_kind(kind: Any) -> bool:
+    import pyarrow as pa
+
+    if pa.types.is_dictionary(kind):
+        return _is_number_kind(kind.value_type)
+    types = pa.types
+    return bool(
+        types.is_integer(kind)
+        or types.is_floating(kind)
+        or types.is_decimal(kind)
+        or types.is_null(kind)
+    )
+
+
+def _is_text(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _as_text(kind: Any) -> bool:
+    """Return whether a type of column is text, or may be kept as text."""
+    import pyarrow as pa
+
+    if pa.types.is_dictionary(kind):
+        return _as_text(kind.value_type)
+    moment = pa.types.is_temporal(kind) and not pa.types.is_duration(kind)  # that is as a number
+    return bool(_is_text(kind) or pa.types.is_boolean(kind) or moment)
+
+
+def _parquet_values(path: Path, name: str, column: Any) -> Column:
+    """Return a batch of a column: numbers, or text as objects that equal cells share."""
+    import pyarrow as pa
+
+    if _is_number_kind(column.type):
+        values = column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
+        return np.asarray(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
+    if not pa.types.is_dictionary(column.type):
+        column = column.cast(pa.string()).dictionary_encode()
+    texts = [*column.dictionary.cast(pa.string()).to_pylist(), None]
+    if any(text is not None and len(text) > bounds.CELL_MAX for text in texts):
+        raise UsageError(
+            f"{path}: column {name!r} has a cell of more than {bounds.CELL_MAX} characters"
+        )
+    cells: Column = np.array(texts, dtype=object)[column.indices.fill_null(-1).to_numpy()]
+    return cells
 
 
 def _read_recording(path: Path) -> RawTable:
@@ -231,14 +332,15 @@ def _read_recording(path: Path) -> RawTable:
             column = np.array(rows[field][:, tendon])
             if not np.isnan(column).all():  # all NaN means that there is no such sensor
                 columns[name.format(number)] = column
-    return RawTable(columns, lambda row: f"message {row + 1}")
+    return RawTable(columns, lambda row: f"message {row + 1}", clocked=True)
 
 
 def _read_bag(path: Path) -> RawTable:
     """Read JointState and WrenchStamped messages of a rosbag2 into table columns."""
     from teleop.ros.bag_table import read_bag
 
-    return RawTable(read_bag(path), lambda row: f"message {row + 1}")
+    columns, lacks = read_bag(path)
+    return RawTable(columns, lambda row: f"message {row + 1}", lacks, clocked=True)
 
 
 def _write_csv(path: Path, columns: Mapping[str, Column]) -> None:

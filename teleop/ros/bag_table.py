@@ -1,37 +1,40 @@
 """Read a rosbag2 as measured data: JointState and WrenchStamped as the columns of a table.
 
 Rows are the messages of one JointState topic: the one that ends in `actuators/measured_js`, or else
-the only one. Its joints, in the order of their names in the first message, are tendons 1, 2, ...:
-positions [m] become displacements and efforts [N] tensions at the housing. What is measured at the
-tip comes from the topic that ends in `bench/measured_js`; in bags without `actuators/measured_js`,
-from the x component of the only WrenchStamped topic. It is interpolated linearly to the rows, and
-rows before its first or after its last message are left out. Each signal is a column of its own as
-well, such as `/arm/measured_js/elbow/effort` and `/sensor/measured_cf/force_z`, for `--column`.
+the only one. Each signal is a column, such as `/arm/measured_js/elbow/effort` and
+`/sensor/measured_cf/force_z`, for `--column`. The joints of `actuators/measured_js`, in the order
+of their names in the first message, are tendons 1, 2, ... too: positions [m] become displacements
+and efforts [N] tensions at the housing. Of other topics nothing tells whether they are metres and
+newtons, or radians and newton metres, so the user names the columns. What is measured at the tip
+comes from the topic that ends in `bench/measured_js`; in bags without `actuators/measured_js`, from
+the x component of the only WrenchStamped topic. It is interpolated linearly to the rows, and rows
+before its first or after its last message are left out.
 
 Times are those of the headers, or of the bag where headers have none.
 """
 
-from collections import defaultdict
+from array import array
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.units import LINEAR
+from teleop import strict_yaml
+from teleop.data import bounds
 from teleop.data.channel_names import standard
 from teleop.errors import UsageError
+from teleop.process import print_warning
 from teleop.recording.names import SESSION_METADATA
-from teleop.recording.scan import RecordingError, Scan
+from teleop.recording.scan import MESSAGE_HEAD, Scan
 from teleop.ros import cdr
 from teleop.ros.standard import JointState, WrenchStamped
 
 ACTUATORS, BENCH = "actuators/measured_js", "bench/measured_js"
+METADATA = "metadata.yaml"
 _TYPES: dict[str, type[Any]] = {cls.ros_name: cls for cls in (JointState, WrenchStamped)}
 _AXES = "xyz"
 _MOTION = ("position", "velocity", "effort")
@@ -49,6 +52,13 @@ class Signals(NamedTuple):
         return [name.rpartition("/")[0] for name in self.values if name.endswith("/position")]
 
 
+class BagTable(NamedTuple):
+    """The columns of a bag, and why those of a tendon are not among them, one line or ""."""
+
+    columns: dict[str, NDArray[Any]]
+    lacks: str
+
+
 class Distal(NamedTuple):
     """What is measured at the tip."""
 
@@ -60,23 +70,18 @@ class Distal(NamedTuple):
 def is_bag(path: Path) -> bool:
     """Return whether this is a rosbag2, and no recording of ours."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file()
-    scan = Scan(path)
+        return (path / METADATA).is_file() or any(path.glob("*.mcap"))
+    scan = Scan(path, loose=True)
     next(scan.blocks(), None)  # our metadata come before the first messages
-    if scan.damage:
-        raise RecordingError(f"{path}: is damaged {scan.damage}; nothing could be read")
     return SESSION_METADATA not in scan.metadata
 
 
-def read_bag(path: Path) -> dict[str, NDArray[Any]]:
+def read_bag(path: Path) -> BagTable:
     """Return the columns of a bag, a folder or one MCAP file; `UsageError` if it has no data."""
     joints: dict[str, Signals] = {}
     wrenches: dict[str, Signals] = {}
-    for topic, messages in _messages(path).items():
-        if isinstance(messages[0][1], JointState):
-            joints[topic] = _joint_signals(messages)
-        else:
-            wrenches[topic] = _wrench_signals(messages)
+    for topic, recorded in _topics(path).items():
+        (joints if recorded.cls is JointState else wrenches)[topic] = recorded.signals()
     main = _main_topic(path, joints)
     for topic, signals in (joints | wrenches).items():
         if topic != main and (np.diff(signals.times) <= 0).any():
@@ -96,16 +101,44 @@ def read_bag(path: Path) -> dict[str, NDArray[Any]]:
         return np.asarray(np.interp(time_s, at_s, values, np.nan, np.nan), dtype=np.float64)
 
     columns: dict[str, NDArray[Any]] = {"time_s": time_s}
-    for number, name in enumerate(joints[main].joints, start=1):
-        for end, what in (("tension", "effort"), ("displacement", "position")):
-            column = standard(LINEAR, f"proximal_{end}", number)
-            columns[column] = joints[main].values[f"{name}/{what}"][keep]
+    if main.endswith(ACTUATORS):
+        for number, name in enumerate(joints[main].joints, start=1):
+            for end, what in (("tension", "effort"), ("displacement", "position")):
+                column = standard(LINEAR, f"proximal_{end}", number)
+                columns[column] = joints[main].values[f"{name}/{what}"][keep]
     if distal is not None:
         columns |= {name: sampled(distal.times, v) for name, v in distal.columns.items()}
     for topic, signals in (joints | wrenches).items():
         for name, values in signals.values.items():
             columns[f"{topic}/{name}"] = sampled(signals.times, values)
-    return {name: values for name, values in columns.items() if not np.isnan(values).all()}
+    bounds.check_size(path, len(columns), len(rows), "keep fewer topics: ros2 bag convert")
+    measured = {name: values for name, values in columns.items() if not np.isnan(values).all()}
+    return BagTable(measured, _lacks(main, joints[main]))
+
+
+def _lacks(topic: str, signals: Signals) -> str:
+    """Return why the columns of a tendon are not there, and how to name them; "" if they are."""
+    joint = f"{topic}/{signals.joints[0]}" if signals.joints else topic
+    efforts = [values for name, values in signals.values.items() if name.endswith("/effort")]
+    if all(np.isnan(values).all() for values in efforts):
+        return (
+            f"effort is empty in every message of {topic}, and nothing is known without a tension; "
+            "record a driver that publishes effort, or name another signal by --column "
+            "proximal_tension=..."
+        )
+    if topic.endswith(ACTUATORS):
+        return ""
+
+    def options(effort: str, travel: str) -> str:
+        return (
+            f"--column proximal_{effort}={joint}/effort --column proximal_{travel}={joint}/position"
+        )
+
+    return (
+        f"sensor_msgs/JointState does not tell metres and newtons from radians and newton metres; "
+        f"say which {topic} has: {options('tension', 'displacement')} for m and N, or "
+        f"{options('torque', 'angle')} for rad and N m (only `teleop diagnose` reads these)"
+    )
 
 
 def _distal(
@@ -139,20 +172,89 @@ def _main_topic(path: Path, joints: Mapping[str, Signals]) -> str:
     )
 
 
-def _messages(path: Path) -> dict[str, list[tuple[int, Any]]]:
-    """Return (log time [ns], message) of all topics of the two types."""
-    found: dict[str, list[tuple[int, Any]]] = defaultdict(list)
+class _Recorded:
+    """The messages of one topic as numbers, in the order of the files.
+
+    A joint is one that the first message names; what a message lacks is NaN.
+    """
+
+    def __init__(self, cls: type[Any]) -> None:
+        self.cls = cls
+        self._log_ns, self._stamps_ns = array("q"), array("q")
+        self._values: dict[str, array[float]] = {}
+
+    def add(self, log_ns: int, message: Any) -> int:
+        """Add a message; return the number of values that it takes."""
+        values = _joint_values(message) if self.cls is JointState else _wrench_values(message)
+        if not self._log_ns:
+            self._values = {name: array("d") for name in values}
+        self._log_ns.append(log_ns)
+        self._stamps_ns.append(message.header.stamp.ns)
+        for name, column in self._values.items():
+            column.append(values.get(name, np.nan))
+        return len(self._values) + 2
+
+    def signals(self) -> Signals:
+        """Return the signals in the order in which they were recorded."""
+        log_ns, stamps_ns = (np.array(each, np.int64) for each in (self._log_ns, self._stamps_ns))
+        order = np.argsort(log_ns, kind="stable")
+        times = stamps_ns if (stamps_ns > 0).all() else log_ns
+        values = {name: np.array(column)[order] for name, column in self._values.items()}
+        return Signals(times[order], values)
+
+
+def _joint_values(message: Any) -> dict[str, float]:
+    measured = {
+        what: dict(zip(message.name, getattr(message, what), strict=False)) for what in _MOTION
+    }
+    return {
+        f"{name}/{what}": measured[what].get(name, np.nan)
+        for name in dict.fromkeys(message.name)
+        for what in _MOTION
+    }
+
+
+def _wrench_values(message: Any) -> dict[str, float]:
+    return {
+        f"{what}_{axis}": getattr(getattr(message.wrench, what), axis)
+        for what in ("force", "torque")
+        for axis in _AXES
+    }
+
+
+def _topics(path: Path) -> dict[str, _Recorded]:
+    """Return all topics of the two types; of a damaged or truncated file what can be read."""
+    topics: dict[str, _Recorded] = {}
+    cells = 0
     for file in _files(path):
-        try:
-            with file.open("rb") as stream:
-                for schema, channel, message in make_reader(stream).iter_messages():
-                    cls = None if schema is None else _TYPES.get(schema.name)
-                    if cls is not None and channel.message_encoding == "cdr":
-                        entry = (message.log_time, cdr.decode(cls, message.data))
-                        found[channel.topic].append(entry)
-        except (McapError, cdr.CdrError) as error:
-            raise UsageError(f"{file}: is damaged: {error}") from error
-    return found
+        scan, messages = Scan(file, loose=True), 0
+        for block in scan.blocks():
+            for number, start, end in block.messages:
+                channel = scan.channel(number)
+                schema = scan.schemas.get(channel.schema_id)
+                cls = None if schema is None else _TYPES.get(schema.name)
+                if cls is None or channel.message_encoding != "cdr":
+                    continue
+                log_ns = MESSAGE_HEAD.unpack_from(block.content, start)[2]
+                try:
+                    message = cdr.decode(cls, block.content[start + MESSAGE_HEAD.size : end])
+                    cells += topics.setdefault(channel.topic, _Recorded(cls)).add(log_ns, message)
+                except (cdr.CdrError, OverflowError) as error:
+                    raise UsageError(
+                        f"{file}: a message of {channel.topic} is damaged: {error}"
+                    ) from error
+                messages += 1
+                if cells > bounds.CELLS_MAX:
+                    raise UsageError(
+                        f"{path}: has more than {bounds.CELLS_MAX} values of JointState and "
+                        "WrenchStamped; keep fewer topics, or less time: ros2 bag convert"
+                    )
+        if said := scan.shortfall(f"{messages} messages"):
+            remedy = "`mcap recover` or `ros2 bag reindex` may save the file"
+            if not messages:
+                raise UsageError(f"{said}; {remedy}")
+            print_warning(f"{said}; {remedy}")
+    return topics
 
 
 def _files(path: Path) -> Iterator[Path]:
@@ -160,43 +262,27 @@ def _files(path: Path) -> Iterator[Path]:
     if not path.is_dir():
         yield path
         return
+    if not (path / METADATA).is_file():
+        print_warning(
+            f"{path}: has no {METADATA}, `ros2 bag reindex` makes one; all .mcap are read"
+        )
+        yield from sorted(path.glob("*.mcap"))
+        return
+    content = strict_yaml.read(path / METADATA, "metadata of a bag")
     try:
-        content = yaml.safe_load((path / "metadata.yaml").read_text())
         names = [str(n) for n in content["rosbag2_bagfile_information"]["relative_file_paths"]]
-    except (yaml.YAMLError, KeyError, TypeError, UnicodeError) as error:
-        raise UsageError(f"{path}/metadata.yaml: is not that of a rosbag2") from error
+    except (KeyError, TypeError) as error:
+        raise UsageError(f"{path / METADATA}: is not that of a rosbag2") from error
     for name in names:
         if not name.endswith(".mcap"):
             raise UsageError(
                 f"{path}: {name} is not an MCAP file; convert the bag to storage mcap without "
                 "compression: ros2 bag convert"
             )
-        yield path / Path(name).name
-
-
-def _times(messages: list[tuple[int, Any]]) -> NDArray[np.int64]:
-    stamps = np.array([message.header.stamp.ns for _, message in messages])
-    return stamps if (stamps > 0).all() else np.array([log_ns for log_ns, _ in messages])
-
-
-def _joint_signals(messages: list[tuple[int, Any]]) -> Signals:
-    """Return the signals of each joint named by the first message; NaN where missing."""
-    names = dict.fromkeys(messages[0][1].name)
-    out = {f"{name}/{what}": np.full(len(messages), np.nan) for name in names for what in _MOTION}
-    for row, (_, message) in enumerate(messages):
-        for what in _MOTION:
-            for name, value in zip(message.name, getattr(message, what), strict=False):
-                if name in names:
-                    out[f"{name}/{what}"][row] = value
-    return Signals(_times(messages), out)
-
-
-def _wrench_signals(messages: list[tuple[int, Any]]) -> Signals:
-    out = {
-        f"{what}_{axis}": np.array(
-            [getattr(getattr(message.wrench, what), axis) for _, message in messages]
-        )
-        for what in ("force", "torque")
-        for axis in _AXES
-    }
-    return Signals(_times(messages), out)
+        file = path / Path(name).name
+        if not file.is_file():
+            raise UsageError(
+                f"{path}: {METADATA} names {file.name}, which is not there; copy it too, or write "
+                f"{METADATA} anew for the files that are there: ros2 bag reindex {path}"
+            )
+        yield file

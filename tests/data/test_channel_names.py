@@ -111,3 +111,73 @@ def test_own_names_tell_the_units_by_the_channels_name(path):
 
 def test_noise_is_given_by_either_name():
     assert parse_noise(["proximal_angle=1e-4"]) == {"proximal_displacement": 1e-4}
+
+
+def pull(path, **columns):
+    """Write a pull of 1 s at 100 Hz, with further columns."""
+    time = np.arange(101) / 100
+    tension = 5.0 - 4.0 * np.cos(6.0 * time)
+    write_table(path, {"time_s": time, "proximal_tension_N": tension} | columns)
+    return time, tension
+
+
+@pytest.mark.parametrize(
+    ("channel", "name", "size"),
+    [
+        ("time", "t_ms", 1e-3),
+        ("time", "Time [us]", 1e-6),
+        ("time", "t_min", 60.0),
+        ("proximal_displacement", "q_mm", 1e-3),
+        ("proximal_displacement", "q (inch)", 0.0254),
+        ("proximal_displacement", "Q_MM", 1e-3),
+        ("proximal_tension", "T_kgf", 9.80665),
+        ("proximal_tension", "Force [mN]", 1e-3),
+        ("proximal_tension", "T in g", 9.80665e-3),
+        ("proximal_displacement", "q_in", 1.0),
+        ("proximal_tension", "T_min", 1.0),
+        ("proximal_tension", "T_in", 1.0),
+        ("proximal_displacement", "q[cm]", 1e-2),
+    ],
+)
+def test_the_unit_in_a_columns_name_is_heeded_and_said(path, capsys, channel, name, size):
+    time, tension = pull(path)
+    values = {"time": time, "proximal_displacement": 1e-3 * tension, "proximal_tension": tension}
+    column = name.removesuffix("[cm]")
+    pull(path.with_suffix(".parquet"), **{column: values[channel] / size})
+    table = read_table(path.with_suffix(".parquet"), Columns(**{channel: name}))
+    np.testing.assert_allclose(getattr(table, channel), values[channel], rtol=1e-12)
+    assert ("converted" in capsys.readouterr().err) == (size != 1.0)
+
+
+@pytest.mark.parametrize(
+    ("channel", "name", "said"),
+    [
+        ("proximal_tension", "q_mm", "'q_mm' is in mm, and is given as proximal tension"),
+        ("time", "q_mm", "is in mm, and is given as time"),
+        ("proximal_displacement", "q_mm[kgf]", "length is in m, mm"),
+        ("distal_tension", "tau_Nm", "is in Nm, and is given as distal tension"),
+    ],
+)
+def test_a_unit_of_another_dimension_is_refused(path, channel, name, said):
+    _, tension = pull(path)
+    pull(path, q_mm=tension, tau_Nm=tension)
+    assert said in refusal(path, columns=Columns(**{channel: name}))
+
+
+def test_degrees_of_a_named_angle_are_converted(path):
+    _, tension = pull(path)
+    pull(path, tau_Nmm=10.0 * tension, phi_deg=tension)
+    named = channel_columns(["proximal_torque=tau_Nmm", "proximal_angle=phi_deg"])
+    table = read_table(path, named.names, diagnosed=True, units=named.units)
+    np.testing.assert_allclose(table.proximal_tension, 0.01 * tension)
+    np.testing.assert_allclose(table.proximal_displacement, np.radians(tension))
+
+
+@pytest.mark.parametrize("period", [1.0, 0.5])
+def test_milliseconds_and_sample_numbers_are_asked_about(path, period):
+    _, tension = pull(path)
+    write_table(path, {"time_s": period * np.arange(101), "proximal_tension_N": tension})
+    said = refusal(path)
+    assert "milliseconds, or sample numbers?" in said
+    assert read_table(path, Columns("time_s[ms]")).time[1] == pytest.approx(1e-3 * period)
+    assert read_table(path, Columns("time_s[s]")).time[1] == period

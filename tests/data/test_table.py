@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from teleop.data import bounds, table_files
 from teleop.data.table import Columns, read_table, read_tables, write_table
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
@@ -74,7 +75,7 @@ def test_harmless_ways_to_write_a_table_are_all_one(path, text):
 
 
 def test_small_negative_tensions_are_noise(path):
-    path.write_text("time_s,proximal_tension_N\n0,-0.09\n1,10\n")
+    path.write_text("time_s,proximal_tension_N\n0,-0.09\n0.1,10\n")
     assert read_table(path).proximal_tension.min() == -0.09
 
 
@@ -95,7 +96,7 @@ def test_integers_and_floats_of_any_width_from_parquet(tmp_path):
         "when": pa.array(["a", None, "c"]),
     }
     pq.write_table(pa.table(columns), path)
-    table = read_table(path)
+    table = read_table(path, Columns("time_s[s]"))
     assert table.time.tolist() == [0.0, 1.0, 2.0]
     assert table.proximal_tension.dtype == np.float64
     assert table.extra["when"].tolist() == ["a", None, "c"]
@@ -160,7 +161,7 @@ def test_a_recording_is_a_table(tmp_path):
         (HEAD + "0,1,0\n0.1,10,0\n0.2,-0.5,0\n", ["tension_N', line 4", "-0.5 N", "cannot push"]),
         (HEAD + "0,1,0\n0.1,20000,0\n", ["tension_N', line 3", "20000", "newtons"]),
         (HEAD + "0,1,0\n0.1,1,14\n", ["displacement_m', line 3", "14 m", "metres"]),
-        (HEAD + "0,1,0\n12,1,0\n24,1,0\n", ["'time_s'", "12 s apart", "seconds"]),
+        (HEAD + "0,1,0\n12,1,0\n24,1,0\n", ["'time_s'", "12 s apart", "milliseconds"]),
         (b"time_s,proximal_tension_N\n0,\xff\n", ["UTF-8"]),
         (b"\x00\x01\x02" * 99, ["line 1", "not text"]),
         ('time_s,proximal_tension_N\n0,"1\n', ["cannot be read"]),
@@ -289,6 +290,97 @@ def test_a_file_one_may_not_read_is_refused(path):
     assert "denied" in refusal(path).lower()
 
 
+# --- what is too large
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Lower the bounds, so that a small file is too large."""
+    for name, value in {"CELLS_MAX": 40, "COLUMNS_MAX": 4, "BLANK_MAX": 9}.items():
+        monkeypatch.setattr(bounds, name, value)
+    monkeypatch.setattr(bounds, "TEXT_MAX", 100_000)
+    monkeypatch.setattr(bounds, "LINE_MAX", 3000)
+    monkeypatch.setattr(bounds, "CELL_MAX", 1000)
+
+
+LARGE = {
+    "rows": (GOOD + "".join(f"0.{k},1\n" for k in range(3, 40)), "2 columns have more than 20"),
+    "columns": ("a,b,c,d,e\n0,1,2,3,4\n", "5 columns, at most 4"),
+    "a line": (GOOD + "0" * 4000 + "\n", "line 5: is longer than 3000"),
+    "a line of names": ("a," * 4000 + "\n", "line 1: is longer than 3000"),
+    "text": (GOOD.replace("0.2", "0.2" + 2000 * " ") + "0.3,1\n" * 30_000, "unpacks to more"),
+}
+
+
+@pytest.mark.parametrize("large", [False, True], ids=["rows", "blocks"])
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz"])
+@pytest.mark.parametrize("kind", LARGE)
+def test_text_that_unpacks_without_end_is_refused(
+    tmp_path, small, monkeypatch, kind, suffix, large
+):
+    monkeypatch.setattr(table_files, "LARGE", 0 if large else 1 << 60)
+    if kind == "text":
+        monkeypatch.setattr(bounds, "CELLS_MAX", 1 << 40)
+    text, said = LARGE[kind]
+    data = gzip.compress(text.encode()) if suffix == "csv.gz" else text.encode()
+    assert said in refusal(tmp_path / f"large.{suffix}", data)
+
+
+def test_blank_lines_without_end_are_refused(path, small):
+    assert "line 14: more than 9 blank lines" in refusal(path, GOOD + "\n" * 20)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"time_s": np.arange(30.0), "b": np.ones(30)}, "2 columns have more than 20 rows"),
+        ({name: [1.0] for name in "abcde"}, "5 columns, at most 4"),
+        ({"time_s": [0.0], "note": ["x" * 1001]}, "'note' has a cell of more than 1000"),
+    ],
+)
+def test_parquet_that_unpacks_without_end_is_refused(tmp_path, small, columns, said):
+    path = tmp_path / "large.parquet"
+    pq.write_table(pa.table(columns), path)
+    assert said in refusal(path)
+
+
+def test_a_footer_that_has_no_end_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(table_files, "FOOTER_MAX", 100)
+    path = tmp_path / "large.parquet"
+    pq.write_table(pa.table({"time_s": [0.0]}), path)
+    assert "its footer has" in refusal(path)
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+def test_a_quoted_cell_without_end_is_refused_with_its_line(path, monkeypatch, blocks):
+    monkeypatch.setattr(table_files, "LARGE", 0 if blocks else 1 << 60)
+    note = "x" * 200_000  # within a line, beyond a cell
+    text = f"time_s,proximal_tension_N,note\n0,1,a\n0.1,2,{note}\n0.2,-9,b\n"
+    assert "field larger than" in refusal(path, text)
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        ([True, False], "row 1: 'true' is not a number"),
+        ([b"1", b"2"], "of type binary"),
+        ([[1.0], [2.0]], "of type list"),
+        (pa.array([1, 2], pa.duration("ms")), "of type duration"),
+    ],
+)
+def test_what_is_no_number_in_parquet_is_not_taken_for_newtons(tmp_path, column, said):
+    path = tmp_path / "data.parquet"
+    pq.write_table(pa.table({"time_s": [0.0, 0.1], "proximal_tension_N": column}), path)
+    assert said in refusal(path)
+
+
+def test_a_pipe_or_a_device_is_no_table(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    for name in ("pipe.csv", "zero.csv"):
+        assert "is not a file" in refusal(tmp_path / name)
+
+
 # --- writing
 
 
@@ -299,7 +391,7 @@ numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 @settings(deadline=None, max_examples=40)
 @given(
     rows=st.lists(
-        st.tuples(st.floats(1e-9, 1.0), st.floats(0.0, 900.0), st.floats(-0.9, 0.9), numbers),
+        st.tuples(st.floats(1e-9, 0.4), st.floats(0.0, 900.0), st.floats(-0.9, 0.9), numbers),
         min_size=1,
         max_size=30,
     )
@@ -329,8 +421,8 @@ def test_writing_replaces_a_file_whole_or_not_at_all(tmp_path):
         write_table(path, {"time_s": np.arange(3.0), "proximal_tension_N": np.arange(2.0)})
     assert path.read_text() == "before"
     assert [p.name for p in tmp_path.iterdir()] == ["table.csv"]
-    write_table(path, {"time_s": np.arange(2.0), "proximal_tension_N": np.arange(2.0)})
-    assert read_table(path).time.tolist() == [0.0, 1.0]
+    write_table(path, {"time_s": np.arange(2) / 4, "proximal_tension_N": np.arange(2.0)})
+    assert read_table(path).time.tolist() == [0.0, 0.25]
     assert [p.name for p in tmp_path.iterdir()] == ["table.csv"]
 
 

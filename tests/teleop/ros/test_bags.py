@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import yaml
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -178,6 +180,11 @@ def wrench(at_s, x):
     return WrenchStamped(header(at_s), standard.Wrench(standard.Vector3(x, 0.0, 2 * x)))
 
 
+def named(joint, topic="/motor/joint_states", **others):
+    signals = {"proximal_tension": "effort", "proximal_displacement": "position"}
+    return Columns(**{name: f"{topic}/{joint}/{what}" for name, what in signals.items()} | others)
+
+
 def test_a_foreign_bag_is_measured_data_with_the_force_at_its_times(tmp_path):
     with Foreign(tmp_path / "lab") as bag:
         for k in range(100):
@@ -185,14 +192,14 @@ def test_a_foreign_bag_is_measured_data_with_the_force_at_its_times(tmp_path):
         for k in range(40):  # later, slower and between the rows
             at_s = 0.105 + 0.02 * k
             bag.write("/sensor/wrench", wrench(at_s, at_s), at_s)
-    table = read_table(tmp_path / "lab")
+    table = read_table(tmp_path / "lab", named("cable"))
     assert len(table.time) == 78
     np.testing.assert_allclose(table.time, np.arange(78) * 0.01, atol=1e-9)
     assert table.proximal_tension[0] == 21.0  # the first row after the first force
     np.testing.assert_allclose(table.distal_tension, 0.11 + table.time, atol=1e-9)
-    axis = read_table(tmp_path / "lab", Columns(distal_tension="/sensor/wrench/force_z"))
+    axis = read_table(tmp_path / "lab", named("cable", distal_tension="/sensor/wrench/force_z"))
     np.testing.assert_allclose(axis.distal_tension, 2 * (0.11 + axis.time), atol=1e-9)
-    other = read_table(tmp_path / "lab", Columns.of_tendon(2))
+    other = read_table(tmp_path / "lab", named("other"))
     assert (other.proximal_tension == 1.0).all()
 
 
@@ -209,7 +216,8 @@ def test_without_stamps_the_times_of_the_bag_count(tmp_path):
         for k in range(5):
             message = JointState(name=("a",), position=(0.0,), effort=(1.0 * k,))
             bag.write("/joint_states", message, k * 0.5)
-    np.testing.assert_allclose(read_table(tmp_path / "lab").time, np.arange(5) * 0.5)
+    table = read_table(tmp_path / "lab", named("a", "/joint_states"))
+    np.testing.assert_allclose(table.time, np.arange(5) * 0.5)
 
 
 @pytest.mark.parametrize(
@@ -233,13 +241,102 @@ def test_a_bag_without_clear_data_is_one_line(tmp_path, topics, plugin, words):
 
 def test_a_damaged_bag_is_one_line(bag, tmp_path):
     data = next(bag.glob("*.mcap")).read_bytes()
-    for name, content in {"cut": data[: len(data) // 2], "noise": data[:900] + b"x" * 90}.items():
-        path = tmp_path / f"{name}.mcap"
-        path.write_bytes(content)
-        with pytest.raises(UsageError) as error:
-            read_table(path)
-        assert "\n" not in str(error.value)
+    path = tmp_path / "noise.mcap"
+    path.write_bytes(data[:900] + b"x" * 90)
+    with pytest.raises(UsageError, match=r"0 messages could be read; `mcap recover`") as error:
+        read_table(path)
+    assert "\n" not in str(error.value)
     (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "metadata.yaml").write_text("a: [")
+    (tmp_path / "bag" / "metadata.yaml").write_text("a: 1")
     with pytest.raises(UsageError, match="not that of a rosbag2"):
         read_table(tmp_path / "bag")
+
+
+@pytest.fixture
+def pull(tmp_path):
+    """Return a bag of one joint in two halves, in a chunk each as a recorder writes them."""
+    with Foreign(tmp_path / "pull") as bag:
+        for k in range(100):
+            bag.write("/motor/joint_states", joint_state(k * 0.01, 10.0 + k), k * 0.01)
+    return tmp_path / "pull"
+
+
+def answer(words, capsys):
+    """Return the exit code and the lines that `teleop estimate` prints on standard error."""
+    code = cli.main(
+        ["estimate", *map(str, words), "--set", "slave.tendons=[{effective_friction: 0.5}]"]
+    )
+    return code, capsys.readouterr().err.splitlines()
+
+
+def test_a_joint_state_is_not_taken_for_metres_and_newtons_unasked(pull, capsys):
+    code, (said,) = answer([pull], capsys)
+    assert code == 2
+    for end, words in {"m and N": ("tension", "displacement"), "rad": ("torque", "angle")}.items():
+        assert end in said
+        for word in words:
+            assert f"--column proximal_{word}=/motor/joint_states/cable/" in said
+    signal = "/motor/joint_states/cable"
+    words = [f"--column=proximal_tension={signal}/effort"]
+    words += [f"--column=proximal_displacement={signal}/position"]
+    assert answer([pull, *words], capsys)[0] == 0
+
+
+def test_efforts_that_no_message_has_are_said_to_be_empty(tmp_path, capsys):
+    with Foreign(tmp_path / "lab") as bag:
+        for k in range(5):
+            message = JointState(header(k * 0.1), ("a",), (0.1 * k,))
+            bag.write("/joint_states", message, k * 0.1)
+    code, (said,) = answer([tmp_path / "lab"], capsys)
+    assert code == 2
+    assert "effort is empty in every message of /joint_states" in said
+
+
+def test_a_bag_without_its_metadata_is_read(pull):
+    (pull / "metadata.yaml").unlink()
+    assert len(read_table(pull, named("cable")).time) == 100
+
+
+def rewritten(bag, path, **how):
+    """Write the messages of a bag as one file, chunked as `how` says."""
+    with next(bag.glob("*.mcap")).open("rb") as source, path.open("wb") as file:
+        reader, writer, channels = make_reader(source), McapWriter(file, **how), {}
+        writer.start("ros2")
+        for schema, channel, message in reader.iter_messages():
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                encoding = channel.message_encoding
+                channels[channel.id] = writer.register_channel(channel.topic, encoding, number)
+            times = message.log_time, message.data, message.publish_time
+            writer.add_message(channels[channel.id], *times)
+        writer.finish()
+    return path
+
+
+def test_of_a_truncated_bag_whole_chunks_are_read(bag, tmp_path, capsys):
+    path = rewritten(bag, tmp_path / "cut.mcap", chunk_size=5000)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    table = read_table(path)
+    assert 10 < len(table.time) < 300
+    np.testing.assert_array_equal(table.proximal_tension, tension(np.arange(len(table.time))))
+    assert "is truncated" in capsys.readouterr().err
+
+
+def test_messages_outside_chunks_are_read(bag, tmp_path):
+    path = rewritten(bag, tmp_path / "plain.mcap", use_chunking=False)
+    np.testing.assert_array_equal(
+        read_table(path).proximal_tension, read_table(bag).proximal_tension
+    )
+
+
+@pytest.mark.parametrize("change", ["renamed", "half copied"])
+def test_a_file_of_a_bag_that_is_missing_is_named(pull, change, capsys):
+    about = pull / "metadata.yaml"
+    if change == "renamed":
+        (pull / "pull.mcap").rename(pull / "copy.mcap")
+    else:
+        about.write_text(about.read_text().replace("- pull.mcap", "- pull.mcap\n  - pull_1.mcap"))
+    code, (said,) = answer([pull], capsys)
+    assert code == 2
+    assert ("pull.mcap" if change == "renamed" else "pull_1.mcap") in said
+    assert "ros2 bag reindex" in said
