@@ -89,7 +89,7 @@ class Fork:
         if self.pid == 0:
             os.closerange(3, number)
             os.closerange(number + 1, os.sysconf("SC_OPEN_MAX"))
-            words = [as_tree(config), list(channels.motors), list(channels.cells)]
+            words = [as_tree(config), as_tree(channels)]
             try:
                 os._exit(worker.main([str(number), *map(json.dumps, words)]))
             finally:
@@ -268,7 +268,7 @@ def fault(bench: Bench) -> Figures:
             raise
     else:
         raise WrongError("a drive with a fault was not refused")
-    lines = configs.reset(bench.config(), bench.numbers)
+    lines = list(configs.reset(bench.config(), bench.numbers))
     bench.engages_anew()
     return {"fault": said, "reset": lines[0]}
 

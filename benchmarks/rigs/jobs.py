@@ -21,7 +21,9 @@ from benchmarks.rigs import namespace
 from benchmarks.rigs.bench import TRUE_K, Model, write_config
 from benchmarks.rigs.session import Session
 from slave.calibration import file
+from slave.tendon_config import TendonConfig
 from teleop.app.launch.supervisor import wait_for
+from tests.system.processes import START_S
 
 DRIVERS = ("microcontroller", "dynamixel", "cia402")
 RUN_S = 5.0
@@ -32,6 +34,7 @@ RATE_MIN = 0.95  # of the rate that was asked for
 RATE_HZ = {"microcontroller": 1000.0, "dynamixel": 250.0, "cia402": 500.0}
 WATCHDOG_S = 0.050
 ENGAGE_S = 30.0  # of a command to start, and of the hand to engage again
+CALIBRATING_S = (0.3, 3.0, 8.0)  # after the motors were enabled
 STILL_S = 1.0  # in which nothing may move by itself
 
 FAULTS = {
@@ -59,7 +62,7 @@ def main() -> int:
         parser.error(f"no driver {', '.join(sorted(unknown))}; there are {', '.join(DRIVERS)}")
     if args.multicast:
         namespace.enter()
-    print(f"{'driver':16} {'motors':>6}  {'job':12} result")
+    print(f"{'driver':16} {'motors':>6}  {'job':14} result")
     failed = 0
     for driver in args.drivers:
         for motors in args.motors:
@@ -67,7 +70,7 @@ def main() -> int:
                 passed, text = attempt(JOBS[name], driver, motors, args.attempts)
                 failed += not passed
                 word = "pass" if passed else "FAIL"
-                print(f"{driver:16} {motors:6}  {name:12} {word}  {text}", flush=True)
+                print(f"{driver:16} {motors:6}  {name:14} {word}  {text}", flush=True)
     print(f"{failed} failed" if failed else "all passed")
     return 1 if failed else 0
 
@@ -161,6 +164,30 @@ def killed(session: Session, also: list[str]) -> str:
     return f"{said}; engaged anew"
 
 
+def kill_calibrate(session: Session, driver: str) -> str:
+    """Kill a calibration at several moments: the motors stop, and the earlier file stays."""
+    out = session.config.parent / "calibration.yaml"
+    file.save(out, file.Calibration(tendons=(TendonConfig(effective_friction=TRUE_K),)))
+    earlier, times = out.read_bytes(), []
+    for moment_s in CALIBRATING_S:
+        process = session.start("calibrate", "--quick", "--together", "--out", str(out))
+        try:
+            assert wait_for(session.all_move, START_S), "the motors are not enabled"
+            time.sleep(moment_s)
+            assert process.poll() is None, "the calibration has ended by itself"
+        finally:
+            killed_s = time.monotonic()
+            process.kill()
+            process.wait()
+        session.stopped_after(killed_s)
+        times.append(session.model.order()["moved_s"] - killed_s)
+        require_still(session)
+        assert out.read_bytes() == earlier, "the earlier calibration has changed"
+    said = ", ".join(f"{1e3 * one:.0f}" for one in times)
+    assert max(times) <= WATCHDOG_S, f"last motion {said} ms after SIGKILL"
+    return f"last motion {said} ms after SIGKILL; the earlier file is as it was"
+
+
 def kill_driver(session: Session, driver: str) -> str:
     """Kill the drivers alone: the motors stop, the slave says so and ends."""
     session.engage()
@@ -217,6 +244,7 @@ JOBS: dict[str, Job] = {
     "kill": kill,
     "kill all": kill_all,
     "kill driver": kill_driver,
+    "kill calibrate": kill_calibrate,
     "unplug": unplug,
     "fault": fault,
 }

@@ -124,11 +124,16 @@ class Session:
 
     def command(self, *words: str) -> str:
         """Run a command of the project on the config; return what it prints."""
-        ended = subprocess.run(
+        with self.start(*words) as process:
+            said, complaint = process.communicate()
+        assert process.returncode == 0, (complaint or said).splitlines()[-1:]
+        return said.strip()
+
+    def start(self, *words: str) -> "subprocess.Popen[str]":
+        """Start a command of the project on the config."""
+        return subprocess.Popen(
             [sys.executable, "-m", "teleop", *words, "--config", str(self.config)],
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
-            check=False,
         )
-        assert ended.returncode == 0, (ended.stderr or ended.stdout).splitlines()[-1:]
-        return ended.stdout.strip()

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slave.bring_up.moving import Move, Mover, move_one, verdict
+from slave.bring_up.moving import Move, Mover, move_one, verdict, warm_up
 from slave.bring_up.reading import AtRest, format_at_rest, measure_at_rest
 from slave.config import SlaveConfig
 from slave.drivers import configs
@@ -27,6 +27,7 @@ from slave.rigs import open_rig
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from teleop.clock import Grid, Tick, now_ns, quiet_garbage
+from teleop.compiling import announced
 from teleop.config import load
 from teleop.errors import TeleopError, UsageError
 from teleop.options import add_options
@@ -35,6 +36,7 @@ from teleop.realtime import go_realtime
 from teleop.run_config import RunConfig
 
 READ_S = 2.0  # [s]
+COMPILE_S = 3.0  # [s] of a processor, without a cache
 TRAVEL_MM, FORCE_N = 0.5, 2.0
 TRAVEL_MAX_MM, FORCE_MAX_N = 5.0, 20.0
 CONFIRMATION = "move"
@@ -48,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check = actions.add_parser("check", help="read, then move one motor at a time, a little")
     reset = actions.add_parser("reset", help="reset the faults of the drives")
     for action in (scan, check, reset):
-        add_options(action, "--config", "--set")
+        add_options(action, "--config", "--set", "--allow-imports")
     check.add_argument("--duration", type=seconds, default=READ_S, help="of reading [s]")
     check.add_argument(
         "--travel", type=float, default=TRAVEL_MM, metavar="MM", help="of each motor (0.5)"
@@ -68,15 +70,22 @@ def main(args: argparse.Namespace) -> int:
         return 0
     rig = hardware(load(args.config, SlaveConfig, "slave", args.overrides))
     buses = [rig.motors] if rig.cells is None else [rig.motors, rig.cells]
+    silent = []
     try:
         for bus in buses:
-            if args.action == "scan":
-                lines = configs.scan(bus) or [f"{bus.type}: nothing answers"]
-            else:
-                lines = configs.reset(bus, _motors_on(rig, bus))
-            print("\n".join(lines))
+            is_scan, count = args.action == "scan", 0
+            for line in configs.scan(bus) if is_scan else configs.reset(bus, _motors_on(rig, bus)):
+                print(line, flush=True)
+                count += 1
+            if is_scan and not count:
+                silent.append(bus.type)
     except DriverFault as fault:
         raise TeleopError(f"rig: {fault}") from fault
+    if silent:
+        raise TeleopError(
+            f"rig: {' and '.join(silent)}: nothing answers: power, cable, numbers and baud or bit "
+            "rate? (docs/hardware.md)"
+        )
     return 0
 
 
@@ -87,10 +96,13 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
     if isinstance(config.rig, ReplayedRigConfig):
         raise UsageError("slave.rig.type: a replayed rig has no motors and sensors to check")
     move = requested_move(args)
+    if not args.read_only:
+        with announced("the check", COMPILE_S):
+            warm_up()  # else it would compile between a reading and the first target
     with ExitStack() as stack:
         if isinstance(config.rig, HardwareRigConfig):
             go_realtime(shared.realtime)  # before the rig: its processes inherit the priority
-        rig = open_rig(config.rig)
+        rig = open_rig(config.rig, args.read_only)
         stack.callback(rig.close)
         start_ns, ticks = now_ns(), iter(Grid(shared.rate_hz, lambda: False))
         try:
@@ -106,9 +118,9 @@ def check(args: argparse.Namespace, prompt: Callable[[str], str]) -> int:
             if prompt(f"Type '{CONFIRMATION}' to go on: ").strip() != CONFIRMATION:
                 print("nothing was moved")
                 return 0
-            rest = measure_at_rest(rig, ticks, start_ns, args.duration)  # nobody read meanwhile
-            require_readings(rest)
             with quiet_garbage():  # a collection takes 0.1 to 0.6 s; drivers wait 0.2 s
+                rest = measure_at_rest(rig, ticks, start_ns, args.duration)  # nobody read meanwhile
+                require_readings(rest)
                 return move_all(rig, config, ticks, start_ns, rest, move)
         except RigFault as fault:
             raise TeleopError(f"rig: {fault}") from fault

@@ -13,11 +13,19 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.records import as_record
 from slave import gate
-from slave.bring_up.reading import AtRest, displacement_of
-from slave.calibration.run import is_complete
+from slave.bring_up.reading import AtRest, displacement_of, measure_at_rest
+from slave.calibration.run import (
+    SILENCE_MAX_S,
+    UNREADABLE,
+    WARM_UP_HZ,
+    StillRig,
+    fast_ticks,
+    is_complete,
+)
 from slave.gate import GateConfig
 from slave.rig import Rig, RigSample, motors_follow
 from teleop.clock import Tick
+from teleop.errors import TeleopError
 
 SPEED = 0.002  # [m/s]
 HOLD_S = 0.5  # [s] of which the second half is averaged
@@ -56,6 +64,15 @@ def move_one(mover: "Mover", rest: AtRest, tendon: int, move: Move) -> Moved:
     )
 
 
+def warm_up() -> None:
+    """Compile what a tick of a `Mover` calls, before a rig's readings grow old meanwhile."""
+    rig, ticks = StillRig(), fast_ticks(WARM_UP_HZ)
+    rest = measure_at_rest(rig, ticks, 0, BEFORE_S)
+    mover = Mover(rig, GateConfig(), ticks, 0, rest)
+    mover.enable()
+    mover.run(HOLD_S, mover.last)
+
+
 class Mover:
     """A rig whose motors are moved through the gate, from where they were `rest`ing just now."""
 
@@ -69,12 +86,19 @@ class Mover:
         self._no_reach = gate.Reach.array(0)
 
     def enable(self) -> None:
-        """Write where the motors are until they follow."""
-        while not motors_follow(self._rig):
-            _, samples = self._tick(self.last)
+        """Write where the motors are, from a reading of the same tick on, until they follow."""
+        is_located = False
+        while True:
+            dt, samples = self._read()
             for sample in samples:
                 if is_complete(sample):
-                    self.last = displacement_of(sample)
+                    self.last, is_located = displacement_of(sample), True
+            if is_located and motors_follow(self._rig):
+                return
+            if is_located:
+                self._write(self.last, dt)
+            elif self._silence > SILENCE_MAX_S:
+                raise TeleopError(f"rig: {UNREADABLE}")
 
     def run(self, duration_s: float, wanted: Array) -> list[RigSample]:
         """Ask for a position for a while; return the samples."""
@@ -99,11 +123,21 @@ class Mover:
         return float(self.last[tendon] - begin)
 
     def _tick(self, wanted: Array) -> tuple[float, list[RigSample]]:
+        dt, samples = self._read()
+        self._write(wanted, dt)
+        return dt, samples
+
+    def _read(self) -> tuple[float, list[RigSample]]:
+        """Wait for the next tick; return the time since the last one [s] and the new samples."""
         tick = next(self._ticks)
         samples = list(self._rig.read((tick.stamp_ns - self._start_ns) * 1e-9))
         self._silence += tick.dt
         if samples:
             self._tension, self._silence = samples[-1].proximal_tension, 0.0
+        return tick.dt, samples
+
+    def _write(self, wanted: Array, dt: float) -> None:
+        """Pass positions [m] through the gate and write them."""
         passed = np.empty(self._rig.tendons)
         gate.step(
             self._gate,
@@ -113,7 +147,7 @@ class Mover:
             self._tension,
             self._silence,
             True,
-            tick.dt,
+            dt,
             self._no_reach,
             False,
             False,
@@ -122,7 +156,6 @@ class Mover:
         self.last = passed
         self._rig.write(passed.copy())
         self._rig.advance()
-        return tick.dt, samples
 
 
 def verdict(moved: Moved, rest: AtRest) -> tuple[bool, str]:

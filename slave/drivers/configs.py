@@ -1,6 +1,7 @@
 """Table of the drivers that a config can name; the library of one is imported when it is opened."""
 
 import importlib
+from collections.abc import Iterator
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ class DriverEntry(NamedTuple):
     """Where a driver is, and the optional extra that installs its library."""
 
     driver: str  # module:Class
+    reader: str  # the same, of a driver that only reads
     tools: str  # module with `scan` and `reset`
     extra: str
 
@@ -23,36 +25,45 @@ class DriverEntry(NamedTuple):
 DRIVERS: dict[type[Any], DriverEntry] = {
     MicrocontrollerConfig: DriverEntry(
         "slave.drivers.microcontroller.driver:MicrocontrollerDriver",
+        "slave.drivers.microcontroller.reader:MicrocontrollerReader",
         "slave.drivers.microcontroller.tools",
         "serial",
     ),
     DynamixelConfig: DriverEntry(
         "slave.drivers.dynamixel.driver:DynamixelDriver",
+        "slave.drivers.dynamixel.reader:DynamixelReader",
         "slave.drivers.dynamixel.tools",
         "dynamixel",
     ),
     Cia402Config: DriverEntry(
-        "slave.drivers.cia402.driver:Cia402Driver", "slave.drivers.cia402.tools", "can"
+        "slave.drivers.cia402.driver:Cia402Driver",
+        "slave.drivers.cia402.reader:Cia402Reader",
+        "slave.drivers.cia402.tools",
+        "can",
     ),
 }
 
 
 def open_driver(config: DriverConfig, channels: Channels) -> Driver:
     """Return the driver of a config, not started; `DriverFault` if its library is missing."""
-    module, _, name = DRIVERS[type(config)].driver.partition(":")
+    entry = DRIVERS[type(config)]
+    module, _, name = (entry.reader if channels.read_only else entry.driver).partition(":")
     found: Driver = getattr(_imported(config, module), name)(config, channels)
     return found
 
 
-def scan(config: DriverConfig) -> list[str]:
-    """Return what answers on a bus, one line each; moves and sets nothing. `DriverFault`."""
-    lines: list[str] = _imported(config, DRIVERS[type(config)].tools).scan(config)
+def scan(config: DriverConfig) -> Iterator[str]:
+    """Yield what answers on a bus, one line each; moves and sets nothing. `DriverFault`."""
+    lines: Iterator[str] = _imported(config, DRIVERS[type(config)].tools).scan(config)
     return lines
 
 
-def reset(config: DriverConfig, motors: tuple[int, ...]) -> list[str]:
-    """Reset the faults of motors, by the operator's order; return a line each. `DriverFault`."""
-    lines: list[str] = _imported(config, DRIVERS[type(config)].tools).reset(config, motors)
+def reset(config: DriverConfig, motors: tuple[int, ...]) -> Iterator[str]:
+    """Reset the faults of motors, by the operator's order; yield a line for each that is reset.
+
+    `DriverFault` at the end, if any of them is not.
+    """
+    lines: Iterator[str] = _imported(config, DRIVERS[type(config)].tools).reset(config, motors)
     return lines
 
 

@@ -4,13 +4,13 @@ import json
 import select
 import socket
 import subprocess
-import sys
 import time
 
 from slave.drivers import packets
 from slave.drivers.configs import DriverConfig
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from teleop.config import as_tree
+from teleop.process import module_command
 
 START_S = 20.0  # [s] in which a bus must be set up
 END_S = 2.0  # [s] in which it must be released
@@ -38,7 +38,7 @@ class Connection:
     """
 
     def __init__(self, config: DriverConfig, channels: Channels) -> None:
-        self.counts: dict[str, int | float] = {}
+        self.counts: dict[str, int | float | str] = {}
         self._place = config.type
         self._end, other = packets.pair()
         self._process = start_process(other, config, channels)
@@ -132,12 +132,12 @@ def start_process(
     end: socket.socket, config: DriverConfig, channels: Channels
 ) -> "subprocess.Popen[bytes]":
     """Start the process of a driver, which serves this end of a pair."""
-    words = [as_tree(config), list(channels.motors), list(channels.cells)]
+    words = [as_tree(config), as_tree(channels)]
     number = end.fileno()
     return subprocess.Popen(
         [
-            *(sys.executable, "-m", "slave.drivers.worker", str(number)),
-            *map(json.dumps, words),
+            *module_command("slave.drivers.worker"),
+            *(str(number), *map(json.dumps, words)),
         ],
         pass_fds=[number],
         stdin=subprocess.DEVNULL,

@@ -21,10 +21,11 @@ class DriverFault(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Channels:
-    """Addresses of the motors and load cells that a rig uses on one bus."""
+    """Addresses of the motors and load cells that a rig uses on one bus, and how."""
 
     motors: tuple[int, ...] = ()
     cells: tuple[int, ...] = ()
+    read_only: bool = False  # nothing is written to them, no motor is enabled or disabled
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,8 @@ class Driver(Protocol):
         A cycle without a target follows at once.
         """
 
-    def counts(self) -> dict[str, int | float]:
-        """Return the driver's counts for the summary, lost frames for example."""
+    def counts(self) -> dict[str, int | float | str]:
+        """Return the driver's entries for the summary, lost frames for example."""
 
     def close(self) -> None:
         """Stop the motors, release the bus; never raises, also before `start`."""

@@ -55,7 +55,7 @@ def pack_target(target: Counts) -> bytes:
     return TARGET + np.asarray(target, np.float64).tobytes()
 
 
-def pack_counts(counts: dict[str, int | float]) -> bytes:
+def pack_counts(counts: dict[str, int | float | str]) -> bytes:
     """Return counts as a packet."""
     return COUNTS + json.dumps(counts).encode()
 

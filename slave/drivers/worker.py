@@ -3,7 +3,7 @@
 It is a process and not a thread: compiled code of the slave holds the interpreter's lock for as
 long as it runs, seconds in the analysis of a calibration, and the motors' watchdogs would end.
 
-  python -m slave.drivers.worker FD DRIVER MOTORS CELLS     started by slave.drivers.connection
+  python -m slave.drivers.worker FD DRIVER CHANNELS     started by slave.drivers.connection
 """
 
 import contextlib
@@ -36,21 +36,20 @@ class WorkerConfig:
     """What a driver's process is started with."""
 
     driver: DriverConfig
-    motors: tuple[int, ...] = ()
-    cells: tuple[int, ...] = ()
+    channels: Channels
 
 
 def main(words: Sequence[str]) -> int:
     """Serve the driver described by the words of the command; return the exit code."""
-    number, driver, motors, cells = words
+    number, driver, channels = words
     for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the slave ends this process
         signal.signal(ending, signal.SIG_IGN)
     slave = Parent(os.getppid())
     end = socket.socket(fileno=int(number))
     try:
-        texts = [f"driver={driver}", f"motors={motors}", f"cells={cells}"]
+        texts = [f"driver={driver}", f"channels={channels}"]
         config = load(None, WorkerConfig, None, texts)
-        opened = open_driver(config.driver, Channels(config.motors, config.cells))
+        opened = open_driver(config.driver, config.channels)
         with quiet_garbage():  # a collection takes longer than a cycle
             serve(opened, end, slave)
     except (DriverFault, TeleopError) as error:

@@ -167,13 +167,14 @@ class HardwareRig:
 
     `read` hands over what they have received since, each sample once; `write` leaves the newest
     targets with them. Any failure of a driver is a `RigFault` with the driver's own words; its
-    motors are then stopped already. It is an `EnablingRig`, a `StoppableRig` and a `WatchedRig` of
+    motors are then stopped already. With `read_only` nothing is written to the buses, and targets
+    are not obeyed. It is an `EnablingRig`, a `StoppableRig` and a `WatchedRig` of
     `slave.rig`.
     """
 
     starts_at_zero = False
 
-    def __init__(self, config: HardwareRigConfig) -> None:
+    def __init__(self, config: HardwareRigConfig, read_only: bool = False) -> None:
         self.name = config.name
         self.joints = joint_tendons([len(joint.tendons) for joint in config.joints])
         self.tendons = len(config.tendons)
@@ -192,10 +193,10 @@ class HardwareRig:
         motors, cells = config.motor_ids, config.cell_ids
         try:
             if config.cells is None:
-                self._buses = [Connection(config.motors, Channels(motors, cells))]
+                self._buses = [Connection(config.motors, Channels(motors, cells, read_only))]
             else:
-                self._buses.append(Connection(config.motors, Channels(motors)))
-                self._buses.append(Connection(config.cells, Channels((), cells)))
+                self._buses.append(Connection(config.motors, Channels(motors, (), read_only)))
+                self._buses.append(Connection(config.cells, Channels((), cells, read_only)))
         except DriverFault as fault:
             self.close()
             raise RigFault(str(fault)) from fault

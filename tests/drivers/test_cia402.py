@@ -1,13 +1,22 @@
 """A rig on CiA 402 drives whose CANopen stack nobody here wrote: what moves, stops, and is said."""
 
 import dataclasses
+import errno
 import os
 import signal
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
 
+import can
 import numpy as np
 import pytest
+from durand import Variable
+from durand.datatypes import DatatypeEnum
 
 from slave.drivers import configs
+from slave.drivers.cia402 import bus
 from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load, frame_bits
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
@@ -18,7 +27,9 @@ from slave.drivers.cia402.state_machine import (
     control_word,
     drive_state,
 )
+from slave.drivers.driver import DriverFault
 from slave.rig import RigFault
+from slave.rigs.hardware import HardwareRig
 from slave.warm_up import prepare
 from teleop.remote.requests import CALL
 from teleop.session import Reason, State
@@ -263,7 +274,7 @@ def test_a_fault_is_named_and_stays_until_the_operator_resets_it(drives):
     with pytest.raises(RigFault, match=r"drive 2 has a fault.*teleop rig reset"), opened_on(drives):
         pass
     assert drives.drives[1].state == FAULT
-    assert configs.reset(config_on(drives), (2,)) == ["drive 2: switch on disabled"]
+    assert list(configs.reset(config_on(drives), (2,))) == ["drive 2: switch on disabled"]
     with opened_on(drives) as rig:
         read_some(rig, 1)
         assert drives.drives[1].state == DISABLED
@@ -335,3 +346,142 @@ def test_positions_are_counts_from_the_zero_of_the_config(drives):
     with opened_on(drives) as rig:
         displacement = read_some(rig)[-1].proximal_displacement
         assert displacement == pytest.approx(100.0 * 2.0 * np.pi * 0.010 / 4096.0)
+
+
+def test_read_only_asks_by_sdo_uploads_and_nothing_else(drives):
+    frames = []
+    for drive in drives.drives:
+
+        def hear(identifier, data, now, hear=drive.hear):
+            frames.append((identifier, data[0] if data else None))
+            hear(identifier, data, now)
+
+        drive.hear = hear
+    rig = HardwareRig(rig_config(config_on(drives), count=2), read_only=True)
+    sample = read_some(rig)[-1]
+    rig.close()
+    assert sample.proximal_tension == pytest.approx([1.0, 1.0], abs=0.1)
+    assert sample.proximal_displacement == pytest.approx([0.0, 0.0], abs=5e-5)
+    assert set(frames) == {(0x601, 0x40), (0x602, 0x40)}  # initiate upload
+
+
+CONTROLLERS = [(0x80, b""), (0x77F, b"\x05"), (0x602, bytes.fromhex("4041600000000000"))]
+
+
+@contextmanager
+def sent_by_another(drives, identifier, data):
+    """Send a frame every 20 ms, as a controller elsewhere on the bus."""
+    ended = threading.Event()
+
+    def send():
+        while not ended.wait(0.02):
+            frame = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
+            drives.bus.send(frame)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+@pytest.mark.parametrize(("identifier", "data"), CONTROLLERS)
+@pytest.mark.parametrize("read_only", [False, True])
+def test_a_bus_with_another_controller_is_refused_before_anything_is_sent(
+    drives, identifier, data, read_only
+):
+    heard = []
+    for drive in drives.drives:
+        drive.hear = lambda *frame: heard.append(frame)
+    with (
+        sent_by_another(drives, identifier, data),
+        pytest.raises(RigFault, match="another controller is on the bus"),
+    ):
+        HardwareRig(rig_config(config_on(drives), count=2), read_only)
+    assert heard == []
+
+
+def test_heartbeats_of_nodes_and_their_values_are_no_controller():
+    for identifier in (0x701, 0x181, 0x282, 0x81, 0x581):
+        frame = can.Message(arbitration_id=identifier, data=b"\x05", is_extended_id=False)
+        assert bus.controller_text(frame, master=127) == ""
+
+
+@pytest.mark.parametrize(
+    ("index", "kind", "value", "said"),
+    [
+        (0x607E, DatatypeEnum.UNSIGNED8, 0x80, "drive 2 has reversed positions"),
+        (0x60B0, DatatypeEnum.INTEGER32, 1024, "drive 2 has an offset of its targets"),
+    ],
+)
+def test_positions_that_another_program_has_shifted_are_refused(drives, index, kind, value, said):
+    drives.drives[1].od[index] = Variable(kind, "rw", value)
+    with pytest.raises(RigFault, match=f"{said} .object {index:04X}"), opened_on(drives):
+        pass
+
+
+def full_queue(refusals):
+    """Return a `send` whose queue is full for so many tries, and what it has sent."""
+    sent = []
+
+    def send(message, timeout=None):
+        nonlocal refusals
+        if refusals > 0:
+            refusals -= 1
+            raise can.CanOperationError("No buffer space available", errno.ENOBUFS)
+        sent.append((message, timeout))
+
+    return send, sent
+
+
+def test_a_frame_waits_for_room_in_the_queue(monkeypatch):
+    monkeypatch.setattr(bus, "QUEUE_S", 10.0)
+    send, sent = full_queue(refusals=3)
+    bus.retry_full_queue(send)("frame")
+    assert sent == [("frame", None)]
+    with pytest.raises(can.CanOperationError, match="off"):
+        bus.retry_full_queue(lambda *_: (_ for _ in ()).throw(can.CanOperationError("off", 100)))(
+            ""
+        )
+
+
+def test_a_queue_that_stays_full_is_one_line_of_every_command(drives, monkeypatch):
+    send, _ = full_queue(refusals=10**9)
+    monkeypatch.setattr(bus.can, "Bus", lambda **_: FullBus(send))
+    config = dataclasses.replace(config_on(drives), bus=BusConfig(channel="can7"))
+    for tool in (lambda: list(configs.scan(config)), lambda: list(configs.reset(config, (1,)))):
+        with pytest.raises(DriverFault, match=r"no node acknowledges frames.*link show can7"):
+            tool()
+
+
+class FullBus(can.BusABC):
+    """A bus on which nobody acknowledges."""
+
+    def __init__(self, send):
+        super().__init__(channel="full")
+        self._send = send
+
+    def send(self, msg, timeout=None):
+        self._send(msg, timeout)
+
+    def _recv_internal(self, timeout):
+        threading.Event().wait(timeout)
+        return None, False
+
+
+def test_a_scan_is_one_line_a_node_and_nothing_of_the_library(drives, tmp_path):
+    config = tmp_path / "rig.yaml"
+    config.write_text(
+        "slave:\n  rig:\n    type: hardware\n    name: bench\n    motors: {type: cia402, bus: "
+        f"{{interface: slcan, channel: {drives.port_name}, tty_wait: 0.0}}}}\n"
+        "    joints: [{tendons: [{motor: {id: 1, pulley_radius: 0.01, counts_per_turn: 4096}, "
+        "cell: {id: 1, scale: 0.001}}]}]\n"
+    )
+    command = [sys.executable, "-m", "teleop", "rig", "scan", "--config", str(config)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == [
+        f"node {k}: model of a drive, profile 402, switch on disabled" for k in (1, 2)
+    ]
+    assert (done.stderr, done.returncode) == ("", 0)

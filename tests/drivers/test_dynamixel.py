@@ -1,16 +1,23 @@
 """A rig on servo models, spoken to by the vendor's SDK: what moves, what stops, what is said."""
 
+import fcntl
 import os
 import signal
+import struct
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from slave.drivers import configs
-from slave.drivers.dynamixel import registers
+from slave.drivers.driver import DriverFault
+from slave.drivers.dynamixel import bus, registers
 from slave.drivers.dynamixel.registers import CURRENT_UNIT
 from slave.rig import RigFault
+from slave.rigs.hardware import HardwareRig
 from tests.drivers.bench import (
+    LIMIT_S,
     dynamixel,
     engage,
     follow,
@@ -20,9 +27,28 @@ from tests.drivers.bench import (
     rig_config,
     wait_until,
 )
-from tests.drivers.models.plant import NEWTONS
-from tests.drivers.models.servos import ERROR, GOAL, WATCHDOG, Servos, positions
+from tests.drivers.models.plant import NEWTONS, ZERO
+from tests.drivers.models.servos import (
+    ACCELERATION,
+    DRIVE_MODE,
+    ERROR,
+    GOAL,
+    HOMING_OFFSET,
+    PING,
+    READ,
+    REVERSE,
+    SECONDARY_ID,
+    STATUS_RETURN,
+    SYNC_READ,
+    TIME_BASED,
+    TORQUE,
+    TORQUE_BY_GOAL,
+    WATCHDOG,
+    Servos,
+    positions,
+)
 
+TCGETS2 = 0x802C542A  # of the kernel, for any baud rate
 SCALE = NEWTONS / CURRENT_UNIT  # [N/A] of the servos' currents
 
 
@@ -35,9 +61,13 @@ def servos():
     thread.join()
 
 
-def opened_on(servos, **settings):
+def config_on(servos, **settings):
     config = dynamixel(servos.port.name, wait=0.02, rate_hz=100.0, **settings)
-    return opened(rig_config(config, count=2, scale=SCALE, uncertainty=0.5))
+    return rig_config(config, count=2, scale=SCALE, uncertainty=0.5)
+
+
+def opened_on(servos, **settings):
+    return opened(config_on(servos, **settings))
 
 
 def moving(servos):
@@ -63,7 +93,10 @@ def torque(servos):
 
 
 def test_what_one_sync_read_brings_fits_the_indirect_addresses():
-    assert registers.STATUS_SIZE == len(registers.indirect_addresses()) <= 28
+    assert registers.STATUS_SIZE <= 28
+    written = registers.INDIRECT_ADDRESSES.pack(registers.indirect_addresses())
+    assert written[:10] == bytes([132, 0, 133, 0, 134, 0, 135, 0, 116, 0])
+    assert len(written) == 2 * registers.STATUS_SIZE
     assert sum(entry.size for entry in registers.STATUS) == registers.STATUS_SIZE
 
 
@@ -106,7 +139,7 @@ def test_a_killed_driver_leaves_the_servos_to_their_watchdogs(servos):
     with opened_on(servos) as rig:
         read_some(rig)
         assert torque(servos) == [False, False]
-        assert len(moved) > 20
+        assert len(moved) > 10
         assert not any(moved)
         assert [servo.get(GOAL, 4, signed=True) for servo in servos.servos.values()] == goals
 
@@ -211,7 +244,7 @@ def test_a_servo_that_is_not_there_or_has_a_fault_is_refused(servos):
     servos.servos[1].put(ERROR, 1, 32)
     with pytest.raises(RigFault, match=r"servo 1 .*overload; remove the cause"), opened_on(servos):
         pass
-    assert configs.reset(dynamixel(servos.port.name), (1,)) == ["servo 1: restarted"]
+    assert list(configs.reset(dynamixel(servos.port.name), (1,))) == ["servo 1: restarted"]
     with opened_on(servos) as rig:
         read_some(rig, 1)
         assert torque(servos) == [False, False]
@@ -228,3 +261,136 @@ def test_an_unplugged_adapter_is_named(servos):
 def test_tensions_from_currents_need_a_stated_uncertainty(servos):
     with pytest.raises(ValueError, match="uncertainty"):
         rig_config(dynamixel(servos.port.name), count=2)
+
+
+@pytest.mark.parametrize("read_only", [False, True])
+@pytest.mark.parametrize(
+    ("register", "size", "value", "said"),
+    [
+        (HOMING_OFFSET, 4, 1024, "servo 2: Homing Offset is 1024 counts, must be 0"),
+        (HOMING_OFFSET, 4, -77, "servo 2: Homing Offset is -77 counts, must be 0"),
+        (DRIVE_MODE, 1, REVERSE, "servo 2: Drive Mode is reverse, must be normal"),
+    ],
+)
+def test_positions_that_count_otherwise_are_refused_with_the_torque_as_it_is(
+    servos, register, size, value, said, read_only
+):
+    servos.servos[2].put(register, size, value)
+    servos.servos[2].put(GOAL, 4, int(ZERO))
+    servos.servos[2].put(TORQUE, 1, 1)
+    with pytest.raises(RigFault, match=said):
+        HardwareRig(config_on(servos), read_only)
+    assert servos.servos[2].table[TORQUE] == 1
+    assert servos.servos[2].get(register, size, signed=value < 0) == value
+
+
+@pytest.mark.parametrize("answers", [0, 1])
+def test_settings_of_other_programs_are_set_before_the_torque_and_told(servos, answers):
+    servo = servos.servos[2]
+    left = {DRIVE_MODE: TIME_BASED | TORQUE_BY_GOAL, SECONDARY_ID: 1, STATUS_RETURN: answers}
+    for register, value in left.items():
+        servo.put(register, 1, value)
+    servo.put(ACCELERATION, 4, 900)
+    unguarded = []
+    write = servo.write
+
+    def watched(address, data):
+        error = write(address, data)
+        unguarded.append(servo.moving and not servo.table[WATCHDOG])
+        return error
+
+    servo.write = watched
+    with opened_on(servos) as rig:
+        assert torque(servos) == [False, False]
+        found = [servo.get(a, 1) for a in left]
+        assert (found, servo.get(ACCELERATION, 4)) == ([0, 255, 2], 0)
+        engage(rig, moving(servos))
+    said = rig.summary()["motors_settings"]
+    assert "servo 2: Drive Mode was 12, set to 0" in said
+    assert "servo 2: Secondary ID was 1, set to 255" in said
+    assert not any(unguarded)
+
+
+def test_read_only_asks_and_writes_nothing(servos):
+    for servo in servos.servos.values():
+        servo.put(GOAL, 4, int(ZERO))
+        servo.put(TORQUE, 1, 1)
+        servo.put(DRIVE_MODE, 1, TIME_BASED)
+        servo.write = lambda address, _data: pytest.fail(f"written at {address}")
+    goals = [servo.get(GOAL, 4) for servo in servos.servos.values()]
+    rig = HardwareRig(config_on(servos), read_only=True)
+    sample = read_some(rig)[-1]
+    rig.close()
+    assert sample.proximal_tension == pytest.approx([1.0, 1.0], abs=0.1)
+    assert sample.proximal_displacement == pytest.approx([0.0, 0.0], abs=5e-5)
+    assert servos.kinds == {PING, READ, SYNC_READ}
+    assert [servo.get(GOAL, 4) for servo in servos.servos.values()] == goals
+    assert "servo 1: Drive Mode is 4, a session sets 0" in rig.summary()["motors_settings"]
+
+
+def test_a_second_program_is_refused_and_the_first_goes_on(servos):
+    config = dynamixel(servos.port.name)
+    with opened_on(servos) as rig, ThreadPoolExecutor(1) as second:
+        start = engage(rig, moving(servos))
+        for program in (
+            lambda: HardwareRig(config_on(servos)),
+            lambda: HardwareRig(config_on(servos), read_only=True),
+            lambda: list(configs.scan(config)),
+            lambda: list(configs.reset(config, (1,))),
+        ):
+            tried = second.submit(program)
+            read_for(rig, LIMIT_S, start, until=tried.done)
+            assert f"in use by process {os.getpid()} (" in str(tried.exception(LIMIT_S))
+        assert torque(servos) == [True, True]
+        follow(rig, start + 0.001)
+
+
+class OneRate(Servos):
+    """Servos that hear at one baud rate, and answer through an adapter that collects bytes."""
+
+    baud, collect_s = 4_500_000, 0.016
+
+    def __init__(self):
+        super().__init__(numbers=(3, 7))
+        self._collected, self._due_s = b"", 0.0
+        send, look = self.port.write, self.port.read
+
+        def collect(data):
+            self._collected += data
+
+        def deliver(wait_s=0.0):
+            if self._collected and time.monotonic() >= self._due_s:
+                send(self._collected)
+                self._collected, self._due_s = b"", time.monotonic() + self.collect_s
+            return look(wait_s)
+
+        self.port.write, self.port.read = collect, deliver
+
+    def _obey(self, packet, now):
+        settings = bytearray(64)
+        fcntl.ioctl(self.port._near, TCGETS2, settings)
+        if struct.unpack_from("<I", settings, 40)[0] == self.baud:
+            super()._obey(packet, now)
+
+
+def test_a_scan_finds_servos_of_any_rate_behind_a_slow_adapter(monkeypatch, tmp_path):
+    servos = OneRate()
+    thread = servos.start()
+    (tmp_path / "latency").write_text("16\n")
+    monkeypatch.setattr(bus, "_LATENCY", f"{tmp_path}/latency")
+    try:
+        first, second = configs.scan(dynamixel(servos.port.name))
+        assert list(configs.reset(dynamixel(servos.port.name), ())) == []
+    finally:
+        servos.ended = True
+        thread.join()
+    assert first.startswith("servo 3: model 1020 at 4500000 baud; the config says 1000000")
+    assert second.startswith("servo 7: ")
+    assert "the adapter's latency timer is 16 ms, set it to 1" in first
+
+
+def test_a_servo_that_is_not_there_is_named_once_the_others_are_reset(servos):
+    lines = configs.reset(dynamixel(servos.port.name), (1, 7))
+    assert next(lines) == "servo 1: restarted"
+    with pytest.raises(DriverFault, match="not reset: servo 7: no answer"):
+        next(lines)

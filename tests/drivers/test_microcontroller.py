@@ -16,6 +16,7 @@ from slave.drivers.driver import Channels, DriverFault
 from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.driver import MicrocontrollerDriver
 from slave.rig import RigFault
+from slave.rigs.hardware import HardwareRig
 from tests.drivers.bench import (
     engage,
     follow,
@@ -240,3 +241,22 @@ def test_a_port_that_is_not_there_is_one_line():
         opened(rig_config(microcontroller("/dev/nothing"))),
     ):
         pass
+
+
+def test_read_only_listens_and_sends_nothing(board):
+    received = []
+    take = board.firmware.receive
+
+    def receive(data, *now):
+        received.append(data)
+        take(data, *now)
+
+    board.firmware.receive = receive
+    rig = HardwareRig(rig_config(microcontroller(board.port.name), count=2), read_only=True)
+    sample = read_some(rig)[-1]
+    rig.close()
+    assert sample.proximal_displacement == pytest.approx([0.0, 0.0], abs=5e-5)
+    assert b"".join(received) == b""
+    config = rig_config(microcontroller(board.port.name), count=3)
+    with pytest.raises(RigFault, match="has 2 motors, there is no motor 3"):
+        HardwareRig(config, read_only=True)

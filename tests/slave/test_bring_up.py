@@ -15,7 +15,7 @@ from slave.drivers.driver import Channels, DriverFault
 from slave.gate import GateConfig
 from slave.rig import RigSample
 from teleop.app import cli
-from teleop.errors import UsageError
+from teleop.errors import TeleopError, UsageError
 
 MOVE = Move(0.5e-3, 2.0)
 
@@ -82,6 +82,36 @@ def test_motors_that_are_being_enabled_are_held_where_they_are():
     assert np.abs(np.diff(rig.writes, axis=0)).max() <= 1e-5 * 1.01
 
 
+class Late(Wired):
+    """Gives nothing for a while: its newest readings are of before the question."""
+
+    SILENT, reads = 40, 0
+
+    def read(self, time_s):
+        self.reads += 1
+        return () if self.reads <= self.SILENT else super().read(time_s)
+
+
+def test_nothing_is_written_before_a_reading_of_the_same_tick():
+    rig, ticks = Late(), fast_ticks(500.0)
+    rest = measure_at_rest(Wired(), ticks, 0, 0.5)
+    rig.position = rig.start = rig.start + 0.0015
+    mover = Mover(rig, GateConfig(), ticks, 0, rest)
+    mover.enable()
+    assert rig.writes == []
+    mover.run(0.01, mover.last)
+    assert rig.writes[0] == pytest.approx(rig.start, abs=1e-9)
+
+
+def test_a_rig_that_falls_silent_before_its_motors_are_enabled_is_named():
+    rig, ticks = Late(), fast_ticks(500.0)
+    rig.SILENT = 10_000
+    rest = measure_at_rest(Wired(), ticks, 0, 0.5)
+    with pytest.raises(TeleopError, match=r"no tension and travel of every tendon for 0\.5 s"):
+        Mover(rig, GateConfig(), ticks, 0, rest).enable()
+    assert rig.writes == []
+
+
 def test_at_rest_rate_and_noise_are_told_and_nothing_is_written():
     rig = Wired()
     rest = measure_at_rest(rig, fast_ticks(500.0), 0, 2.0)
@@ -136,7 +166,7 @@ def arguments(*words):
 @pytest.mark.parametrize(("typed", "moves"), [("move", True), ("", False), ("yes", False)])
 def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves):
     rig = Wired()
-    monkeypatch.setattr(command, "open_rig", lambda _: rig)
+    monkeypatch.setattr(command, "open_rig", lambda *_: rig)
     assert command.check(arguments(), lambda _: typed) == 0
     assert bool(rig.writes) is moves
     assert rig.closed
@@ -145,7 +175,7 @@ def test_nothing_moves_without_the_typed_word(monkeypatch, capsys, typed, moves)
 
 def test_motors_are_enabled_where_they_are_after_the_question(monkeypatch):
     rig = Wired()
-    monkeypatch.setattr(command, "open_rig", lambda _: rig)
+    monkeypatch.setattr(command, "open_rig", lambda *_: rig)
 
     def turned_meanwhile(_question):
         rig.position = rig.start = rig.start + 0.0015
@@ -156,14 +186,14 @@ def test_motors_are_enabled_where_they_are_after_the_question(monkeypatch):
 
 
 def test_a_replayed_rig_is_refused_before_it_is_opened(monkeypatch):
-    monkeypatch.setattr(command, "open_rig", lambda _: pytest.fail("opened"))
+    monkeypatch.setattr(command, "open_rig", lambda *_: pytest.fail("opened"))
     with pytest.raises(UsageError, match=r"slave\.rig\.type: a replayed rig has no motors"):
         command.check(arguments("--set", "slave.rig={type: replayed, file: x.csv}"), input)
 
 
 @pytest.mark.parametrize("words", [["--travel", "6"], ["--travel", "0"], ["--force", "nan"]])
 def test_a_move_that_is_not_small_is_refused_before_the_rig_is_opened(monkeypatch, words):
-    monkeypatch.setattr(command, "open_rig", lambda _: pytest.fail("opened"))
+    monkeypatch.setattr(command, "open_rig", lambda *_: pytest.fail("opened"))
     with pytest.raises(UsageError, match="must be above 0"):
         command.check(arguments(*words), input)
 
@@ -181,3 +211,23 @@ def test_without_its_library_a_driver_says_in_a_line_what_to_install(monkeypatch
     monkeypatch.setattr(configs, "importlib", argparse.Namespace(import_module=missing))
     with pytest.raises(DriverFault, match=r"'can': pip install 'tendon-teleop\[can\]'"):
         configs.open_driver(Cia402Config(), Channels((1,)))
+
+
+HARDWARE = (
+    "slave.rig={type: hardware, name: b, motors: {type: microcontroller, port: x}, joints: "
+    "[{tendons: [{motor: {id: 1, pulley_radius: 0.01, counts_per_turn: 4096}, "
+    "cell: {id: 1, scale: 1}}]}]}"
+)
+
+
+def test_a_scan_that_finds_nothing_fails(monkeypatch, capsys):
+    monkeypatch.setattr(configs, "scan", lambda _: iter(()))
+    assert cli.main(["rig", "scan", "--set", HARDWARE]) == 1
+    assert "rig: microcontroller: nothing answers" in capsys.readouterr().err
+
+
+def test_read_only_opens_the_rig_so_and_writes_nothing(monkeypatch):
+    rig, opened = Wired(), []
+    monkeypatch.setattr(command, "open_rig", lambda *words: opened.append(words) or rig)
+    assert command.check(arguments("--read-only"), lambda _: pytest.fail("asked")) == 0
+    assert (opened[0][1], rig.writes, rig.closed) == (True, [], True)

@@ -11,7 +11,7 @@ from slave.calibration import file
 from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs import open_rig
 from teleop.app import cli
-from teleop.config import load
+from teleop.config import as_tree, load
 from teleop.errors import UsageError
 
 FOLDER = Path(__file__).parents[2] / "configs"
@@ -27,6 +27,34 @@ def documented(name):
     text = (FOLDER / f"{name}.yaml").read_text()
     (line,) = re.findall(rf"^#   teleop calibrate --config configs/{name}\.yaml(.*)$", text, re.M)
     return shlex.split(re.sub(r"\s{2,}\w.*", "", line))  # what it is for stands beside it
+
+
+def leaves(tree, place=()):
+    """Yield the place and the value of each number and word in plain YAML values."""
+    if not isinstance(tree, dict | list):
+        yield place, tree
+        return
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree):
+        yield from leaves(value, (*place, str(key)))
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("arm", "rig.joints.1.body.stops.0", -0.003),
+        ("arm", "rig.joints.0.tendons.1.sheath.friction", 0.2),
+        ("two-arms", "rig.joints.1.tendons.0.sheath.friction", 0.3),
+        ("two-arms", "rig.joints.2.tendons.0.sheath.sections.1.radius", 0.5),
+        ("paper-joint", "rig.joints.0.tendons.1.sheath.axial_stiffness", 8000.0),
+    ],
+)
+def test_an_override_of_one_joint_or_tendon_changes_no_other(name, key, value):
+    path = FOLDER / f"{name}.yaml"
+    before = dict(leaves(as_tree(load(path, SlaveConfig, "slave"))))
+    changed = load(path, SlaveConfig, "slave", [f"slave.{key}={value}"])
+    place = tuple(key.split("."))
+    assert dict(leaves(as_tree(changed))) == before | {place: value}
+    assert before[place] != value
 
 
 def calibrate(name, out, options):

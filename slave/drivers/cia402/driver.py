@@ -10,7 +10,7 @@ import can
 import canopen
 import numpy as np
 
-from slave.drivers.cia402.buffered_port import BufferedPort
+from slave.drivers.cia402.bus import HEARTBEAT, SYNC, ClaimedBus, bus_fault, bus_name, open_bus
 from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
 from slave.drivers.cia402.set_up import NodeSetUp
@@ -24,7 +24,7 @@ from slave.drivers.cia402.state_machine import (
 )
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 
-SYNC, EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x80, 0x180, 0x280, 0x200, 0x700
+EMERGENCY, TPDO1, TPDO2, RPDO1 = 0x80, 0x180, 0x280, 0x200
 OPERATIONAL, BOOT_UP = 5, 0  # NMT states in a heartbeat
 ENABLE_S = 2.0  # [s] in which a drive must be enabled, its brake released
 EMERGENCY_S = 0.02  # [s] to wait for the reason of a fault
@@ -61,6 +61,7 @@ class Cia402Driver:
         self.period_s = 1.0 / config.rate_hz
         numbers = sorted({*channels.motors, *channels.cells})
         self._nodes = {n: _Node(n, n in channels.motors, n in channels.cells) for n in numbers}
+        self._opened: ClaimedBus | None = None
         self._bus: can.BusABC | None = None
         self._requested = RequestedState.OFF
         self._obeyed = False  # whether all drives were enabled
@@ -78,7 +79,8 @@ class Cia402Driver:
             self._load = self._config.require_load(len(motors), len(cells), len(motors & cells))
         except ValueError as error:
             raise DriverFault(f"{self._place}: {error}") from error
-        self._bus = open_bus(self._config)
+        self._opened = open_bus(self._config)
+        self._bus = self._opened.bus
         network = canopen.Network(self._bus)
         network.connect()
         try:
@@ -90,7 +92,7 @@ class Cia402Driver:
                 else:
                     set_up.cell()
         except can.CanError as error:
-            raise self._bus_fault(error) from error
+            raise bus_fault(self._config, error) from error
         finally:
             if network.notifier is not None:
                 network.notifier.stop()
@@ -133,7 +135,7 @@ class Cia402Driver:
         """
         self._requested, self._obeyed = RequestedState.STOP, False
 
-    def counts(self) -> dict[str, int | float]:
+    def counts(self) -> dict[str, int | float | str]:
         """Return the achieved rate, cycles without every answer, and the load of the bus."""
         span = self._sync_s - self._began_s
         rate = (self._cycles - self._lost) / span if span > 0.0 else 0.0
@@ -145,7 +147,7 @@ class Cia402Driver:
 
     def close(self) -> None:
         """Quick stop; without our heartbeat the drives do the same by themselves."""
-        if self._bus is None:
+        if self._opened is None:
             return
         with contextlib.suppress(DriverFault, can.CanError, OSError):
             self._requested = RequestedState.STOP
@@ -154,12 +156,12 @@ class Cia402Driver:
                 self._send(SYNC, b"")
                 self._collect(time.monotonic() + self.period_s)
         with contextlib.suppress(can.CanError, OSError):
-            self._bus.shutdown()
-        self._bus = None
+            self._opened.shutdown()
+        self._opened = self._bus = None
 
     @property
     def _place(self) -> str:
-        return f"CAN {self._config.bus.channel}"
+        return bus_name(self._config)
 
     def _operates(self) -> bool:
         """Return whether a drive still says that it is enabled, a cycle after a quick stop."""
@@ -296,7 +298,7 @@ class Cia402Driver:
         try:
             self._bus.send(message)
         except (can.CanError, OSError) as error:
-            raise self._bus_fault(error) from error
+            raise bus_fault(self._config, error) from error
 
     def _receive(self, timeout_s: float) -> can.Message | None:
         if self._bus is None:
@@ -304,22 +306,4 @@ class Cia402Driver:
         try:
             return self._bus.recv(timeout_s)
         except (can.CanError, OSError) as error:
-            raise self._bus_fault(error) from error
-
-    def _bus_fault(self, error: Exception) -> DriverFault:
-        return DriverFault(
-            f"{self._place}: {error}: adapter unplugged, bus off, or no drive on the bus"
-        )
-
-
-def open_bus(config: Cia402Config) -> can.BusABC:
-    """Open the CAN bus of a config; `DriverFault` if it cannot be."""
-    try:
-        bus = can.Bus(**config.bus.arguments())
-    except (can.CanError, OSError, ValueError) as error:
-        raise DriverFault(
-            f"CAN {config.bus.channel}: cannot be opened as {config.bus.interface}: {error}"
-        ) from error
-    if config.bus.interface == "slcan":
-        bus.serialPortOrig = BufferedPort(bus.serialPortOrig)  # type: ignore[attr-defined]
-    return bus
+            raise bus_fault(self._config, error) from error

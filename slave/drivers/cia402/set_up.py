@@ -16,9 +16,17 @@ HEARTBEAT_MS = 100  # of the nodes
 _MODES = {"position": (8, 7), "interpolation": (7, 6)}  # value of 6060, bit of 6502
 _OFF = 1 << 31  # of a PDO's identifier
 _NO_OBJECT = (0x06020000, 0x06090011)
+_POSITION_SETTINGS = (  # object, bits that must be 0, what they do
+    (0x607E, 0x80, "reversed positions"),
+    (0x60B0, 0xFFFFFFFF, "an offset of its targets"),
+)
 SYNCHRONOUS = 1  # transmission type: at every SYNC
 QUICK_STOP_AND_HOLD = 6  # of 605A
 QUICK_STOP_ON_LOSS = 3  # of 6007
+
+
+class NoAnswer(DriverFault):
+    """A node does not answer SDO requests."""
 
 
 class NodeSetUp:
@@ -38,7 +46,7 @@ class NodeSetUp:
 
     def drive(self, with_cell: bool) -> None:
         """Set up a drive; `DriverFault` if it refuses, is not homed or has a fault."""
-        self._require_drive()
+        self.require_drive()
         config = self._config
         mode, bit = _MODES[config.mode]
         if not self.get(0x6502, 0) >> bit & 1:
@@ -69,12 +77,12 @@ class NodeSetUp:
         self._map(0x1800, 0x180, [])
         self._map(0x1801, 0x280, [self._cell()])
 
-    def reset_fault(self) -> str:
-        """Reset a fault by the rising edge of its bit; return the state after it, in words."""
+    def reset_fault(self) -> DriveState:
+        """Reset a fault by the rising edge of its bit; return the state after it."""
         self.put(0x6040, 0, 2, Control.DISABLE_VOLTAGE, check=False)
         self.put(0x6040, 0, 2, Control.RESET_FAULT, check=False)
         self.put(0x6040, 0, 2, Control.DISABLE_VOLTAGE, check=False)
-        return drive_state(self.get(0x6041, 0)).text
+        return drive_state(self.get(0x6041, 0))
 
     def description(self) -> str:
         """Return name, profile and state, as far as the node tells."""
@@ -85,14 +93,23 @@ class NodeSetUp:
         state = f", {drive_state(self.get(0x6041, 0)).text}" if profile == 402 else ""
         return f"node {self._number}: {name or 'no name'}, profile {profile}{state}"
 
-    def get(self, index: int, subindex: int) -> int:
-        """Read an unsigned value; `DriverFault` if the node has none."""
+    def get(self, index: int, subindex: int, signed: bool = False) -> int:
+        """Read a value; `DriverFault` if the node has none."""
         try:
-            return int.from_bytes(self._sdo.upload(index, subindex), "little")
+            return int.from_bytes(self._sdo.upload(index, subindex), "little", signed=signed)
         except SdoAbortedError as error:
             raise self._fault(f"object {index:04X}:{subindex}: {error}") from error
         except SdoError as error:
-            raise self._fault(f"does not answer ({error})") from error
+            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
+
+    def _get_if_there(self, index: int) -> int:
+        """Read an unsigned value; 0 if the node has none."""
+        try:
+            return int.from_bytes(self._sdo.upload(index, 0), "little")
+        except SdoAbortedError:
+            return 0
+        except SdoError as error:
+            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
 
     def put(self, index: int, subindex: int, size: int, value: int, check: bool = True) -> None:
         """Write a value of `size` bytes and read it back; `DriverFault` if it is not taken."""
@@ -103,12 +120,13 @@ class NodeSetUp:
         except SdoAbortedError as error:
             raise self._fault(f"object {index:04X}:{subindex} = {value}: {error}") from error
         except SdoError as error:
-            raise self._fault(f"does not answer ({error})") from error
+            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
         if again[:size] != data:
             read = int.from_bytes(again[:size], "little", signed=value < 0)
             raise self._fault(f"object {index:04X}:{subindex}: set to {value}, reads back {read}")
 
-    def _require_drive(self) -> None:
+    def require_drive(self) -> None:
+        """Raise `DriverFault` if the node is no drive, has a fault or is not homed; read only."""
         if self.get(0x1000, 0) & 0xFFFF != 402:
             raise self._fault("is no CiA 402 drive (object 1000)")
         status = self.get(0x6041, 0)
@@ -121,6 +139,12 @@ class NodeSetUp:
                 f"is not homed (bit {bit} of its status word): home it by its own tool, or set "
                 "homed_bit to null if its encoder is absolute"
             )
+        for index, bits, text in _POSITION_SETTINGS:
+            value = self._get_if_there(index)
+            if value & bits:
+                raise self._fault(
+                    f"has {text} (object {index:04X} is 0x{value:X}): set it to 0 by its own tool"
+                )
 
     def _error_control(self) -> None:
         """Set up how the drive notices that this side is gone."""
@@ -150,7 +174,7 @@ class NodeSetUp:
                 return
             raise self._fault(f"object {index:04X}:1: {error}") from error
         except SdoError as error:
-            raise self._fault(f"does not answer ({error})") from error
+            raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
         self.put(index + 0x200, 0, 1, 0)
         if not objects:
             return

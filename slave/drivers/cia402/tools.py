@@ -1,48 +1,44 @@
 """What `teleop rig` does with CANopen nodes."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 
-import canopen
-
-from slave.drivers.cia402 import set_up
+from slave.drivers.cia402.bus import bus_name, opened_network
 from slave.drivers.cia402.config import Cia402Config
-from slave.drivers.cia402.driver import open_bus
-from slave.drivers.cia402.set_up import NodeSetUp
+from slave.drivers.cia402.set_up import NoAnswer, NodeSetUp
+from slave.drivers.cia402.state_machine import DriveState
 from slave.drivers.driver import DriverFault
 
 HIGHEST = 127  # node number
 ANSWER_S = 0.03  # [s] of a node to a question
 
 
-def scan(config: Cia402Config) -> list[str]:
-    """Ask every node number for its profile; return a line for each that answers."""
-    lines = []
-    with _network(config) as network:
+def scan(config: Cia402Config) -> Iterator[str]:
+    """Ask every node number for its profile; yield a line for each that answers."""
+    with opened_network(config) as network:
         for number in range(1, HIGHEST + 1):
             node = NodeSetUp(network, number, config, ANSWER_S)
             try:
-                lines.append(node.description())
-            except DriverFault:
+                line = node.description()
+            except NoAnswer:
                 continue
-    return lines
+            except DriverFault as fault:
+                line = str(fault)
+            yield line
 
 
-def reset(config: Cia402Config, motors: tuple[int, ...]) -> list[str]:
-    """Reset the drives' faults; return the state of each after it."""
-    with _network(config) as network:
-        return [
-            f"drive {number}: "
-            f"{NodeSetUp(network, number, config, set_up.SDO_TIMEOUT_S).reset_fault()}"
-            for number in motors
-        ]
-
-
-@contextmanager
-def _network(config: Cia402Config) -> Iterator[canopen.Network]:
-    network = canopen.Network(open_bus(config))
-    network.connect()
-    try:
-        yield network
-    finally:
-        network.disconnect()
+def reset(config: Cia402Config, motors: tuple[int, ...]) -> Iterator[str]:
+    """Reset the drives' faults; yield the state of each after it."""
+    failed = []
+    with opened_network(config) as network:
+        for number in motors:
+            try:
+                state = NodeSetUp(network, number, config).reset_fault()
+            except NoAnswer as error:
+                failed.append(str(error))
+                continue
+            if state is DriveState.FAULT:
+                failed.append(f"drive {number} has its fault still")
+            else:
+                yield f"drive {number}: {state.text}"
+    if failed:
+        raise DriverFault(f"{bus_name(config)}: not reset: {', '.join(failed)}")

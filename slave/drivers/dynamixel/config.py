@@ -26,6 +26,8 @@ class DynamixelConfig:
         """Check the values; raises `ValueError`."""
         if not self.port:
             raise ValueError("port: must not be empty")
+        if not 9600 <= self.baud <= 20_000_000:
+            raise ValueError("baud: must be 9600 to 20000000")
         if not 20.0 <= self.rate_hz <= 1000.0:
             raise ValueError("rate_hz: must be 20 to 1000 Hz")
         if self.watchdog not in (0.020, 0.040):
@@ -36,6 +38,8 @@ class DynamixelConfig:
             raise ValueError("wait: must be 0.001 to 0.02 s")
         if not 0.0 < self.voltage[0] < self.voltage[1] <= 60.0:
             raise ValueError("voltage: must be two voltages, the lower first")
+        if not 9600 <= self.baud <= 20_000_000:
+            raise ValueError("baud: must be 9600 to 20000000")
         if not 20.0 <= self.temperature_max <= 100.0:
             raise ValueError("temperature_max: must be 20 to 100 deg C")
         if self.current_limit is not None and not 0.01 <= self.current_limit <= 20.0:

@@ -3,6 +3,7 @@
 import select
 import time
 
+import serial
 from dynamixel_sdk import PortHandler
 from dynamixel_sdk.robotis_def import (
     COMM_RX_CORRUPT,
@@ -32,6 +33,11 @@ class WaitingPort(PortHandler):  # type: ignore[misc] # the SDK has no types
     def __init__(self, name: str, wait_s: float) -> None:
         super().__init__(name)
         self._wait_ms = wait_s * 1e3
+
+    def take(self, port: serial.Serial) -> None:
+        """Use a port that is open; the SDK's own opens few baud rates, and for everybody."""
+        self.ser, self.baudrate, self.is_open = port, port.baudrate, True
+        self.tx_time_per_byte = 10.0 * 1e3 / port.baudrate  # [ms]
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802 - the SDK's name
         """Begin to wait for an answer of so many bytes."""

@@ -20,30 +20,50 @@ class Register(NamedTuple):
     address: int
     size: int  # [B]
 
+    def pack(self, value: int) -> bytes:
+        """Return the bytes of a value, which may be negative."""
+        return (value % (1 << (8 * self.size))).to_bytes(self.size, "little")
+
 
 MODEL = Register("Model Number", 0, 2)
 BAUD_RATE = Register("Baud Rate", 8, 1)
 RETURN_DELAY = Register("Return Delay Time", 9, 1)  # [2 us]
+DRIVE_MODE = Register("Drive Mode", 10, 1)
 OPERATING_MODE = Register("Operating Mode", 11, 1)
+SECONDARY_ID = Register("Secondary ID", 12, 1)
+HOMING_OFFSET = Register("Homing Offset", 20, 4)
+PWM_LIMIT = Register("PWM Limit", 36, 2)
 CURRENT_LIMIT = Register("Current Limit", 38, 2)  # [2.69 mA]
 TORQUE_ENABLE = Register("Torque Enable", 64, 1)
 STATUS_RETURN = Register("Status Return Level", 68, 1)
 HARDWARE_ERROR = Register("Hardware Error Status", 70, 1)
 BUS_WATCHDOG = Register("Bus Watchdog", 98, 1)  # [20 ms]; 255 after it has triggered
+GOAL_PWM = Register("Goal PWM", 100, 2)  # the most that any mode uses
+PROFILE_ACCELERATION = Register("Profile Acceleration", 108, 4)
 PROFILE_VELOCITY = Register("Profile Velocity", 112, 4)  # [0.229 rev/min]
 GOAL_POSITION = Register("Goal Position", 116, 4)
 PRESENT_CURRENT = Register("Present Current", 126, 2)
 PRESENT_POSITION = Register("Present Position", 132, 4)
 INPUT_VOLTAGE = Register("Present Input Voltage", 144, 2)  # [0.1 V]
 TEMPERATURE = Register("Present Temperature", 146, 1)  # [deg C]
-INDIRECT_ADDRESS = 168  # of the first, two bytes each
 INDIRECT_DATA = 224  # of the first
 
 EXTENDED_POSITION = 4  # operating mode: several turns
 WATCHDOG_TRIGGERED = 255
 CURRENT_UNIT = 2.69e-3  # [A]
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # [rad/s]
-BAUD_CODES = {57600: 1, 115200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}
+REVERSE = 1  # bit of the drive mode; the others are time-based profile, torque on by goal update
+ANSWERS_ALL = 2  # status return level
+BAUD_RATES = (57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+
+SETTINGS = (
+    (STATUS_RETURN, ANSWERS_ALL),
+    (SECONDARY_ID, 255),  # none: else it follows the goals of another servo
+    (DRIVE_MODE, 0),
+    (OPERATING_MODE, EXTENDED_POSITION),
+    (PROFILE_ACCELERATION, 0),  # none
+)
+"""What decides how a servo moves and answers, set before its torque."""
 
 STATUS = (
     PRESENT_POSITION,
@@ -70,6 +90,7 @@ STATUS_DTYPE = np.dtype(
     ]
 )
 STATUS_SIZE = STATUS_DTYPE.itemsize
+INDIRECT_ADDRESSES = Register("Indirect Address", 168, 2 * STATUS_SIZE)
 
 
 class HardwareError(IntFlag):
@@ -91,9 +112,10 @@ ERROR_TEXT = {
 }
 
 
-def indirect_addresses() -> list[int]:
-    """Return the address behind each byte of `STATUS`, for the indirect address registers."""
-    return [register.address + k for register in STATUS for k in range(register.size)]
+def indirect_addresses() -> int:
+    """Return the addresses behind the bytes of `STATUS`, two bytes each, as one value."""
+    addresses = [register.address + k for register in STATUS for k in range(register.size)]
+    return int.from_bytes(np.array(addresses, "<u2").tobytes(), "little")
 
 
 def parse_status(data: bytes) -> Status:

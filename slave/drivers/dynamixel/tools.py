@@ -1,59 +1,74 @@
 """What `teleop rig` does with Dynamixel servos."""
 
 import time
+from collections.abc import Iterator
+from functools import partial
 
-import serial
-from dynamixel_sdk import PacketHandler
+from dynamixel_sdk.robotis_def import COMM_RX_CORRUPT
 
 from slave.drivers.driver import DriverFault
 from slave.drivers.dynamixel import registers
+from slave.drivers.dynamixel.bus import ServoBus
 from slave.drivers.dynamixel.config import DynamixelConfig
-from slave.drivers.dynamixel.port import WaitingPort, result_text
+from slave.drivers.dynamixel.port import result_text
 
 HIGHEST = 252  # id of a servo
-PING_S = 0.003  # [s] to wait for the answer to a ping
+ANSWER_S = 0.03  # [s] to wait for an answer; FTDI adapters hand bytes over every 16 ms by default
 REBOOT_S = 0.5  # [s]
 
 
-def scan(config: DynamixelConfig) -> list[str]:
-    """Ping every id at each baud rate; return a line for each servo."""
-    lines = []
-    packets = PacketHandler(2.0)
-    for baud in sorted({config.baud, *registers.BAUD_CODES}):
-        port = _opened(config, baud, PING_S)
+def scan(config: DynamixelConfig) -> Iterator[str]:
+    """Ask all servos to answer, at each baud rate; yield a line for each that does."""
+    bus = ServoBus(config.port, ANSWER_S)
+    others = [baud for baud in registers.BAUD_RATES if baud != config.baud]
+    for baud in (config.baud, *others):
         try:
-            for number in range(HIGHEST + 1):
-                model, result, error = packets.ping(port, number)
-                if result_text(result):
-                    continue
-                other = "" if baud == config.baud else f"; the config says {config.baud}"
-                alert = "; reports a hardware error" * bool(error & 0x80)
-                lines.append(f"servo {number}: model {model} at {baud} baud{other}{alert}")
+            bus.open(baud)
+        except DriverFault:
+            if baud == config.baud:
+                raise
+            continue  # adapters do not have every rate
+        try:
+            yield from bus.call(partial(_scan, bus, config))
         finally:
-            port.closePort()
-    return lines
+            bus.close()
 
 
-def reset(config: DynamixelConfig, motors: tuple[int, ...]) -> list[str]:
+def reset(config: DynamixelConfig, motors: tuple[int, ...]) -> Iterator[str]:
     """Reboot the servos, which clears their hardware errors; torque is off after it."""
-    lines = []
-    packets = PacketHandler(2.0)
-    port = _opened(config, config.baud, config.wait)
+    failed = []
+    bus = ServoBus(config.port, ANSWER_S)
+    bus.open(config.baud)
     try:
         for number in motors:
-            result, _ = packets.reboot(port, number)
-            lines.append(f"servo {number}: {result_text(result) or 'restarted'}")
+            result, _ = bus.call(partial(bus.packets.reboot, bus.port, number))
+            if text := result_text(result):
+                failed.append(f"servo {number}: {text}")
+            else:
+                yield f"servo {number}: restarted"
         time.sleep(REBOOT_S)
     finally:
-        port.closePort()
+        bus.close()
+    if failed:
+        raise DriverFault(f"{config.port}: not reset: {', '.join(failed)}")
+
+
+def _scan(bus: ServoBus, config: DynamixelConfig) -> list[str]:
+    """Return a line for each servo at the present baud rate, and one for damaged answers."""
+    baud = bus.port.baudrate
+    other = "" if baud == config.baud else f"; the config says {config.baud}"
+    if slow := bus.slow_adapter():
+        other += f"; {slow}"
+    models, result = bus.packets.broadcastPing(bus.port)
+    lines = []
+    for number in sorted(models):
+        model, _, error = bus.packets.ping(bus.port, number)
+        alert = "; reports a hardware error" * bool(error & 0x80)
+        lines.append(f"servo {number}: model {model} at {baud} baud{other}{alert}")
+    if result == COMM_RX_CORRUPT:
+        lines += [
+            f"servo {number}: damaged answers at {baud} baud: two servos of one id?"
+            for number in range(HIGHEST + 1)
+            if bus.packets.ping(bus.port, number)[1] == COMM_RX_CORRUPT
+        ]
     return lines
-
-
-def _opened(config: DynamixelConfig, baud: int, wait_s: float) -> WaitingPort:
-    port = WaitingPort(config.port, wait_s)
-    port.baudrate = baud
-    try:
-        port.openPort()
-    except (serial.SerialException, OSError) as error:
-        raise DriverFault(f"{config.port}: cannot be opened: {error}") from error
-    return port

@@ -1,9 +1,11 @@
 """The driver of a microcontroller: takes its states as they come, answers each with the targets."""
 
 import math
+import socket
 import time
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 import serial
@@ -13,6 +15,7 @@ from slave.drivers.driver import Channels, Counts, DriverFault, Reading
 from slave.drivers.microcontroller import frames
 from slave.drivers.microcontroller.config import MicrocontrollerConfig
 from slave.drivers.microcontroller.frames import Flags, Frame, FrameReader, Info, Kind, State
+from slave.drivers.serial_port import error_text, open_serial
 
 HELLO_S = 0.2  # [s] between two greetings; a board that was just opened may reset itself
 GREETING_S = 6.0  # [s] within which it must answer
@@ -36,6 +39,7 @@ class MicrocontrollerDriver:
         self._reader = FrameReader()
         self._clock = ClockMap()
         self._port: serial.Serial | None = None
+        self._claim: socket.socket | None = None
         self._info: Info | None = None
         self._sequence = self._states = 0
         self._heard_s = self._wanted_s = math.inf
@@ -47,12 +51,9 @@ class MicrocontrollerDriver:
     def start(self) -> None:
         """Open the port, greet the board, check what it has; its motors are disabled."""
         config = self._config
-        try:
-            self._port = serial.Serial(
-                config.port, config.baud, timeout=WAIT_S, write_timeout=0.1, exclusive=True
-            )
-        except (serial.SerialException, OSError, ValueError) as error:
-            raise DriverFault(f"{config.port}: cannot be opened: {_reason(error)}") from error
+        self._port, self._claim = open_serial(
+            config.port, config.baud, timeout=WAIT_S, write_timeout=0.1
+        )
         self._info = info = self._greet()
         for name, wanted, count in (
             ("motor", self._channels.motors, info.motors),
@@ -98,7 +99,7 @@ class MicrocontrollerDriver:
         self._enable = self._obeyed = False
         self._send(Kind.STOP)
 
-    def counts(self) -> dict[str, int | float]:
+    def counts(self) -> dict[str, int | float | str]:
         """Return frames, damaged and lost frames, and the rate."""
         span = self._heard_s - self._began_s if self._states else 0.0
         return {
@@ -109,14 +110,13 @@ class MicrocontrollerDriver:
 
     def close(self) -> None:
         """Switch the motors off."""
-        if self._port is None:
+        if self._port is None or self._claim is None:
             return
-        try:
-            if self._channels.motors:
-                self._port.write(self._frame(Kind.STOP))
+        with suppress(DriverFault, serial.SerialException, OSError):  # it is unplugged: its
+            if self._channels.motors:  # watchdog stops the motors
+                self._send(Kind.STOP)
             self._port.close()
-        except (serial.SerialException, OSError):
-            pass  # it is unplugged: its watchdog stops the motors
+        self._claim.close()
         self._port = None
 
     @property
@@ -146,7 +146,7 @@ class MicrocontrollerDriver:
         try:
             data = self._port.read(self._port.in_waiting or 1)
         except (serial.SerialException, OSError) as error:
-            raise DriverFault(f"{self._config.port}: unplugged ({_reason(error)})") from error
+            raise DriverFault(f"{self._config.port}: unplugged ({error_text(error)})") from error
         return self._reader.feed(data)
 
     def _parse(self, frame: Frame) -> State:
@@ -219,7 +219,7 @@ class MicrocontrollerDriver:
         try:
             self._port.write(self._frame(kind, body))
         except (serial.SerialException, OSError) as error:
-            raise DriverFault(f"{self._config.port}: unplugged ({_reason(error)})") from error
+            raise DriverFault(f"{self._config.port}: unplugged ({error_text(error)})") from error
 
     def _frame(self, kind: Kind, body: bytes = b"") -> bytes:
         self._sequence += 1
@@ -230,9 +230,3 @@ def _selected(values: tuple[int, ...], numbers: tuple[int, ...]) -> Counts:
     """Return the values of the channels in use; NaN if the board could not read one."""
     known = {k: float(v) for k, v in enumerate(values, 1) if v != frames.MISSING}
     return np.array([known.get(number, math.nan) for number in numbers])
-
-
-def _reason(error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    strerror = getattr(error, "strerror", None)
-    return strerror or (str(error) if number is None else f"error {number}")

@@ -1,6 +1,7 @@
 """A serial line with a model at its far end."""
 
 import errno
+import fcntl
 import os
 import select
 import termios
@@ -47,6 +48,8 @@ class PseudoPort:
         if not self._plugged:
             time.sleep(wait_s)
             return b""
+        # the last close of a real port ends its exclusive mode; here the near end stays open
+        fcntl.ioctl(self._near, termios.TIOCNXCL)
         try:
             if wait_s > 0.0:
                 select.select([self._far], [], [], wait_s)

@@ -21,6 +21,8 @@ DATA_RANGE, ACCESS, ALERT = 4, 7, 0x80
 TORQUE, ERROR, WATCHDOG, GOAL, CURRENT, POSITION, VOLTAGE, TEMPERATURE = (
     64, 70, 98, 116, 126, 132, 144, 146,
 )  # fmt: skip
+DRIVE_MODE, SECONDARY_ID, HOMING_OFFSET, STATUS_RETURN, ACCELERATION = 10, 12, 20, 68, 108
+REVERSE, TIME_BASED, TORQUE_BY_GOAL = 1, 4, 8  # of the drive mode
 WATCHDOG_UNIT_S = 0.020
 ROUND_S = 0.0005  # [s] between two looks at the plant
 
@@ -54,6 +56,8 @@ class Servo:
         self.put(GOAL, 4, 777_777)  # an old one, far away
         self.put(VOLTAGE, 2, 120)
         self.put(TEMPERATURE, 1, 35)
+        self.put(SECONDARY_ID, 1, 255)
+        self.put(STATUS_RETURN, 1, 2)
         self.heard_s = 0.0
 
     def put(self, address: int, size: int, value: int) -> None:
@@ -77,6 +81,8 @@ class Servo:
             return DATA_RANGE
         for k, byte in enumerate(data):
             self.table[self.where(address + k)] = byte
+        if address == GOAL and self.table[DRIVE_MODE] & TORQUE_BY_GOAL:
+            self.table[TORQUE] = 1
         return 0
 
     @property
@@ -95,6 +101,8 @@ class Servos:
         Answers to swallow, or to send with a wrong byte.
     stopped_s : float
         When a watchdog has triggered last, on the monotonic clock.
+    kinds : set of int
+        Instructions that were received.
     """
 
     def __init__(self, numbers=(1,), plant=None, patience: float = 10.0, link=None) -> None:
@@ -106,8 +114,10 @@ class Servos:
         self.damage = 0
         self.stopped_s = 0.0
         self.instructions = 0
+        self.kinds = set()
         self.ended = False
         self._received = b""
+        self._answers_from = 0  # status return level from which the instruction is answered
         self._start_s = time.monotonic()
 
     def serve(self) -> None:
@@ -165,6 +175,8 @@ class Servos:
     def _obey(self, packet: bytes, now: float) -> None:
         number, instruction, body = packet[0], packet[1], packet[2:]
         self.instructions += 1
+        self.kinds.add(instruction)
+        self._answers_from = {PING: 0, READ: 1, SYNC_READ: 1}.get(instruction, 2)
         if instruction == SYNC_READ:
             address, size = struct.unpack_from("<HH", body)
             for one in body[4:]:
@@ -202,6 +214,8 @@ class Servos:
             self._answer(number, b"")
 
     def _answer(self, number: int, data: bytes, error: int = 0) -> None:
+        if self.servos[number].table[STATUS_RETURN] < self._answers_from:
+            return
         if self.lose > 0:
             self.lose -= 1
             return

@@ -1,0 +1,156 @@
+"""The CAN bus of CiA 402 drives: opened by one process of this machine, and one controller."""
+
+import errno
+import logging
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import NamedTuple
+
+import can
+import canopen
+
+from slave.drivers.cia402.buffered_port import BufferedPort
+from slave.drivers.cia402.config import Cia402Config
+from slave.drivers.claim import claim_bus, claim_port
+from slave.drivers.driver import DriverFault
+
+SYNC, HEARTBEAT = 0x80, 0x700
+NMT, SDO = 0x000, 0x600  # commands to nodes, requests to them
+LISTEN_S = 0.15  # [s] for another controller, which sends SYNC at 10 Hz at least
+QUEUE_S = 0.010  # [s] in which a queue of frames must have room; our watchdog is 40 ms
+RETRY_S = 0.0002
+
+Send = Callable[..., None]
+
+
+class ClaimedBus(NamedTuple):
+    """An open bus, and the claim that is held with it."""
+
+    bus: can.BusABC
+    claim: socket.socket
+
+    def shutdown(self) -> None:
+        """Close the bus and release its claim."""
+        try:
+            self.bus.shutdown()
+        finally:
+            self.claim.close()
+
+
+def open_bus(config: Cia402Config) -> ClaimedBus:
+    """Open the CAN bus of a config, and listen for other controllers on it.
+
+    Raises
+    ------
+    DriverFault
+        It cannot be opened, another program of this machine uses it, or another controller does.
+    """
+    place = bus_name(config)
+    interface, channel = config.bus.interface, config.bus.channel
+    logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are raised, too
+    is_serial = interface == "slcan"
+    claim = claim_port(channel) if is_serial else claim_bus(place, f"{interface} {channel}")
+    try:
+        bus = can.Bus(**config.bus.arguments())
+        if is_serial:
+            port = bus.serialPortOrig  # type: ignore[attr-defined]
+            port.exclusive = True
+            bus.serialPortOrig = BufferedPort(port)  # type: ignore[attr-defined]
+    except (can.CanError, OSError, ValueError) as error:
+        claim.close()
+        raise DriverFault(f"{place}: cannot be opened as {interface}: {error}") from error
+    bus.send = retry_full_queue(bus.send)  # type: ignore[method-assign]
+    opened = ClaimedBus(bus, claim)
+    try:
+        require_alone(bus, config)
+    except (can.CanError, OSError) as error:
+        opened.shutdown()
+        raise bus_fault(config, error) from error
+    except DriverFault:
+        opened.shutdown()
+        raise
+    return opened
+
+
+@contextmanager
+def opened_network(config: Cia402Config) -> Iterator[canopen.Network]:
+    """Open the bus for SDO requests; errors of the bus in the context are a `DriverFault`."""
+    opened = open_bus(config)
+    network = canopen.Network(opened.bus)
+    network.connect()
+    try:
+        yield network
+    except (can.CanError, OSError) as error:
+        raise bus_fault(config, error) from error
+    finally:
+        with suppress(can.CanError, OSError):
+            network.disconnect()
+        opened.claim.close()
+
+
+def bus_name(config: Cia402Config) -> str:
+    """Return the name of the bus in messages."""
+    return f"CAN {config.bus.channel}"
+
+
+def bus_fault(config: Cia402Config, error: Exception) -> DriverFault:
+    """Return an error of the bus in words."""
+    place = bus_name(config)
+    if is_queue_full(error):
+        return DriverFault(
+            f"{place}: no node acknowledges frames, the send queue is full: are the drives powered,"
+            f" bit rate and termination right? (`ip -details link show {config.bus.channel}`)"
+        )
+    return DriverFault(f"{place}: {error}: adapter unplugged, bus off, or no drive on the bus")
+
+
+def is_queue_full(error: Exception) -> bool:
+    """Return whether a frame was refused only because others still wait to be sent."""
+    code = getattr(error, "error_code", None) or getattr(error, "errno", None)
+    return code == errno.ENOBUFS
+
+
+def retry_full_queue(send: Send) -> Send:
+    """Return a `send` of python-can that waits up to `QUEUE_S` while the queue is full."""
+
+    def send_in_time(message: can.Message, timeout: float | None = None) -> None:
+        until_s = time.monotonic() + QUEUE_S
+        while True:
+            try:
+                return send(message, timeout)
+            except (can.CanError, OSError) as error:
+                if not is_queue_full(error) or time.monotonic() > until_s:
+                    raise
+            time.sleep(RETRY_S)
+
+    return send_in_time
+
+
+def require_alone(bus: can.BusABC, config: Cia402Config) -> None:
+    """Listen for a moment; `DriverFault` if another controller speaks to the nodes."""
+    until_s = time.monotonic() + LISTEN_S
+    while (left_s := until_s - time.monotonic()) > 0.0:
+        message = bus.recv(left_s)
+        if message is not None and (text := controller_text(message, config.master)):
+            raise DriverFault(
+                f"{bus_name(config)}: another controller is on the bus ({text} was received): "
+                "end it first; nothing was sent"
+            )
+
+
+def controller_text(message: can.Message, master: int) -> str:
+    """Return what a frame is that only a controller sends; empty for any other."""
+    if message.is_error_frame or message.is_extended_id:
+        return ""
+    identifier = message.arbitration_id
+    if identifier == NMT:
+        return "a command to nodes"
+    if identifier == SYNC:
+        return "SYNC"
+    if identifier & 0x780 == HEARTBEAT and message.is_remote_frame:
+        return "node guarding"
+    if identifier == HEARTBEAT + master:
+        return f"the heartbeat of node {master}, our number"
+    return "an SDO request" if identifier & 0x780 == SDO else ""

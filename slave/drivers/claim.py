@@ -1,0 +1,82 @@
+"""Exclusive use of a bus: one process of this machine at a time, and which one it is.
+
+A second program on a bus would take the torque off the motors of the first. The claim is a Unix
+socket in the abstract namespace of Linux: the kernel releases it with its process, and tells the
+process that holds it. That namespace is part of the network namespace, as CAN interfaces are.
+"""
+
+import contextlib
+import os
+import socket
+import struct
+import sys
+from pathlib import Path
+
+from slave.drivers.driver import DriverFault
+
+_WORKER = "slave.drivers.worker"
+_CREDENTIALS = struct.Struct("3i")  # process, user and group of SO_PEERCRED
+_TOLD = 4096  # processes that may ask for the holder; later ones are not told who it is
+
+
+def claim_bus(place: str, key: str) -> socket.socket:
+    """Return the claim of a bus, held until it is closed.
+
+    Parameters
+    ----------
+    place : str
+        Name of the bus in messages.
+    key : str
+        The same in every process that uses this bus.
+
+    Raises
+    ------
+    DriverFault
+        Another process has it; the message names the process.
+    """
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    if not sys.platform.startswith("linux"):
+        return claim
+    try:
+        claim.bind(f"\0teleop-bus {key}")
+        claim.listen(_TOLD)
+    except OSError as error:
+        with claim:
+            raise DriverFault(f"{place}: in use by {_holder(claim, key)}: end it first") from error
+    return claim
+
+
+def claim_port(path: str) -> socket.socket:
+    """Return the claim of a serial port; `DriverFault` if it is in use or does not exist."""
+    try:
+        device = os.stat(path).st_rdev
+    except OSError as error:
+        raise DriverFault(f"{path}: cannot be opened: {error.strerror}") from error
+    return claim_bus(path, f"serial {os.major(device)}:{os.minor(device)}")
+
+
+def _holder(asking: socket.socket, key: str) -> str:
+    """Return the process that holds a claim, in words."""
+    try:
+        asking.setblocking(False)
+        asking.connect(f"\0teleop-bus {key}")
+        told = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    except OSError:
+        return "another program"
+    number = _CREDENTIALS.unpack(told)[0]
+    words = _command(number)
+    if _WORKER in words:
+        with contextlib.suppress(OSError):
+            status = Path(f"/proc/{number}/stat").read_text()
+            number = int(status.rpartition(")")[2].split()[1])  # of the program that started it
+            words = _command(number)
+    command = " ".join(words[words.index("-m") + 1 :] if "-m" in words else words)
+    return f"process {number} ({command[:60]})"
+
+
+def _command(number: int) -> list[str]:
+    """Return the words of a process's command; empty if it is hidden or has ended."""
+    with contextlib.suppress(OSError):
+        data = Path(f"/proc/{number}/cmdline").read_bytes()
+        return data.decode(errors="replace").rstrip("\0").split("\0")
+    return []

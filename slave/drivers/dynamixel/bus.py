@@ -1,0 +1,168 @@
+"""A bus of Dynamixel servos: one register at a time, by the vendor's SDK."""
+
+import contextlib
+import socket
+import termios
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import serial
+from dynamixel_sdk import PacketHandler
+
+from slave.drivers.driver import DriverFault
+from slave.drivers.dynamixel import registers
+from slave.drivers.dynamixel.port import WaitingPort, result_text
+from slave.drivers.dynamixel.registers import Register
+from slave.drivers.serial_port import open_serial
+
+Result = TypeVar("Result")
+
+TRIES = 5  # of a single register
+LATE_S = 0.03  # [s] after a failure: a late answer would be taken for that of the next register
+LATENCY_MAX_MS = 2
+_LATENCY = "/sys/class/tty/{}/device/latency_timer"  # [ms] of FTDI adapters
+
+
+class ServoBus:
+    """The servos on one adapter; `DriverFault` for whatever goes wrong.
+
+    Parameters
+    ----------
+    path : str
+        Device file of the adapter.
+    wait_s : float
+        Time to wait for an answer [s], beyond its bytes' own time on the line.
+    """
+
+    def __init__(self, path: str, wait_s: float) -> None:
+        self.path = path
+        self.port = WaitingPort(path, wait_s)
+        self.packets = PacketHandler(2.0)
+        self._claim: socket.socket | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._claim is not None
+
+    def open(self, baud: int) -> None:
+        """Open the port, for this process alone, at any baud rate that the adapter has."""
+        opened, self._claim = open_serial(self.path, baud, timeout=0)
+        self.port.take(opened)
+
+    def close(self) -> None:
+        """Release the port; never raises."""
+        if self._claim is None:
+            return
+        with contextlib.suppress(serial.SerialException, OSError):
+            self.port.closePort()
+        self._claim.close()
+        self._claim = None
+
+    def call(self, action: Callable[[], Result]) -> Result:
+        """Call with the errors of an unplugged adapter as a `DriverFault`."""
+        try:
+            return action()
+        except (serial.SerialException, termios.error, OSError) as error:
+            raise DriverFault(f"{self.path}: unplugged ({error})") from error
+
+    def ping(self, number: int) -> int:
+        """Return the model of a servo; `DriverFault` if it does not answer."""
+        text = ""
+        for _ in range(TRIES):
+            model, result, _ = self.packets.ping(self.port, number)
+            text = result_text(result)
+            if not text:
+                return int(model)
+            time.sleep(LATE_S)
+        raise DriverFault(
+            f"{self.path}: servo {number}: {text} at {self.port.baudrate} baud; "
+            f"{self.slow_adapter() or '`teleop rig scan` lists what is there'}"
+        )
+
+    def require_healthy(self, number: int, model: int) -> None:
+        """Raise `DriverFault` if a servo has a hardware error."""
+        error = self.get(number, registers.HARDWARE_ERROR)
+        if error:
+            raise DriverFault(
+                f"servo {number} (model {model}): hardware error: {registers.error_text(error)}; "
+                "remove the cause, then `teleop rig reset`"
+            )
+
+    def require_counts(self, number: int) -> None:
+        """Raise `DriverFault` if the servo counts positions otherwise than the config means.
+
+        These are not set by a driver: `zero` and `direction` in the config would silently mean
+        another place.
+        """
+        offset = self.get(number, registers.HOMING_OFFSET)
+        if offset:
+            offset -= (offset >> 31) << 32
+            raise DriverFault(
+                f"servo {number}: {registers.HOMING_OFFSET.name} is {offset} counts, must be 0: "
+                "set it by the Dynamixel Wizard, then read `zero` anew"
+            )
+        if self.get(number, registers.DRIVE_MODE) & registers.REVERSE:
+            raise DriverFault(
+                f"servo {number}: {registers.DRIVE_MODE.name} is reverse, must be normal: set it "
+                "by the Dynamixel Wizard, then use `direction: -1` where it is needed"
+            )
+
+    def other_settings(self, number: int) -> list[tuple[Register, int, int]]:
+        """Return the registers left by other programs that a driver sets: what is there, and to."""
+        found = [
+            (register, self.get(number, register), value) for register, value in registers.SETTINGS
+        ]
+        return [entry for entry in found if entry[1] != entry[2]]
+
+    def get(self, number: int, register: Register) -> int:
+        """Read a register, unsigned."""
+        text = ""
+        for _ in range(TRIES):
+            data, result, _ = self.packets.readTxRx(
+                self.port, number, register.address, register.size
+            )
+            text = result_text(result)
+            if not text and len(data) == register.size:
+                return int.from_bytes(bytes(data), "little")
+            time.sleep(LATE_S)
+        raise DriverFault(f"servo {number}: {register.name}: {text}")
+
+    def put(self, number: int, register: Register, value: int) -> None:
+        """Write a register and read it back; `DriverFault` if the servo does not take the value."""
+        text = ""
+        data = register.pack(value)
+        for _ in range(TRIES):
+            result, error = self.packets.writeTxRx(
+                self.port, number, register.address, register.size, data
+            )
+            text = result_text(result)
+            if not text and error & 0x7F:
+                text = f"refused: {self.packets.getRxPacketError(error & 0x7F)}"
+            if not text and self.get(number, register) != int.from_bytes(data, "little"):
+                text = "reads back another value than was written"
+            if not text:
+                return
+            time.sleep(LATE_S)
+        raise DriverFault(f"servo {number}: {register.name}: {text}")
+
+    def put_unconfirmed(self, number: int, register: Register, value: int) -> None:
+        """Write a register of a servo that may have been told to answer no write."""
+        result, _ = self.packets.writeTxRx(
+            self.port, number, register.address, register.size, register.pack(value)
+        )
+        if result_text(result):
+            time.sleep(LATE_S)
+
+    def slow_adapter(self) -> str:
+        """Return what to do about the adapter's latency timer; empty if it is short or unknown."""
+        file = Path(_LATENCY.format(Path(self.path).resolve().name))
+        try:
+            latency_ms = int(file.read_text())
+        except (OSError, ValueError):
+            return ""
+        if latency_ms <= LATENCY_MAX_MS:
+            return ""
+        return f"the adapter's latency timer is {latency_ms} ms, set it to 1 (docs/hardware.md)"

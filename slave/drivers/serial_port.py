@@ -1,0 +1,39 @@
+"""Serial ports that this process alone has."""
+
+import errno
+import fcntl
+import os
+import socket
+import termios
+from typing import Any
+
+import serial
+
+from slave.drivers.claim import claim_port
+from slave.drivers.driver import DriverFault
+
+
+def open_serial(path: str, baud: int, **settings: Any) -> tuple[serial.Serial, socket.socket]:
+    """Return a serial port that no other program can open or lock, and its claim.
+
+    Raises
+    ------
+    DriverFault
+        It is in use, does not exist, or has no such baud rate.
+    """
+    claim = claim_port(path)
+    try:
+        port = serial.Serial(path, baud, exclusive=True, **settings)
+        fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
+    except (serial.SerialException, OSError, ValueError) as error:
+        claim.close()
+        raise DriverFault(f"{path}: cannot be opened: {error_text(error)}") from error
+    return port, claim
+
+
+def error_text(error: Exception) -> str:
+    """Return what the system says of an error, without the path that pyserial repeats."""
+    number = getattr(error, "errno", None)
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return "in use by another program: end it first"
+    return os.strerror(number) if number else str(error)
