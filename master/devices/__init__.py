@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from master.device import Device, DeviceFault
+from master.devices.checked import CheckedDevice
 from master.devices.combined import CombinedConfig, CombinedDevice
 from master.devices.extension import DeviceExtension
 from master.devices.hid.config import HidConfig
@@ -25,7 +26,9 @@ def open_combined(config: CombinedConfig) -> Device:
 
 
 def _open(config: DeviceConfig) -> Device:
-    return config.open() if isinstance(config, DeviceExtension) else DEVICES[type(config)](config)
+    if isinstance(config, DeviceExtension):
+        return CheckedDevice(config.open(), config.type)
+    return DEVICES[type(config)](config)
 
 
 DEVICES: dict[type, Callable[[Any], Device]] = {

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from slave.rig import Rig, RigFault
+from slave.rigs.checked import CheckedRig
 from slave.rigs.extension import RigExtension
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
@@ -17,7 +18,6 @@ RigConfig = SimulatedRigConfig | ReplayedRigConfig | HardwareRigConfig | RigExte
 RIGS: dict[type[Any], Callable[[Any], Rig]] = {
     SimulatedRigConfig: SimulatedRig,
     ReplayedRigConfig: ReplayedRig,
-    HardwareRigConfig: HardwareRig,
 }
 
 RIG_COMPILE_S: dict[type[Any], float] = {
@@ -34,13 +34,20 @@ def compile_rig(config: RigConfig) -> None:
         SimulatedRig(config)
 
 
-def open_rig(config: RigConfig) -> Rig:
+def open_rig(config: RigConfig, read_only: bool = False) -> Rig:
     """Open the rig that `config` describes; `UsageError` if it is not available or laid out wrong.
+
+    With `read_only` nothing is written to the buses of real hardware, not even at opening.
 
     Compiled functions take the numbers of its tendons as indices, which they do not check.
     """
     try:
-        rig = config.open() if isinstance(config, RigExtension) else RIGS[type(config)](config)
+        if isinstance(config, RigExtension):
+            rig = checked(config.open(), config.type)
+        elif isinstance(config, HardwareRigConfig):
+            rig = HardwareRig(config, read_only)
+        else:
+            rig = RIGS[type(config)](config)
     except RigFault as fault:
         raise UsageError(f"slave.rig: {fault}") from fault
     except Exception as error:
@@ -51,6 +58,16 @@ def open_rig(config: RigConfig) -> Rig:
         rig.close()
         raise UsageError(f"slave.rig: {config.type}: {wrong}")
     return rig
+
+
+def checked(rig: Rig, place: str) -> Rig:
+    """Return a rig of another package with its samples checked; closed if it is no rig."""
+    try:
+        return CheckedRig(rig, place)
+    except RigFault:
+        if hasattr(rig, "close"):
+            rig.close()
+        raise
 
 
 def wrong_layout(rig: Rig) -> str:

@@ -8,10 +8,12 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.effects.effect import CHANNELS
+from estimator.plausibility import doubts
 from estimator.spikes import without_spikes
 from slave.rig import RigFinished, RigSample
 from teleop.data.table import Columns, read_tables
 from teleop.messages import MAX_JOINTS
+from teleop.process import print_warning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +56,8 @@ class ReplayedRig:
         self._loop = config.loop
         self._time = tables[0].time
         clean = [without_spikes(table) for table in tables]
+        for said in dict.fromkeys(said for one in clean for said in doubts(one)):
+            print_warning(f"{config.file}: {said}")
         self.housing = tuple((one.proximal_tension, one.proximal_displacement) for one in tables)
         self._tension = np.column_stack([one.proximal_tension for one in clean])
         self._displacement = _beside([one.proximal_displacement for one in clean])

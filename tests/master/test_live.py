@@ -67,6 +67,8 @@ def test_each_key_that_may_be_changed_can_be(prefix):
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
+        ("force.scal", "1", "is unknown; did you mean 'force.scale'?"),
+        ("master.operator.lok", "1", "is unknown; did you mean 'operator.lock'?"),
         ("force.limit", "1", "cannot be changed while the master runs"),
         ("slave.gate.tension_max", "90", "cannot be changed"),
         ("force", "{}", "cannot be changed"),

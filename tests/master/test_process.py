@@ -416,6 +416,21 @@ def test_reports_come_twice_a_second():
     assert first.latency_p50_ns > 0
 
 
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        (3, ["WARNING: the device has 1 axes, the rig 3 joints: joints from 2 on are not moved"]),
+        (1, []),
+    ],
+)
+def test_axes_and_joints_that_do_not_match_are_told_once(joints, said):
+    line = DeviceConnection()
+    line.told = {"joints": joints}
+    driven(Stylus(), line, ticks=130, rate_hz=100.0)
+    texts = [text_of(event.text) for event in line.of(EVENT)]
+    assert [text for text in texts if text.startswith("WARNING: the device")] == said
+
+
 @pytest.mark.parametrize("fails", ["read_fails_at", "write_fails_at"])
 def test_a_device_that_fails_ends_the_session_in_fault_and_without_force(fails):
     device = Stylus(**{fails: 20})

@@ -27,7 +27,7 @@ class Guard:
     """
 
     def __init__(self, path: str, reports: Sequence[bytes]) -> None:
-        words = [sys.executable, "-S", "-E", __file__, path, *(report.hex() for report in reports)]
+        words = [sys.executable, "-PSE", __file__, path, *(report.hex() for report in reports)]
         self.process = subprocess.Popen(
             words,
             bufsize=0,

@@ -6,7 +6,6 @@ descriptor has changed since the test, as either may change the convention. `tel
 writes the file.
 """
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -16,6 +15,7 @@ import yaml
 from teleop import config
 from teleop.errors import UsageError
 from teleop.process import write_whole
+from teleop.user_folders import config_folder
 
 
 class Pusher(NamedTuple):
@@ -60,8 +60,7 @@ class Signs:
 
 def default_path() -> Path:
     """Return the default path of the file."""
-    home = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
-    return Path(home).expanduser() / "tendon-teleop" / "force-signs.yaml"
+    return config_folder() / "tendon-teleop" / "force-signs.yaml"
 
 
 def load(path: Path | None) -> Signs:

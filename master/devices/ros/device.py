@@ -8,7 +8,6 @@ import json
 import math
 import os
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from dataclasses import asdict
@@ -17,6 +16,7 @@ from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.motion import CommandMotion
 from master.devices.ros.record import SIZE, CommandRecord
+from teleop.process import module_command
 
 SILENT_NS = 250_000_000  # [ns] without a record of the receiver
 _READ_BYTES = 64 * SIZE
@@ -44,7 +44,7 @@ class RosDevice:
         self._began = False
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
-        words = [sys.executable, "-m", "master.devices.ros.receiver", str(theirs)]
+        words = [*module_command("master.devices.ros.receiver"), str(theirs)]
         try:
             self._process = subprocess.Popen(
                 [*words, json.dumps(asdict(config)), str(os.getpid())],

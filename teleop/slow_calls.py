@@ -1,0 +1,38 @@
+"""Calls of a rig or a device that hold up a loop, noticed while it runs."""
+
+LIMIT_NS = 2_000_000  # [ns] of a call; "well within a millisecond" is the contract
+LEAST = 5  # calls between two reports
+
+
+class SlowCalls:
+    """Notices a method that mostly takes too long; one call that the machine held up is none.
+
+    Parameters
+    ----------
+    name : str
+        Of the method, for the message.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._calls = self._slow = self._longest_ns = 0
+        self._told = False
+
+    def add(self, elapsed_ns: int) -> None:
+        """Add the time of one call [ns]."""
+        self._calls += 1
+        if elapsed_ns > LIMIT_NS:
+            self._slow += 1
+            self._longest_ns = max(self._longest_ns, elapsed_ns)
+
+    def take(self) -> str:
+        """Return the warning, once, if most calls since the last report were slow; else nothing."""
+        calls, slow, longest_ns = self._calls, self._slow, self._longest_ns
+        self._calls = self._slow = self._longest_ns = 0
+        if self._told or calls < LEAST or 2 * slow <= calls:
+            return ""
+        self._told = True
+        return (
+            f"{self._name} takes up to {longest_ns / 1e6:.0f} ms, {LIMIT_NS / 1e6:g} ms at most: "
+            "it holds up the loop; let a thread wait for the hardware, and take its newest value"
+        )

@@ -1,0 +1,98 @@
+"""A device of another package: what it gets wrong is named, and felt by nobody."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from master.device import DeviceFault, DeviceLost, HandState
+from master.devices import open_device
+from master.devices.combined import CombinedConfig
+from master.devices.extension import DeviceExtension
+from teleop.errors import UsageError
+
+FOUR = (0.0, 0.1, 0.2, 0.3)
+
+
+class Pen:
+    """Four axes; returns what it is told to."""
+
+    axes = 4
+
+    def __init__(self, returned):
+        self.returned = returned
+
+    def read(self, _time_s):
+        if isinstance(self.returned, Exception):
+            raise self.returned
+        return self.returned
+
+    def write(self, _force):
+        raise OSError("cable")
+
+    def close(self): ...
+
+
+@dataclass(frozen=True)
+class PenConfig(DeviceExtension):
+    type: str = "mylab"
+    device: object = None
+
+    def open(self):
+        return self.device
+
+
+def opened(returned):
+    return open_device(PenConfig(device=Pen(returned)))
+
+
+def test_what_is_right_is_passed_on_as_it_is():
+    hand = HandState(FOUR, FOUR, engage=True)
+    assert opened(hand).read(0.0) is hand
+
+
+@pytest.mark.parametrize(
+    ("returned", "said"),
+    [
+        (HandState(FOUR[:3], FOUR, True), "position has 3 numbers, must have 4, one an axis"),
+        (HandState(FOUR, FOUR * 2, True), "velocity has 8 numbers, must have 4, one an axis"),
+        (HandState(np.ones(4), FOUR, True), "position is a ndarray, must be a tuple of floats"),
+        (HandState(FOUR, (0, 0, 0, "1"), True), "position .*: must be floats"),
+        (None, "returned NoneType, must be HandState"),
+        ((FOUR, FOUR, True), "returned tuple, must be HandState"),
+    ],
+)
+def test_a_hand_that_is_wrong_is_named_by_field_with_what_it_must_be(returned, said):
+    with pytest.raises(DeviceFault, match=f"^mylab: Pen.read: {said}") as caught:
+        opened(returned).read(0.0)
+    assert not isinstance(caught.value, DeviceLost)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_value_that_is_not_finite_is_a_fault_from_which_the_device_may_return(value):
+    device = opened(HandState(FOUR, (*FOUR[:3], value), True))
+    with pytest.raises(DeviceLost, match=rf"velocity \(0\.0, 0\.1, 0\.2, {value}\), not finite"):
+        device.read(0.0)
+
+
+def test_what_its_code_raises_is_a_fault_with_the_place_in_that_code():
+    device = opened(KeyError("axis"))
+    with pytest.raises(DeviceFault, match=r"mylab: read fails: KeyError: 'axis' \(.*, line \d+\)"):
+        device.read(0.0)
+    with pytest.raises(DeviceFault, match="mylab: write fails: OSError: cable"):
+        device.write(FOUR)
+    with pytest.raises(DeviceLost, match=r"^unplugged$"):
+        opened(DeviceLost("unplugged")).read(0.0)
+
+
+def test_a_device_that_is_none_is_named_at_opening():
+    with pytest.raises(UsageError, match=r"^master\.device: mylab: object has no axes, read, wr"):
+        open_device(PenConfig(device=object()))
+
+
+def test_one_of_several_is_checked_too():
+    right = HandState(FOUR, FOUR, True)
+    parts = (PenConfig(device=Pen(right)), PenConfig(device=Pen(HandState(FOUR[:2], FOUR, True))))
+    device = open_device(CombinedConfig(devices=parts))
+    with pytest.raises(DeviceFault, match=r"^devices\.1: mylab: Pen.read: position has 2 numbers"):
+        device.read(0.0)

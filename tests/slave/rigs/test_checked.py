@@ -1,0 +1,167 @@
+"""A rig of another package: what it gets wrong is named, and moves nothing."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from slave.rig import RigFault, RigSample, emergency_stop_of, enabling
+from slave.rigs import open_rig
+from slave.rigs.checked import CheckedRig
+from slave.rigs.extension import RigExtension
+from teleop.errors import UsageError
+from tests.slave.test_process import FakeLink, FakeRig, StoppableRig, driven
+
+TWO = np.array([1.0, 2.0])
+
+
+class Pair:
+    """A joint of two tendons that returns what it is told to."""
+
+    name, tendons, joints, starts_at_zero = "pair", 2, ((0, 1),), True
+
+    def __init__(self, returned):
+        self.returned, self.closed = returned, 0
+
+    def read(self, _time_s):
+        if isinstance(self.returned, Exception):
+            raise self.returned
+        return self.returned
+
+    def write(self, _displacement):
+        raise ZeroDivisionError("no motor")
+
+    def advance(self): ...
+
+    def summary(self):
+        return {}
+
+    def close(self):
+        self.closed += 1
+
+
+@dataclass(frozen=True)
+class PairConfig(RigExtension):
+    type: str = "mylab"
+    rig: object = None
+
+    def open(self):
+        return self.rig
+
+
+def test_what_is_right_is_passed_on_as_it_is():
+    samples = (RigSample(0.0, TWO, None), RigSample(0.0, TWO, TWO, TWO, np.array([1, 2])))
+    rig = open_rig(PairConfig(rig=Pair(samples)))
+    assert rig.read(0.0) is samples
+    missing = (RigSample(1.0, np.array([np.nan, 1.0]), np.array([0.0, np.nan])),)
+    assert open_rig(PairConfig(rig=Pair(missing))).read(0.0) is missing
+    assert open_rig(PairConfig(rig=Pair(list(samples)))).read(0.0) == samples
+
+
+@pytest.mark.parametrize(
+    ("returned", "said"),
+    [
+        ((RigSample(0.0, TWO[:1], TWO),), r"proximal_tension has shape \(1,\), must be \(2,\)"),
+        ((RigSample(0.0, TWO, np.ones(3)),), r"proximal_displacement has shape \(3,\), must be"),
+        ((RigSample(0.0, TWO, TWO, 1.0),), "bench_distal_tension is a float, must be an array"),
+        ((RigSample(0.0, TWO, None, None, np.ones((2, 1))),), r"bench_.* has shape \(2, 1\)"),
+        ((RigSample(0.0, [1.0, 2.0], TWO),), "proximal_tension is a list, must be an array"),
+        ((RigSample(0.0, None, TWO),), "proximal_tension is None, must be an array"),
+        ((RigSample(0.0, TWO.astype(str), TWO),), "proximal_tension is an array of <U"),
+        ((RigSample(np.nan, TWO, TWO),), "time_s is nan"),
+        ((RigSample(5.0, TWO, TWO), RigSample(4.0, TWO, TWO)), r"time_s is 4\.0 after 5\.0"),
+        ((RigSample("0", TWO, TWO),), "time_s is 0"),
+        ((TWO,), "returned an array of float64, must be RigSample"),
+        (None, "returned None, must be a tuple of RigSample"),
+        (RigSample(0.0, TWO, TWO), "returned a RigSample, must be a tuple of RigSample"),
+    ],
+)
+def test_a_sample_that_is_wrong_is_named_by_field_with_what_it_must_be(returned, said):
+    rig = open_rig(PairConfig(rig=Pair(returned)))
+    with pytest.raises(RigFault, match=f"^mylab: Pair.read: {said}"):
+        rig.read(0.0)
+
+
+def test_what_its_code_raises_is_a_fault_with_the_place_in_that_code():
+    rig = open_rig(PairConfig(rig=Pair(KeyError("cell"))))
+    with pytest.raises(RigFault, match=r"mylab: read fails: KeyError: 'cell' \(.*py, line \d+\)"):
+        rig.read(0.0)
+    with pytest.raises(RigFault, match="mylab: write fails: ZeroDivisionError: no motor"):
+        rig.write(TWO)
+    rig = open_rig(PairConfig(rig=Pair(RigFault("the amplifier has tripped"))))
+    with pytest.raises(RigFault, match=r"^the amplifier has tripped$"):
+        rig.read(0.0)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "said"),
+    [
+        ({"joints": 3}, "Odd: joints 3, must be as in"),
+        ({"joints": ((0,),)}, r"joints \(\(0,\),\) of 2 tendons"),
+        ({"tendons": "2"}, "Odd: name must be a text, tendons a number"),
+        ({"write": property()}, "Odd has no write"),
+    ],
+)
+def test_a_rig_that_is_none_is_named_and_closed_at_opening(attributes, said):
+    rig = type("Odd", (Pair,), attributes)(())
+    with pytest.raises(UsageError, match=rf"^slave\.rig: mylab: {said}"):
+        open_rig(PairConfig(rig=rig))
+    assert rig.closed == 1
+
+
+def test_what_else_a_rig_has_is_passed_on():
+    stoppable, plain = StoppableRig(), FakeRig()
+    emergency_stop_of(CheckedRig(stoppable, "mylab"))()
+    assert stoppable.stops == [0]
+    assert emergency_stop_of(CheckedRig(plain, "mylab")) is None
+    assert enabling(CheckedRig(plain, "mylab")) is None
+    plain.follows = False
+    assert enabling(CheckedRig(plain, "mylab")).follows is False
+
+
+class Growing(FakeRig):
+    """Returns a tension too many from the 20th read on."""
+
+    def read(self, time_s):
+        (sample,) = super().read(time_s)
+        return (sample if self.reads < 20 else RigSample(time_s, np.ones(2), np.ones(1)),)
+
+
+def test_a_session_ends_with_the_mistake_and_writes_nothing_after_it():
+    rig = Growing()
+    slave, _, _ = driven(CheckedRig(rig, "mylab"))
+    assert str(slave.error) == (
+        "rig: mylab: Growing.read: proximal_tension has shape (2,), must be (1,), one a tendon"
+    )
+    assert rig.reads == 20
+    assert len(rig.writes) == 14
+
+
+class Blind(FakeRig):
+    """Its load cell gives no number from the 20th read on."""
+
+    def read(self, time_s):
+        (sample,) = super().read(time_s)
+        broken = RigSample(time_s, np.array([np.nan]), sample.proximal_displacement)
+        return (sample if self.reads < 20 else broken,)
+
+
+def test_a_reading_that_stays_away_is_named_in_the_fault():
+    _, line, _ = driven(Blind(), ticks=400)
+    said = "fault: no new samples from the rig: joint 1, tendon a: its tension is nan"
+    assert said in line.said()
+
+
+class Waiting(FakeRig):
+    """Waits for its hardware."""
+
+    def read(self, time_s):
+        time.sleep(0.02)
+        return super().read(time_s)
+
+
+def test_a_rig_that_waits_in_read_is_told_of_once():
+    _, line, _ = driven(Waiting(), FakeLink(pressed_after=1000), ticks=70)
+    (said,) = [text for text in line.said() if text.startswith("WARNING: rig: read takes up to ")]
+    assert "it holds up the loop" in said
