@@ -1,16 +1,23 @@
-"""What a flood costs a side: mutated frames and random senders at the door, in this process.
+"""What a flood costs a side: mutated frames and random senders at the door, and a viewer's tables.
 
-python benchmarks/denial.py [--count 1000000] [--senders 100000]
+python benchmarks/denial.py [--count 1000000] [--senders 100000] [--seconds 10]
 
 A genuine command is mutated `--count` times, in 1 to 4 bytes or cut off, and so is a genuine
 emergency stop; as many come from `--senders` different senders. All must be counted and dropped,
 and the memory of the process must stay within 2 MB. The time of a frame contains making it.
+
+Then a viewer declares tokens of 30 kB, and subscribers, for `--seconds` each at a slave in a
+process of its own, and connects again whenever it is cut off. When it has left, the resident memory
+of the slave must be within 10 MB of what it was before.
 """
 
 import argparse
 import gc
+import itertools
 import os
 import random
+import socket
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -18,17 +25,35 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import zenoh
+
 from teleop.clock import now_ns
 from teleop.keys import Identity, Office
+from teleop.keys.local import local_credentials
 from teleop.link.handshake import PairKeys, Peer
 from teleop.link.keyring import ENTRY_BYTES, Keyring
 from teleop.link.listener import Listener
+from teleop.link.network import open_session
 from teleop.link.reception import Latest
 from teleop.messages import Command, EmergencyStop
 from teleop.topics import COMMAND, STOP, Role, Topic
 
 FLAT_MB = 2.0
 WARM = 20_000  # frames before memory is measured, which fill caches
+LEFT_MB = 10.0  # of a slave, after a viewer has left that declared what it could
+LEAVING_S = 5.0
+LONG = "x" * 30_000  # of a key
+SLAVE = """
+import sys, time
+from teleop.link import Link, LinkConfig
+from teleop.topics import Role
+with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "denial", Role.SLAVE) as link:
+    print("ready", flush=True)
+    while True:
+        time.sleep(0.5)
+        for line in link.refusals.take():
+            print(line, file=sys.stderr, flush=True)
+"""
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 MASTER = Peer(Role.MASTER, 1, Identity(Office.MASTER, "test"), bytes(32))
 KEYS = PairKeys(bytes(32), b"\1" * 32)
@@ -138,14 +163,56 @@ def still_opens(door: Door) -> bool:
     return door.accepted == before + 1
 
 
-def resident_mb() -> float:
-    return PAGE_MB * int(Path("/proc/self/statm").read_text().split()[1])
+def resident_mb(process: int | str = "self") -> float:
+    return PAGE_MB * int(Path(f"/proc/{process}/statm").read_text().split()[1])
+
+
+def declare_token(session: zenoh.Session, number: int) -> Any:
+    key = f"teleop/denial/@/viewer/{number:08x}/{number:016x}/held/{LONG}"
+    return session.liveliness().declare_token(key)
+
+
+def declare_subscriber(session: zenoh.Session, number: int) -> Any:
+    return session.declare_subscriber(f"teleop/denial/{number}", zenoh.handlers.DefaultHandler())
+
+
+def flood_tables(declare: Callable[[zenoh.Session, int], Any], seconds: float) -> list[float]:
+    """Return the memory [MB] of a slave before, at most in, and after a flood of a viewer."""
+    with socket.socket() as one, socket.socket() as two:
+        for probe in (one, two):
+            probe.bind(("127.0.0.1", 0))
+        ends = [f"127.0.0.1:{probe.getsockname()[1]}" for probe in (one, two)]
+    viewer = local_credentials("denial", Office.VIEWER)
+    words = [sys.executable, "-c", SLAVE, *ends]
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as slave:
+        try:
+            if slave.stdout is not None:
+                slave.stdout.readline()
+            time.sleep(1.0)
+            memory = [resident_mb(slave.pid)]
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                with open_session(viewer, [], [ends[1]]) as session:
+                    kept = []
+                    while not session.info.peers_zid() and time.monotonic() < end:
+                        time.sleep(0.01)
+                    for number in itertools.count():
+                        kept.append(declare(session, number))
+                        if number % 10 == 0:
+                            memory.append(resident_mb(slave.pid))
+                            if not session.info.peers_zid() or time.monotonic() > end:
+                                break
+            time.sleep(LEAVING_S)
+            return [memory[0], max(memory), resident_mb(slave.pid)]
+        finally:
+            slave.kill()
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=1_000_000, help="mutated frames of a topic")
     parser.add_argument("--senders", type=int, default=100_000, help="random senders of a topic")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each flood of a viewer")
     args = parser.parse_args()
     door = Door()
     kinds = floods(door, args.senders)
@@ -168,6 +235,13 @@ def main() -> int:
             f"memory {grown:+.2f} MB"
         )
     failed |= not still_opens(door)
+    for declare in (declare_token, declare_subscriber):
+        before, largest, after = flood_tables(declare, args.seconds)
+        failed |= after - before > LEFT_MB
+        print(
+            f"{declare.__name__:18} memory of a slave {before:.1f} MB, at most {largest:.1f} MB, "
+            f"{after:.1f} MB when the viewer has left"
+        )
     print("FAILED" if failed else "a genuine command is still accepted")
     return int(failed)
 

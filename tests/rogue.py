@@ -83,6 +83,11 @@ class Rogue:
     def announce_key(self, key: str) -> None:
         self._kept.append(self._zenoh.liveliness().declare_token(key))
 
+    def answer(self, role: str, nonce: int) -> None:
+        """Declare that it answers challenges to a process."""
+        key = f"teleop/{self.session}/@/prove/{role}/{nonce:016x}"
+        self._kept.append(self._zenoh.declare_queryable(key, lambda _: None))
+
     def token_of(self, role: str) -> str:
         """The key of a token that it has seen."""
         return next(key for key in self.tokens if f"/@/{role}/" in key and "/held/" in key)

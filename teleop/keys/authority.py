@@ -11,6 +11,7 @@ import contextlib
 import os
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 
 from cryptography import x509
@@ -27,6 +28,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from teleop.errors import UsageError
 from teleop.keys.identity import Identity
+from teleop.small_file import read_small_file
 
 AUTHORITY_DAYS = 3650
 CERTIFICATE_DAYS = 90
@@ -173,12 +175,13 @@ def require_unshared(folder: Path) -> None:
 
 def _read(path: Path, forbidden: int, complaint: str) -> bytes:
     """Return the content of a file that nobody else owns, nor has `forbidden` permissions for."""
-    with path.open("rb") as file:
-        status = os.fstat(file.fileno())  # of the very file that is read
+
+    def check(status: os.stat_result) -> None:
         if status.st_mode & forbidden:
             raise UsageError(f"{path}: other users can {complaint} {path}")
         _require_owner(path, status)
-        return file.read(FILE_MAX)
+
+    return read_small_file(path, FILE_MAX, check)
 
 
 def _require_owner(path: Path, status: os.stat_result) -> None:
@@ -188,6 +191,7 @@ def _require_owner(path: Path, status: os.stat_result) -> None:
         raise UsageError(f"{path}: belongs to another user; copy it, so that it is yours")
 
 
+@lru_cache(maxsize=256)  # a process looks at the same few certificates again and again
 def is_signed_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
     """Return whether `authority` has issued `certificate`."""
     try:

@@ -14,6 +14,12 @@ from teleop.topics import Role
 
 ALL_SESSIONS = "*"  # of a router's certificate
 RIGHTS = ("reset", "set", "stop")  # of a supervisor, in this order in its name
+LIMITS = (
+    "",
+    *("".join(f"-{right}" for right in rights)
+      for count in range(1, len(RIGHTS)) for rights in combinations(RIGHTS, count)),
+)  # fmt: skip
+"""What follows the role in the common name of a supervisor: nothing, or the only rights it has."""
 _NAME = re.compile(r"(?P<role>[a-z]+)(?P<rights>(?:-[a-z]+)*)\.(?P<session>[a-z0-9_-]+|\*)")
 
 
@@ -48,11 +54,15 @@ class Identity(NamedTuple):
     rights: tuple[str, ...] = ()  # of a supervisor, as in `RIGHTS`
 
     @property
+    def limit(self) -> str:
+        """What its common name says of its rights, one of `LIMITS`."""
+        limited = self.office is Office.SUPERVISOR and self.rights != RIGHTS
+        return "".join(f"-{right}" for right in self.rights) if limited else ""
+
+    @property
     def common_name(self) -> str:
         """The common name of the certificate."""
-        limited = self.office is Office.SUPERVISOR and self.rights != RIGHTS
-        rights = "".join(f"-{right}" for right in self.rights) if limited else ""
-        return f"{self.office}{rights}.{self.session}"
+        return f"{self.office}{self.limit}.{self.session}"
 
     @classmethod
     def parse(cls, common_name: str) -> "Identity":

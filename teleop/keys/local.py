@@ -19,6 +19,7 @@ from teleop.errors import UsageError
 from teleop.keys.authority import AUTHORITY, Authority
 from teleop.keys.credentials import Credentials
 from teleop.keys.identity import RIGHTS, Identity, Office
+from teleop.user_folders import state_folder
 
 LOCAL_DAYS = 7  # longer than any session
 AUTHORITY_LIFE = 365  # [days]
@@ -27,8 +28,7 @@ _EPOCH = datetime(2000, 1, 1, tzinfo=UTC)  # on one machine a clock set back mus
 
 def local_folder() -> Path:
     """Return the folder of this user's authority."""
-    state = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return Path(state) / "teleop" / "keys"
+    return state_folder() / "teleop" / "keys"
 
 
 def local_credentials(session: str, office: Office) -> Credentials:

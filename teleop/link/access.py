@@ -1,8 +1,10 @@
 """Zenoh's access control of a session, generated from the table of topics.
 
 Each process refuses, on arrival, what the certificate at the other end of the connection must not
-send: messages of topics that its role does not publish, and presence tokens of another role. What
-may be sent through a router is decided by that router, which has the same rules.
+send: messages of topics that its role does not publish, presence tokens of another role, any token
+or queryable of a listener, and subscribers of anything but a topic. Each would take memory, and
+Zenoh sends nothing while it removes those of a connection that ends. What may be sent through a
+router is decided by that router, which has the same rules.
 """
 
 from collections.abc import Iterable
@@ -16,7 +18,7 @@ from teleop.keys.identity import (
     Office,
     supervisors,
 )
-from teleop.link.presence import root
+from teleop.link.presence import LISTENERS, root
 from teleop.link.publisher import sampled_key
 from teleop.topics import SETTING, STOP, TOPICS, Role, Topic
 
@@ -24,7 +26,7 @@ _EVERYTHING = [
     "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable",
     "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
 ]  # fmt: skip
-_LISTENING = ["declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"]
+_WATCHING = ["liveliness_query", "declare_liveliness_subscriber"]
 
 
 def access_control(sessions: Iterable[str]) -> dict[str, Any]:
@@ -61,24 +63,29 @@ def access_control(sessions: Iterable[str]) -> dict[str, Any]:
         allow(f"{session} router", _EVERYTHING, [f"{top}/**", f"{tokens}/**", f"{top}/@impair"],
               routers)  # fmt: skip
         everybody = [name for office in Office for name in names_of(office, session)]
-        allow(f"{session} listen", _LISTENING, [f"{top}/**", f"{tokens}/**"],
-              everybody)  # fmt: skip
-        allow(f"{session} proof", ["declare_queryable", "reply"], [f"{tokens}/prove/**"], everybody)
+        listeners = {_name(OFFICE_OF[role], session) for role in LISTENERS}
+        members = [name for name in everybody if name not in listeners]
+        allow(f"{session} watch", _WATCHING, [f"{tokens}/**"], everybody)
+        allow(f"{session} proof", ["declare_queryable", "reply"], [f"{tokens}/prove/**"], members)
+        heard: list[str] = []
         for topic in TOPICS:
             publishers = names_of_publishers(topic, session)
             keys = [f"{top}/{topic.name}"]
             if topic.sampled_hz:
                 keys.append(sampled_key(keys[0]))
+            heard += keys
             allow(f"{session} {topic.name}", ["put"], keys, publishers)
-        for role in Role:
-            keys = [f"{tokens}/{role.name.lower()}/**"]
-            if role == Role.SLAVE:
-                keys.append(f"{tokens}/relay/master/**")
-            allow(f"{session} token of a {role.name.lower()}", ["liveliness_token"], keys,
-                  names_of(OFFICE_OF[role], session))  # fmt: skip
-            allow(f"{session} challenge of a {role.name.lower()}", ["query"],
-                  [f"{tokens}/prove/{role.name.lower()}/**"],
-                  names_of(OFFICE_OF[role], session))  # fmt: skip
+        allow(f"{session} listen", ["declare_subscriber"], heard, everybody)
+        for name in everybody:
+            groups = groups_of_holder(name)
+            if groups:
+                keys = [f"{tokens}/{group}/**" for group in groups]
+                if Role.SLAVE.name.lower() in groups:
+                    keys.append(f"{tokens}/relay/master/**")
+                if name in members:
+                    allow(f"token of {name}", ["liveliness_token"], keys, [name])
+                allow(f"challenge of {name}", ["query"],
+                      [f"{tokens}/prove/{group}/**" for group in groups], [name])  # fmt: skip
         allow(f"{session} impair", ["query"], [f"{top}/@impair"],
               names_of(Office.SUPERVISOR, session))  # fmt: skip
     return {
@@ -95,6 +102,14 @@ def names_of(office: Office, session: str) -> list[str]:
     if office is Office.SUPERVISOR:
         return sorted({name for right in RIGHTS for name in supervisors(session, right)})
     return [_name(office, session)]
+
+
+def groups_of_holder(name: str) -> list[str]:
+    """Return the groups of tokens (`Token.group`) of the holder of a common name."""
+    holder = Identity.parse(name)
+    return [
+        f"{role.name.lower()}{holder.limit}" for role in Role if OFFICE_OF[role] is holder.office
+    ]
 
 
 def names_of_publishers(topic: Topic[Any], session: str) -> list[str]:

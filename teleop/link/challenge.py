@@ -4,7 +4,7 @@ A presence token (`teleop.link.presence`) is genuine for as long as its certific
 whoever has seen one can announce it again. Its process must therefore answer a challenge before the
 token counts, and again every few seconds. A challenge is a Zenoh query on
 
-    teleop/<session>/@/prove/<role of who asks>/<nonce of who is asked>
+    teleop/<session>/@/prove/<group of who asks>/<nonce of who is asked>
 
 with the payload `challenge (16 random bytes), subject (8), presence token of who asks`. The answer
 is the BLAKE2b (RFC 7693) of challenge and subject under the key of this pair of processes and
@@ -15,25 +15,25 @@ not connected to each other.
 
 import secrets
 import struct
-from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from hashlib import blake2b
 from hmac import compare_digest
 from typing import Any, Literal
 
 import zenoh
 
-from teleop.keys import CertificateError
-from teleop.link.handshake import Handshake, PairKeys
-from teleop.link.presence import Token, root
+from teleop.link.handshake import PairKeys
+from teleop.link.presence import Token, groups_of, root
 from teleop.link.rate_limit import RateLimit
 from teleop.topics import Role
 
 CHALLENGE_BYTES, ANSWER_BYTES = 16, 32
 ANSWER_S = 1.0  # an answer that comes later is none
-ASKERS = 64  # whose keys are kept
-CHECKS, CHECKS_HZ = 64, 20.0  # unknown askers of a role: at once, and per second
-ANSWERS, ANSWERS_HZ = 128, 200.0  # challenges of a role answered: at once, and per second
+ANSWERS, ANSWERS_HZ = 128, 200.0  # challenges of a group looked at: at once, and per second
+
+Asker = Callable[[PairKeys], None]
+"""Gives who asks the answer to a challenge, under the keys of the pair."""
 
 _SUBJECT = struct.Struct("<Q")
 _PERSON = b"teleop present"  # no topic is called that, so no message has such a hash
@@ -65,8 +65,12 @@ class Challenger:
 
     def __init__(self, zenoh_session: zenoh.Session, session: str, token: Token) -> None:
         self._zenoh: Any = zenoh_session
-        self._session, self._asker = session, token.role.name.lower()
-        self._token = token.key(session).encode()
+        self._session, self._asker = session, token.group
+        self.show_token(token)
+
+    def show_token(self, token: Token) -> None:
+        """Show this token of ours, with its proof, in challenges from now on."""
+        self._token = token.key(self._session).encode()
 
     def ask(self, asked: int, subject: int, keys: PairKeys, proven: Callable[[], None]) -> None:
         """Challenge the process `asked`; `proven` is called, by Zenoh's thread, if it answers."""
@@ -92,9 +96,9 @@ class Challenger:
 
 
 class Responder:
-    """Answers the challenges of others; what floods cost is bounded by role of who asks.
+    """Answers the challenges of others; what floods cost is bounded by group of who asks.
 
-    Zenoh's threads call it.
+    Zenoh's thread calls it.
 
     Parameters
     ----------
@@ -104,10 +108,11 @@ class Responder:
         Root of the keys.
     nonce : int
         Our own.
-    handshake : Handshake
-        Checks who asks.
     vouches : callable
         Returns whether the process of a nonce has proven to us that it is here.
+    show : callable
+        Takes the token of who asks, and what answers it under the keys of the pair if the token is
+        genuine.
     """
 
     def __init__(
@@ -115,14 +120,14 @@ class Responder:
         zenoh_session: zenoh.Session,
         session: str,
         nonce: int,
-        handshake: Handshake,
         vouches: Callable[[int], bool],
+        show: Callable[[Token, Asker], None],
     ) -> None:
         self._session, self._nonce = session, nonce
-        self._handshake, self._vouches = handshake, vouches
-        self._keys: OrderedDict[tuple[str, str], bytes] = OrderedDict()  # of answers
-        self._checks = {role.name.lower(): RateLimit(CHECKS, CHECKS_HZ) for role in Role}
-        self._answers = {role.name.lower(): RateLimit(ANSWERS, ANSWERS_HZ) for role in Role}
+        self._vouches, self._show = vouches, show
+        self._limits = {
+            group: RateLimit(ANSWERS, ANSWERS_HZ) for role in Role for group in groups_of(role)
+        }
         everybody = challenge_key(session, "*", nonce)
         direct: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
         self._queryable: Any = zenoh_session.declare_queryable(everybody, direct)
@@ -131,44 +136,21 @@ class Responder:
         """Answer no more."""
         self._queryable.undeclare()
 
-    def forget(self) -> None:
-        """Check all who ask anew: certificates were revoked."""
-        self._keys = OrderedDict()
-
     def _on_query(self, query: Any) -> None:
-        asker = str(query.key_expr).split("/")[-2]
-        limit = self._answers.get(asker)
-        payload = query.payload
-        if limit is None or payload is None or not limit():
+        group = str(query.key_expr).split("/")[-2]
+        is_allowed, begin = self._limits.get(group), CHALLENGE_BYTES + _SUBJECT.size
+        if is_allowed is None or not is_allowed() or query.payload is None:
             return
-        answer = self._answer(asker, payload.to_bytes())
-        if answer:
-            query.reply(challenge_key(self._session, asker, self._nonce), answer)
-
-    def _answer(self, asker: str, payload: bytes) -> bytes:
-        """Return the answer to a challenge; empty if it gets none."""
-        begin = CHALLENGE_BYTES + _SUBJECT.size
+        payload = query.payload.to_bytes()
         if len(payload) <= begin:
-            return b""
-        (subject,) = _SUBJECT.unpack_from(payload, CHALLENGE_BYTES)
-        if subject != self._nonce and not self._vouches(subject):
-            return b""
-        key = self._key(asker, payload[begin:].decode(errors="replace"))
-        return answer_to(key, payload[:CHALLENGE_BYTES], subject) if key else b""
+            return
+        token = Token.from_key(payload[begin:].decode(errors="replace"))
+        if token is not None and token.group == group:
+            self._show(token, partial(self._answer, query, group, payload[:begin]))
 
-    def _key(self, asker: str, text: str) -> bytes:
-        """Return the key of answers to who shows this token; empty if it is not believed."""
-        keys = self._keys
-        key = keys.get((asker, text))
-        if key is None:
-            token = Token.from_key(text)
-            if token is None or token.role.name.lower() != asker or not self._checks[asker]():
-                return b""
-            try:
-                key = self._handshake.pair_keys(self._handshake.check(token)).sending
-            except CertificateError:
-                return b""
-            keys[asker, text] = key
-            while len(keys) > ASKERS:
-                keys.popitem(last=False)
-        return key
+    def _answer(self, query: Any, group: str, asked: bytes, keys: PairKeys) -> None:
+        """Answer a challenge, if it is about us or who we know to be here."""
+        (subject,) = _SUBJECT.unpack_from(asked, CHALLENGE_BYTES)
+        if subject == self._nonce or self._vouches(subject):
+            answer = answer_to(keys.sending, asked[:CHALLENGE_BYTES], subject)
+            query.reply(challenge_key(self._session, group, self._nonce), answer)

@@ -29,6 +29,9 @@ class Address(NamedTuple):
         host, port = found["v6"] or found["host"], int(found["port"])
         if not 1 <= port <= 65535:
             raise ValueError(f"port {port} is out of range; allowed: 1 to 65535")
+        if "%" in host:  # it is of one machine, and the config the same on all
+            zone = host[host.index("%") :]
+            raise ValueError(f"a zone ({zone}) is not possible; use an address that needs none")
         address = _address(host)
         if address is None and (found["v6"] or not _HOST_NAME.fullmatch(host)):
             raise ValueError(f"{host!r} is not a host name or IP address")

@@ -45,6 +45,10 @@ class Peer(NamedTuple):
     certificate: x509.Certificate | None = None
 
 
+class SignatureError(CertificateError):
+    """A token with a genuine certificate that its sender does not hold the key of."""
+
+
 class PairKeys(NamedTuple):
     """Keys of a pair of processes."""
 
@@ -73,7 +77,8 @@ class Handshake:
         self._revoked = RevocationList(credentials)
 
     def prove(self, token: Token) -> Token:
-        """Return our token with its proof."""
+        """Return our token with its proof, in the group of our certificate."""
+        token = replace(token, limit=self._credentials.identity.limit)
         data = _signed(token, self._session, self._public + self._certificate)
         signature = self._credentials.key.sign(data)
         raw = self._public + signature + self._certificate
@@ -82,7 +87,7 @@ class Handshake:
     def check(self, token: Token) -> Peer:
         """Return whose token it is; `CertificateError` if it is not to be believed.
 
-        Takes 0.3 ms.
+        `SignatureError` if only the signature is wrong. Takes 0.3 ms with a new certificate.
         """
         name = token.role.name.lower()
         if not token.proof:
@@ -97,7 +102,7 @@ class Handshake:
         except UNREADABLE as error:
             raise CertificateError(f"a {name} with a certificate that cannot be read") from error
         identity = self._identify(certificate)
-        if identity.office is not OFFICE_OF[token.role]:
+        if (identity.office, identity.limit) != (OFFICE_OF[token.role], token.limit):
             raise CertificateError(f"a {name} with the certificate {identity.common_name}")
         if not identity.may_join(self._session):
             raise CertificateError(
@@ -107,7 +112,7 @@ class Handshake:
         public, signature = raw[:KEY_BYTES], raw[KEY_BYTES:_CERTIFICATE_AT]
         signed = _signed(token, self._session, public + raw[_CERTIFICATE_AT:])
         if not _is_signature(certificate, signature, signed):
-            raise CertificateError(
+            raise SignatureError(
                 f"a {name} that does not hold the key of its certificate {identity.common_name}"
             )
         return Peer(token.role, token.nonce, identity, public, certificate)

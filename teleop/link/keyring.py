@@ -22,7 +22,7 @@ from teleop.topics import TOPICS, Role, Topic
 TAG_BYTES = 16
 ENTRY_BYTES = 8 + TAG_BYTES  # the addressee's nonce, and the tag for it
 ADDRESSEES = 8  # at most, of a message
-KEPT = 64  # peers whose messages are still believed after their token has vanished
+KEPT = 64  # peers that are gone whose messages are still believed
 
 _NONCE = struct.Struct("<Q")
 _TOPICS = {topic.name: topic for topic in TOPICS}
@@ -67,10 +67,11 @@ class Keyring:
         self._role = role
         self._seals = {topic.name: Seals() for topic in TOPICS}
         # of each topic that we act on: keyed hashes by sender, absent ones too
-        self._senders: dict[str, OrderedDict[int, Any]] = {
-            topic.name: OrderedDict() for topic in TOPICS if role in topic.addressees
+        self._senders: dict[str, dict[int, Any]] = {
+            topic.name: {} for topic in TOPICS if role in topic.addressees
         }
-        self._peers: OrderedDict[tuple[Role, int], Peer] = OrderedDict()
+        self._peers: dict[tuple[Role, int], Peer] = {}  # as many as the roster admits, and `KEPT`
+        self._gone: OrderedDict[tuple[Role, int], None] = OrderedDict()
 
     def shares_with(self, role: Role) -> bool:
         """Return whether messages between us and `role` are tagged."""
@@ -87,9 +88,7 @@ class Keyring:
     def add(self, peer: Peer, keys: PairKeys) -> None:
         """Believe and address `peer` from now on."""
         self._peers[peer.role, peer.nonce] = peer
-        self._peers.move_to_end((peer.role, peer.nonce))
-        while len(self._peers) > KEPT:
-            self._peers.popitem(last=False)
+        self._gone.pop((peer.role, peer.nonce), None)
         addressee = nonce_bytes(peer.nonce)
         for topic in TOPICS:
             name = topic.name
@@ -98,11 +97,7 @@ class Keyring:
                 entry = (addressee, keyed_hash(keys.sending, topic))
                 self._seals[name].entries = (*others[-(ADDRESSEES - 1) :], entry)
             if name in self._senders and peer.role in topic.publishers:
-                senders = self._senders[name]
-                senders[peer.nonce] = keyed_hash(keys.receiving, topic)
-                senders.move_to_end(peer.nonce)
-                while len(senders) > KEPT:
-                    senders.popitem(last=False)
+                self._senders[name][peer.nonce] = keyed_hash(keys.receiving, topic)
 
     def remove(self, role: Role, nonce: int) -> None:
         """Address a vanished peer no more; what is still on its way is believed."""
@@ -111,11 +106,16 @@ class Keyring:
             if role in topic.addressees:
                 seals = self._seals[topic.name]
                 seals.entries = tuple(e for e in seals.entries if e[0] != addressee)
+        if (role, nonce) in self._peers:
+            self._gone[role, nonce] = None
+        while len(self._gone) > KEPT:
+            self.forget(*next(iter(self._gone)))
 
     def forget(self, role: Role, nonce: int) -> None:
         """Address a peer no more, and believe nothing of it any more."""
-        self.remove(role, nonce)
         self._peers.pop((role, nonce), None)
+        self._gone.pop((role, nonce), None)
+        self.remove(role, nonce)
         for name, senders in self._senders.items():
             if role in _TOPICS[name].publishers:
                 senders.pop(nonce, None)

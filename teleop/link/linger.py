@@ -12,6 +12,7 @@ import re
 import socket
 import stat
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 
 import zenoh
@@ -31,15 +32,28 @@ def _on_link(event: zenoh.LinkEvent) -> None:
     ours = _address(event.link.src)  # the other end may be named by its host
     if event.kind != zenoh.SampleKind.PUT or ours is None or not _OPEN_FILES.exists():
         return
-    for number in map(int, os.listdir(_OPEN_FILES)):
+    for number in _open_files():
         try:
             if not stat.S_ISSOCK(os.fstat(number).st_mode):
                 continue
-            with socket.fromfd(number, socket.AF_INET, socket.SOCK_STREAM) as connection:
-                if connection.getsockname()[:2] == ours:
-                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
+            connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=number)
         except OSError:  # closed since it was listed
             continue
+        try:
+            if connection.getsockname()[:2] == ours:
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
+        except OSError:
+            continue
+        finally:
+            connection.detach()  # it is Zenoh's
+
+
+def _open_files() -> Iterable[int]:
+    """Return the numbers of the open files of this process, and perhaps further ones."""
+    try:
+        return map(int, os.listdir(_OPEN_FILES))
+    except OSError:  # no descriptor is left to list them with: all below the limit are open
+        return range(os.sysconf("SC_OPEN_MAX"))
 
 
 def _address(endpoint: str) -> tuple[str, int] | None:

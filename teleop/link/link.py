@@ -101,12 +101,17 @@ class Link:
                 self._handshake, self._keyring, self.refusals,
             )  # fmt: skip
             opening.callback(self._roster.close)
-            claim = self._announce()
+            announces = self.role not in presence.LISTENERS
+            claim = self._announce() if announces else None
             if not self._at_once:
                 self._settle()
             self._token = replace(self._token, stage=Stage.HELD)
-            self._held = self._announce()
-            claim.undeclare()
+            if claim is not None:
+                self._held = self._announce()
+                self._roster.show_token(
+                    self._token
+                )  # the end of a claim shown later is told to nobody
+                claim.undeclare()
             opening.enter_context(self._probe())
             self._closing = opening.pop_all()
         return self
@@ -159,6 +164,10 @@ class Link:
         It is rejected unless its sender is our `nonce`. It has no tags, so that nobody acts on it.
         """
         self._publisher(topic, patient=True).send(data, now_ns())
+
+    def has_listener(self, topic: Topic[Any]) -> bool:
+        """Return whether somebody subscribes to `topic`, or to copies of it; for a replay."""
+        return self._publisher(topic, patient=True).needed
 
     def subscribe_latest(self, topic: Topic[M], limit_ns: int = NEVER_NS) -> Latest[M]:
         """Subscribe to the latest value of `topic`; call it before the loop starts.
@@ -224,7 +233,8 @@ class Link:
     def present(self, role: Role, nonce: int | None = None) -> bool:
         """Return whether a process of `role` is connected to this one and has finished starting.
 
-        With a `nonce`: whether that process is.
+        With a `nonce`: whether that process is. Recorders and viewers do not announce themselves
+        (`has_listener`).
         """
         return self._roster.present(role, nonce)
 
@@ -292,7 +302,9 @@ class Link:
         listen, connect = self._endpoints()
         mode: Mode = "client" if self.config.routers else "peer"
         try:
-            session = open_session(self.credentials, listen, connect, self._access(), mode)
+            session = open_session(
+                self.credentials, listen, connect, self._access(), mode, self.refusals.note
+            )
         except UsageError:
             if listen:
                 self._blame_rival(listen)

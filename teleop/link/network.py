@@ -3,12 +3,16 @@
 import json
 import os
 import re
+import resource
+import sys
+from collections.abc import Callable
 from typing import Any, Literal
 
 import zenoh
 
 from teleop.errors import TeleopError, UsageError
 from teleop.keys import Credentials
+from teleop.link.connection_guard import HANDSHAKE_TIMEOUT_MS, ConnectionGuard
 from teleop.link.linger import close_at_once
 
 RETRY_MS = 100  # between attempts to connect to a peer
@@ -17,6 +21,8 @@ BATCH_BYTES = 2048  # of one write; holds any message, each of which is sent alo
 MESSAGE_BYTES = 65536  # that are received in fragments; a longer message is none of ours
 OPEN_MS = 3000  # of the handshake, and of closing with an unresponsive target
 CONNECTIONS = 10_000  # that a router takes; its processor is the limit before (docs/scale.md)
+BURST = 16  # that shake hands at a time with one address of a side
+OPEN_FILES = 64  # a session runs with as many; with 24 the threads of Zenoh panic
 LEASE_MS = 2000  # timeout of a silent peer; a closed connection is detected at once
 # Zenoh's threads of this process. With its default of two receiving threads, each message wakes
 # both: 30 us more of a round trip, 11 % more of a core in the recorder (docs/latency.md)
@@ -31,6 +37,7 @@ def open_session(
     connect: list[str],
     access: dict[str, Any] | None = None,
     mode: Mode = "peer",
+    note: Callable[[str], None] = lambda _: None,
 ) -> zenoh.Session:
     """Open a Zenoh session on `HOST:PORT`s; `UsageError` if one cannot be listened on.
 
@@ -45,10 +52,17 @@ def open_session(
     TeleopError
         No target of a client answers.
     """
+    _require_open_files()
     if mode != "router":  # that one serves many connections at once
         os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # read when the first session opens
+    flat = settings(credentials, listen, connect, access, mode)
+    if sys.platform == "linux" and credentials is not None:
+        flat["listen/endpoints"] = [
+            f"{endpoint}#tls_handshake_timeout_ms={HANDSHAKE_TIMEOUT_MS}"
+            for endpoint in flat["listen/endpoints"]
+        ]
     try:
-        session = zenoh.open(config_of(settings(credentials, listen, connect, access, mode)))
+        session = zenoh.open(config_of(flat))
     except zenoh.ZError as error:
         if mode == "client":
             routers = ", ".join(connect)
@@ -58,7 +72,21 @@ def open_session(
         place = f"cannot listen on {', '.join(listen)}" if listen else "cannot open the link"
         raise UsageError(f"{place}: {_reason(str(error))}") from error
     close_at_once(session)
+    ConnectionGuard(session, listen, CONNECTIONS if mode == "router" else BURST, note)
     return session
+
+
+def _require_open_files() -> None:
+    """Raise `UsageError` if this process may open too few files: Zenoh would hang for ever."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    unlimited = resource.RLIM_INFINITY
+    if soft != unlimited and soft < OPEN_FILES:
+        if hard != unlimited and hard < OPEN_FILES:
+            raise UsageError(
+                f"this process may open {hard} files only; allow it {OPEN_FILES}: "
+                f"ulimit -n {OPEN_FILES}"
+            )
+        resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, hard))
 
 
 def config_of(settings: dict[str, Any]) -> zenoh.Config:
@@ -95,6 +123,7 @@ def settings(
             "period_increase_factor": 1,
         },
         "transport/unicast/open_timeout": OPEN_MS,
+        "transport/unicast/accept_timeout": OPEN_MS,
         "transport/shared_memory/enabled": False,
         "transport/link/protocols": [protocol],
         "transport/link/tx/lease": LEASE_MS,

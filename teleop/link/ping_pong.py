@@ -23,7 +23,7 @@ from teleop.keys import Office
 from teleop.keys.local import local_credentials
 from teleop.link.inbox import Inbox
 from teleop.link.network import declare_publisher, open_session
-from teleop.process import SUPERVISED, die_with_launcher
+from teleop.process import SUPERVISED, die_with_launcher, module_command
 from teleop.realtime import RealtimeConfig, enter_loop, go_realtime
 
 PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
@@ -81,7 +81,7 @@ def _start(words: list[str]) -> subprocess.Popen[bytes]:
     root = str(Path(__file__).parents[2])
     path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
     return subprocess.Popen(
-        [sys.executable, "-m", "teleop.link.ping_pong", *words],
+        [*module_command("teleop.link.ping_pong"), *words],
         stdin=subprocess.PIPE,  # pong ends when this closes
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

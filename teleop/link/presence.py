@@ -1,10 +1,15 @@
 """Presence tokens of a session, and conflicts between processes.
 
-Every process announces itself by a liveliness token, which vanishes with its process or connection:
+Every process but listeners (recorders, viewers) announces itself by a liveliness token, which
+vanishes with its process or connection:
 
-    teleop/<session>/@/<role>/<layout>/<nonce>/<stage>[/<proof>]
+    teleop/<session>/@/<group>/<layout>/<nonce>/<stage>[/<proof>]
 
-The proof (`teleop.link.handshake`) shows who it is; only an insecure session has none.
+The group is the role, and of a supervisor with some rights only also those, as in the common name
+of its certificate: `remote-stop`. Zenoh's access control compares the two, so tokens of one group
+cannot use up what another group may cost. The proof (`teleop.link.handshake`) shows who it is; only
+an insecure session has none. A listener declares no token, since the sides would have to keep it;
+it shows one in its challenges (`teleop.link.challenge`).
 
 A session has one master and one slave. A new process first *claims* its role, waits for other
 tokens, and then *holds* it. A claim yields to a holder; of two equals the older nonce stays. A
@@ -21,9 +26,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from teleop.clock import now_ns
+from teleop.keys.identity import LIMITS, OFFICE_OF, Office
 from teleop.topics import Role
 
 EXCLUSIVE = (Role.MASTER, Role.SLAVE)
+LISTENERS = (Role.RECORDER, Role.VIEWER)
+_CERTIFICATE_AT = 128  # character of a proof, behind the X25519 key and the signature
 _RANDOM_BITS = 12  # of 64; the rest is the start stamp, good for 4 us and until the year 2554
 
 
@@ -49,13 +57,23 @@ class Token:
     stage: Stage
     relayed: bool = False
     proof: str = ""
+    limit: str = ""  # rights of a supervisor that has some only (`teleop.keys.identity.LIMITS`)
+
+    @property
+    def group(self) -> str:
+        """Whose tokens share the bounds of what they may cost."""
+        return f"{'relay/' if self.relayed else ''}{self.role.name.lower()}{self.limit}"
+
+    @property
+    def certificate(self) -> str:
+        """The certificate in the proof, not read."""
+        return self.proof[_CERTIFICATE_AT:]
 
     def key(self, session: str) -> str:
         """Return the key of this token."""
-        relay = "relay/" if self.relayed else ""
-        name, stage = self.role.name.lower(), self.stage.name.lower()
+        stage = self.stage.name.lower()
         proof = f"/{self.proof}" if self.proof else ""
-        return f"{root(session)}/{relay}{name}/{self.layout:08x}/{self.nonce:016x}/{stage}{proof}"
+        return f"{root(session)}/{self.group}/{self.layout:08x}/{self.nonce:016x}/{stage}{proof}"
 
     @classmethod
     def from_key(cls, key: str) -> "Token | None":
@@ -63,19 +81,46 @@ class Token:
         chunks = key.split("/@/", 1)[-1].split("/")
         relayed = chunks[0] == "relay"
         try:
-            name, layout, nonce, stage, *proof = chunks[relayed:]
+            group, layout, nonce, stage, *proof = chunks[relayed:]
             if len(proof) > 1 or not (len(layout) == 8 and len(nonce) == 16):
                 return None
+            name, dash, rights = group.partition("-")
+            role, limit = Role[name.upper()], dash + rights
+            if limit not in _limits_of(role):
+                return None
             return cls(
-                Role[name.upper()],
+                role,
                 int(layout, 16),
                 int(nonce, 16),
                 Stage[stage.upper()],
                 relayed,
-                *proof,
+                proof[0] if proof else "",
+                limit,
             )
         except (ValueError, KeyError):
             return None
+
+
+def groups_of(role: Role) -> list[str]:
+    """Return the groups of a role's tokens."""
+    return [role.name.lower() + limit for limit in _limits_of(role)]
+
+
+def groups_for(role: Role) -> list[str]:
+    """Return the groups of the announced tokens that a process of `role` looks at."""
+    roles = [r for r in Role if r not in LISTENERS] if role in EXCLUSIVE else EXCLUSIVE
+    groups = [group for other in roles for group in groups_of(other)]
+    return [*groups, "relay/master"] if role is Role.MASTER else groups
+
+
+def may_stop(group: str) -> bool:
+    """Return whether processes of a group may stop a session."""
+    listens = group in [role.name.lower() for role in LISTENERS]
+    return group.endswith("-stop") or not (listens or "-" in group)
+
+
+def _limits_of(role: Role) -> tuple[str, ...]:
+    return LIMITS if OFFICE_OF[role] is Office.SUPERVISOR else ("",)
 
 
 def root(session: str) -> str:

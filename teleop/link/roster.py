@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,20 +13,23 @@ from typing import Any
 import zenoh
 
 from teleop.keys import CertificateError
-from teleop.link.challenge import Challenger, Responder
-from teleop.link.handshake import Handshake, PairKeys, Peer
+from teleop.link.admission import Admission
+from teleop.link.challenge import Asker, Challenger, Responder
+from teleop.link.handshake import Handshake, PairKeys, Peer, SignatureError
 from teleop.link.keyring import Keyring
-from teleop.link.presence import EXCLUSIVE, Stage, Token, root
-from teleop.link.rate_limit import RateLimit
+from teleop.link.presence import EXCLUSIVE, LISTENERS, Stage, Token, groups_for, groups_of, root
 from teleop.link.refusals import Refusals
 from teleop.topics import Role
 
-TOKENS = 64  # of a role at a time
-CHECKS, CHECKS_HZ = 64, 20.0  # proofs checked of a role: at once, and per second
+TOKENS = 64  # of a group at a time
 VISITS = 1024  # processes whose visits are counted
-WAITING = 1000  # tokens that came and were not looked at yet; further ones are asked for again
+DEPARTED = 256  # tokens that are remembered as vanished
+ARRIVALS = 64  # tokens of a group that wait in Zenoh; a newer one displaces the oldest
+LOOKS = 16  # of them taken at a time
+ASKS = 8  # challenges sent at a time
 
 S = 1_000_000_000  # [ns]
+PACE_S, LOOK_S = 0.001, 0.01  # [s] between two steps: with much to do, which takes turns; with none
 EVERY_NS = 2 * S  # between two challenges of a process, and two looks at the certificates
 RETRY_NS = S // 20  # after the first challenge without an answer; doubles up to `EVERY_NS`
 MISSED = 3  # challenges in succession without an answer, after which a process counts as gone
@@ -54,9 +58,14 @@ class Roster:
     A token without a valid proof is ignored. One of a master or slave, and to these one of a
     supervisor, counts only while its process answers challenges (`teleop.link.challenge`): a token
     that is played back neither evicts nor blocks anybody. Nothing counts any more of a certificate
-    that expires or is revoked. What an attacker can make us do or keep is bounded: of each role
-    `CHECKS_HZ` proofs a second and `TOKENS` tokens. Tokens beyond the bound are asked for again
-    later; of those without an answer the oldest one makes place.
+    that expires or is revoked.
+
+    What an attacker can make us do or keep is bounded for each group of tokens (`Token.group`),
+    whatever stands. Zenoh keeps the newest `ARRIVALS` tokens, without our interpreter, of which
+    `LOOKS` are taken at a time; `Admission` says which proofs are checked. `TOKENS` are kept, of
+    which the certificate with the most makes place. A token that is lost by that is seen in the
+    challenge of its process, which repeats it until it is answered. That of a listener is seen
+    there only; its keys are kept to answer the next one.
 
     A thread of its own writes; anyone reads.
 
@@ -94,8 +103,15 @@ class Roster:
         )  # fmt: skip
         self._handshake, self._keyring = handshake, keyring
         self._refusals = refusals or Refusals()
-        self._limits = {role: RateLimit(CHECKS, CHECKS_HZ) for role in Role}
-        self._missed = False
+        announced = groups_for(token.role)
+        asking = LISTENERS if token.role in EXCLUSIVE else ()
+        self._admissions = {
+            group: Admission(group)
+            for group in (*announced, *(group for role in asking for group in groups_of(role)))
+        }
+        self._turns = deque(self._admissions.values())
+        self._take_ns = 0
+        self._departed: OrderedDict[int, None] = OrderedDict()  # hashes of tokens that vanished
         self._undecided_ns = 0  # until when the answer of an exclusive process is waited for
         self._look_ns = monotonic_ns() + EVERY_NS
         self._processes: dict[Token, Process] = {}
@@ -105,14 +121,22 @@ class Roster:
         self._events: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._stack = contextlib.ExitStack()
         if handshake is not None:
-            self._challenger = Challenger(zenoh_session, session, handshake.prove(token))
-            self._responder = Responder(
-                zenoh_session, session, self._nonce, handshake, self._vouches
+            # a side must not say that it holds its role while it claims it
+            shown = token if token.role in EXCLUSIVE else replace(token, stage=Stage.HELD)
+            self._challenger = Challenger(zenoh_session, session, handshake.prove(shown))
+            if token.role not in LISTENERS:  # which nobody challenges
+                responder = Responder(
+                    zenoh_session, session, self._nonce, self._vouches, self._show
+                )
+                self._stack.callback(responder.close)
+        self._arrivals = [
+            self._liveliness.declare_subscriber(
+                f"{root(session)}/{group}/**", zenoh.handlers.RingChannel(ARRIVALS), history=True
             )
-            self._stack.callback(self._responder.close)
-        direct = zenoh.handlers.Callback(self._store, indirect=False)
-        watch = self._liveliness.declare_subscriber(f"{root(session)}/**", direct, history=True)
-        self._stack.callback(watch.undeclare)
+            for group in announced
+        ]
+        for arrivals in self._arrivals:
+            self._stack.callback(arrivals.undeclare)
         self._thread = threading.Thread(target=self._work, name="roster", daemon=True)
         self._thread.start()
 
@@ -147,7 +171,13 @@ class Roster:
     @property
     def undecided(self) -> bool:
         """Whether the answer of a process that may have our place is still waited for."""
-        return not self._events.empty() or monotonic_ns() < self._undecided_ns
+        waits = any(self._admissions[role.name.lower()] for role in EXCLUSIVE)
+        return waits or not self._events.empty() or monotonic_ns() < self._undecided_ns
+
+    def show_token(self, token: Token) -> None:
+        """Show this token of ours to those that are challenged; once it has been announced."""
+        if self._handshake is not None:
+            self._challenger.show_token(token)
 
     def replace(self, others: frozenset[Token]) -> None:
         """Replace the tokens of all other processes."""
@@ -158,75 +188,114 @@ class Roster:
 
     def close(self) -> None:
         """Stop watching; before the session is closed."""
-        self._stack.close()
         self._events.put(None)
         self._thread.join()
-
-    def _store(self, sample: zenoh.Sample) -> None:
-        """Take a token from Zenoh's thread."""
-        if self._events.qsize() < WAITING:
-            came = sample.kind == zenoh.SampleKind.PUT
-            self._events.put(partial(self._on_token, str(sample.key_expr), came))
-        else:
-            self._missed = True
+        self._stack.close()
 
     def _work(self) -> None:
         """Process tokens and answers, and challenge, until `close`."""
+        wait_s = 0.0
         while True:
-            dues = (p.due_ns for p in self._processes.values() if p.must_answer)
-            wait_ns = min((self._look_ns, *dues)) - monotonic_ns()
             try:
-                if wait_ns <= 0:
-                    self._challenge()
-                event = self._events.get(timeout=max(0.0, min(wait_ns, EVERY_NS) * 1e-9))
-                if event is None:
-                    return
-                event()
-            except Empty:
-                continue
-            except zenoh.ZError as error:  # of one event; the next ones are looked at all the same
+                with contextlib.suppress(Empty):
+                    event = self._events.get(timeout=wait_s)
+                    if event is None:
+                        return
+                    event()
+                wait_s = self._step(monotonic_ns())
+            except zenoh.ZError as error:  # of one token; the next ones are looked at all the same
                 self._refusals.note(f"a presence token, for an error of the link: {error}")
 
-    def _on_token(self, key: str, came: bool) -> None:
-        token = Token.from_key(key)
-        if token is None or token.nonce == self._nonce:
-            return
-        if token.relayed and self._role is not Role.MASTER:
-            return  # its relays are for masters
-        if not came:
-            self._forget(token)
-        elif token not in self.others and token not in self._processes and self._has_place(token):
-            self._check(token)
+    def _step(self, now_ns: int) -> float:
+        """Do a small part of what is to be done; return how long to wait for the next one [s]."""
+        if self._take_ns <= now_ns:
+            self._take_ns = now_ns + round(LOOK_S * S)
+            self._take_arrivals()
+        if self._look_ns <= now_ns:
+            self._look_ns = now_ns + EVERY_NS
+            self._look_at_certificates()
+        due = [p for p in self._processes.values() if p.must_answer and p.due_ns <= now_ns]
+        for process in due[:ASKS]:
+            self._ask(process)
+        return PACE_S if self._check_next() or len(due) > ASKS else LOOK_S
 
-    def _has_place(self, token: Token) -> bool:
-        """Return whether one more token of a role may be looked at now, and make place for it."""
-        role = token.role
-        allowed = self._limits[role]()
-        if allowed and sum(t.role == role for t in self.others) < TOKENS:
-            silent = [p.token for p in self._processes.values()
-                      if p.token.role == role and not p.present]  # fmt: skip
-            if len(silent) >= TOKENS:
-                self._forget(silent[0])
-                self._missed = True
-            return True
-        self._refusals.note(f"presence tokens of {role.name.lower()}s came too fast")
-        self._missed = True
+    def _take_arrivals(self) -> None:
+        """Take tokens that have come, or vanished, from Zenoh."""
+        for arrivals in self._arrivals:
+            for _ in range(LOOKS):
+                sample = arrivals.try_recv()
+                if sample is None:
+                    break
+                token = Token.from_key(str(sample.key_expr))
+                if token is None or token.nonce == self._nonce:
+                    continue
+                if sample.kind == zenoh.SampleKind.PUT:
+                    self._departed.pop(hash(token), None)
+                    self._queue(token)
+                else:
+                    self._admissions[token.group].remove(token)
+                    self._forget(token)
+                    self._departed[hash(token)] = None
+                    while len(self._departed) > DEPARTED:
+                        self._departed.popitem(last=False)
+
+    def _queue(self, token: Token, asker: Asker | None = None) -> None:
+        """Let a token wait for its check."""
+        if token in self.others or token in self._processes:
+            if asker is not None:
+                self._answer(token, asker)
+        elif not self._admissions[token.group].put(token, asker):
+            self._note_excess(token)
+
+    def _note_excess(self, token: Token) -> None:
+        self._refusals.note(f"presence tokens of {token.role.name.lower()}s came too fast")
+
+    def _show(self, token: Token, asker: Asker) -> None:
+        """Take the token of a process that challenges us, from Zenoh's thread."""
+        if token.group in self._admissions:
+            self._events.put(partial(self._queue, token, asker))
+
+    def _answer(self, token: Token, asker: Asker) -> None:
+        process = self._processes.get(token)
+        if process is not None:
+            asker(process.keys)
+
+    def _check_next(self) -> bool:
+        """Check the token whose turn it is; return whether there was one."""
+        for _ in range(len(self._turns)):
+            admission = self._turns[0]
+            self._turns.rotate(-1)
+            waiting = admission.take()
+            if waiting is not None:
+                self._check(*waiting)
+                return True
         return False
 
-    def _check(self, token: Token) -> None:
-        """Look at a token that has just come."""
+    def _check(self, token: Token, asker: Asker | None) -> None:
+        """Look at a token that has come, or that a process shows which challenges us."""
         if self._handshake is None:
             if token.proof:
                 name = token.role.name.lower()
                 self._refusals.note(f"a {name} with a certificate: this session is insecure")
-            else:
+            elif sum(t.group == token.group for t in self.others) < TOKENS:
                 self._arrived(token)
+            else:
+                self._note_excess(token)
             return
         process = self.examine(token)
         if process is None:
             return
+        if asker is not None:
+            asker(process.keys)
+            if hash(token) in self._departed:  # a challenge may come late
+                return
+        if not self._has_place(process):
+            self._note_excess(token)
+            return
         self._processes[token] = process
-        if not process.must_answer or self._has_answered(process):
+        if not process.must_answer:
+            return  # kept to answer it again
+        if self._has_answered(process):
             process.due_ns = process.since_ns + EVERY_NS
             self._admit(process)
         else:
@@ -234,20 +303,40 @@ class Roster:
                 self._undecided_ns = process.since_ns + DECISION_NS
             self._ask(process)
 
+    def _has_place(self, process: Process) -> bool:
+        """Return whether there is place for a process in its group, and make it."""
+        token = process.token
+        members = [p for p in self._processes.values() if p.token.group == token.group]
+        if len(members) < TOKENS:
+            return True
+        counts = Counter(p.token.certificate for p in members)
+        # the first of the largest: the oldest one without an answer
+        last = max(members, key=lambda p: (counts[p.token.certificate], not p.present))
+        if last.present and (
+            token.role in EXCLUSIVE or last.token.certificate == token.certificate
+        ):
+            return False
+        self._forget(last.token)
+        return True
+
     def examine(self, token: Token) -> Process | None:
         """Return whose token it is; None, with a note, if it is not genuine."""
         if self._handshake is None or self._keyring is None or self._handshake.fault:
             return None  # a fault of ours was said already (`_look_at_certificates`)
+        admission = self._admissions[token.group]
         try:
             peer = self._handshake.check(token)
             keys = self._handshake.pair_keys(peer)
         except CertificateError as error:
             self._refusals.note(str(error))
+            admission.refuse(token)
+            if isinstance(error, SignatureError):
+                admission.know(token)
             return None
+        admission.know(token)
         if self._is_taken(peer):
             return None
-        must_answer = token.role in EXCLUSIVE or self._keyring.shares_with(token.role)
-        return Process(token, peer, keys, monotonic_ns(), must_answer)
+        return Process(token, peer, keys, monotonic_ns(), token.role not in LISTENERS)
 
     def _has_answered(self, process: Process) -> bool:
         """Return whether the process has just proven its presence for another token."""
@@ -255,21 +344,6 @@ class Roster:
             p.present and p.peer == process.peer and not (p.token.relayed or p.unanswered)
             for p in self._processes.values()
         )
-
-    def _challenge(self) -> None:
-        """Send the challenges that are due; now and then look at the certificates too."""
-        now = monotonic_ns()
-        for process in list(self._processes.values()):
-            if process.must_answer and process.due_ns <= now:
-                self._ask(process)
-        if self._look_ns <= now:
-            self._look_ns = now + EVERY_NS
-            self._look_at_certificates()
-            if self._missed:
-                self._missed = False
-                self._liveliness.get(
-                    f"{root(self._session)}/**", self._on_reply, timeout=EVERY_NS * 0.5e-9
-                )
 
     def _ask(self, process: Process) -> None:
         """Challenge a process; one that has not answered for long is none."""
@@ -283,6 +357,9 @@ class Roster:
             self._refusals.note(
                 f"a {name} that does not answer: it hangs, or somebody plays its token back"
             )
+            if process.token.role not in EXCLUSIVE:
+                self._forget(process.token)  # when it goes on, it challenges us
+                return
         wait_ns = EVERY_NS if process.present else RETRY_NS << min(process.unanswered, 8)
         process.due_ns = now + min(wait_ns, EVERY_NS)
         process.unanswered += 1
@@ -325,10 +402,7 @@ class Roster:
 
     def _decide(self) -> None:
         """Stop waiting for answers if none is open."""
-        if not any(
-            p.must_answer and not p.present and p.token.role in EXCLUSIVE
-            for p in self._processes.values()
-        ):
+        if not any(not p.present and p.token.role in EXCLUSIVE for p in self._processes.values()):
             self._undecided_ns = 0
 
     def _arrived(self, token: Token) -> None:
@@ -365,8 +439,7 @@ class Roster:
         """Part from processes whose certificate has expired or was revoked, or from all if ours."""
         if self._handshake is None or self._keyring is None:
             return
-        if self._handshake.read_revoked(self._refusals.note):
-            self._responder.forget()
+        self._handshake.read_revoked(self._refusals.note)
         ours = self._handshake.fault
         if ours and self._processes:
             self._refusals.note(f"{ours}; it is ours: nothing is sent or believed any more")
@@ -380,7 +453,3 @@ class Roster:
         return any(
             t.nonce == nonce and t.role is Role.MASTER and not t.relayed for t in self.others
         )
-
-    def _on_reply(self, reply: zenoh.Reply) -> None:
-        if reply.ok is not None:
-            self._store(reply.ok)

@@ -10,7 +10,7 @@ from typing import Any
 from teleop.link import Latest, Link, LinkConfig
 from teleop.link.handshake import Handshake
 from teleop.link.keyring import Keyring
-from teleop.link.presence import EXCLUSIVE, Stage, Token
+from teleop.link.presence import EXCLUSIVE, LISTENERS, Stage, Token
 from teleop.messages import LAYOUT, Command
 from teleop.topics import COMMAND, Role
 
@@ -40,7 +40,7 @@ def session(config: LinkConfig, *roles: Role) -> Iterator[list[Link]]:
     with ExitStack() as stack:
         links = [stack.enter_context(Link(config, "test", role)) for role in roles]
         for one, two in itertools.permutations(links, 2):
-            if one.role in EXCLUSIVE or two.role in EXCLUSIVE:
+            if (one.role in EXCLUSIVE or two.role in EXCLUSIVE) and two.role not in LISTENERS:
                 wait_until(lambda one=one, two=two: one.present(two.role))
         time.sleep(0.05)
         yield links

@@ -1,5 +1,7 @@
 """Where a link may listen, and what it must not send in the clear."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -46,6 +48,11 @@ def test_an_old_address_is_refused_with_the_new_form(protocol: str) -> None:
         LinkConfig(slave=f"{protocol}/127.0.0.1:7448")
 
 
+def test_a_zone_is_refused_with_the_reason() -> None:
+    with pytest.raises(ValueError, match=r"^slave: a zone \(%eth0\) is not possible"):
+        LinkConfig(slave="[fe80::1%eth0]:7447")
+
+
 def test_a_router_of_ros_has_its_protocol() -> None:
     assert Endpoint.parse("tcp/127.0.0.1:7447") == ("tcp", "127.0.0.1", 7447)
     for text in ("127.0.0.1:7447", "udp/127.0.0.1:7447", "tcp/127.0.0.1"):
@@ -65,3 +72,29 @@ def test_off_loopback_keys_are_needed_unless_asked_otherwise(tmp_path: Path) -> 
 def test_twice_the_same_endpoint_is_refused() -> None:
     with pytest.raises(ValueError, match=r"^slave: must differ from the endpoint"):
         LinkConfig(master="127.0.0.1:7000", slave="127.0.0.1:7000")
+
+
+FEW_FILES = """
+import resource, sys
+from teleop.errors import UsageError
+from teleop.link.network import open_session
+soft, hard = map(int, sys.argv[1:])
+resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+try:
+    open_session(None, [], []).close()
+except UsageError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [(("20", "24"), "this process may open 24 files only; allow it 64: ulimit -n 64\n"),
+     (("20", "1000"), "")],
+)  # fmt: skip
+def test_where_few_files_may_be_open_a_link_is_refused_or_allowed_more(
+    limits: tuple[str, str], said: str
+) -> None:
+    words = [sys.executable, "-c", FEW_FILES, *limits]
+    run = subprocess.run(words, capture_output=True, text=True, check=True, timeout=60)
+    assert (run.stdout, run.stderr) == (said, "")

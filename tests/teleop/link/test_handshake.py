@@ -1,5 +1,6 @@
 """Whose tokens are believed: each kind of wrong certificate is refused in words."""
 
+import random
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -50,3 +51,23 @@ def test_each_wrong_certificate_is_refused_in_words_and_the_right_one_is_not() -
     ours = slave.pair_keys(slave.check(master.prove(TOKEN)))
     theirs = master.pair_keys(master.check(slave.prove(Token(Role.SLAVE, LAYOUT, 1, Stage.HELD))))
     assert (ours.sending, ours.receiving) == (theirs.receiving, theirs.sending)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_mutated_certificate_is_believed(seed: int) -> None:
+    """Each byte in turn, under a signature by the right key over what is shown."""
+    authority, chance = Authority.create("ours", 2), random.Random(seed)  # noqa: S311
+    slave, master = Handshake(of(authority, SLAVE), "test", 1), of(authority, MASTER)
+    genuine = Handshake(master, "test", TOKEN.nonce)
+    slave.check(genuine.prove(TOKEN))
+    der = genuine._certificate
+    for place in range(len(der)):
+        changed = bytearray(der)
+        changed[place] ^= chance.randint(1, 255)
+        if seed % 2:  # and cut off, or longer
+            changed[chance.randrange(len(der)) :] = chance.randbytes(chance.randint(0, 40))
+        if changed == der:
+            continue
+        genuine._certificate = bytes(changed)
+        with pytest.raises(CertificateError):
+            slave.check(genuine.prove(TOKEN))

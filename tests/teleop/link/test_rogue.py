@@ -7,18 +7,26 @@ it here is the handshake and the tags. With a viewer's certificate nothing of it
 import struct
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from teleop.keys import Office
+from teleop.keys import Credentials, Identity, Office
+from teleop.keys.authority import Authority
 from teleop.keys.local import local_credentials
 from teleop.link import Link, LinkConfig
+from teleop.link import admission as admission_module
+from teleop.link.handshake import Handshake
+from teleop.link.presence import Stage, Token
 from teleop.link.roster import TOKENS
 from teleop.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
 from teleop.remote.requests import RESET, RequestListener
+from teleop.session import Reason
 from teleop.topics import COMMAND, SETTING, STATE, STOP, Role
 from tests.rogue import ENGAGED, POSITION_AT, STATE_AT, Rogue, forged, head
+from tests.teleop.keys.folder import make_keys, put
 from tests.teleop.link.bench import pump, session, wait_until
+from tests.teleop.link.test_withdrawn import with_keys
 
 FAR = struct.pack("<8d", *(0.014,) * 8)  # [m] a position to pull the tip to
 ENGAGE = ((STATE_AT, struct.pack("<I", ENGAGED)), (POSITION_AT, FAR))
@@ -191,6 +199,41 @@ def test_a_viewer_is_heard_by_nobody(pair: tuple[Link, Link], config: LinkConfig
         goes_on(slave, master)
 
 
+@pytest.mark.parametrize(
+    ("office", "group", "kept"),
+    [
+        (Office.VIEWER, "viewer", 0),
+        (Office.RECORDER, "recorder", 0),
+        (Office.SUPERVISOR, "remote", 100),
+    ],
+)
+def test_nothing_is_kept_of_a_listener_but_subscribers(
+    office: Office, group: str, kept: int, config: LinkConfig
+) -> None:
+    """Zenoh removes tokens and queryables at once when a connection ends, and sends nothing."""
+    with Link(config, "test", Role.SLAVE) as slave:
+        states = slave._zenoh.declare_publisher("teleop/test/state")
+        tls = local_credentials("test", office).for_tls()
+        with Rogue([config.slave], "test", tls) as rogue:
+            wait_until(rogue.connected)
+            for n in range(100):
+                rogue.announce(group, LAYOUT, n)
+                rogue.answer(group, n)
+            rogue.listen("state")  # behind all that
+            wait_until(lambda: states.matching_status.matching)
+            tokens = slave._zenoh.liveliness().get(f"teleop/test/@/{group}/**")
+            assert len(list(tokens)) == kept
+            asks = slave._zenoh.declare_querier(f"teleop/test/@/prove/{group}/{5:016x}")
+            assert asks.matching_status.matching == bool(kept)
+
+
+@pytest.fixture
+def few_checks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So few a second that tokens come too fast on a busy machine too."""
+    monkeypatch.setattr(admission_module, "STOP_CHECKS_HZ", 5.0)
+
+
+@pytest.mark.usefixtures("few_checks")
 def test_floods_of_tokens_are_bounded_and_a_genuine_one_gets_through(
     pair: tuple[Link, Link], config: LinkConfig
 ) -> None:
@@ -210,6 +253,39 @@ def test_floods_of_tokens_are_bounded_and_a_genuine_one_gets_through(
             return slave.present(Role.REMOTE)
 
         wait_until(admitted)
+
+
+def test_worthless_proofs_of_who_may_not_stop_leave_a_stop_its_place(
+    tmp_path: Path, config: LinkConfig
+) -> None:
+    authority = Authority.create("test authority", 2)
+    sides = make_keys(tmp_path / "sides", authority=authority)
+    desk = make_keys(tmp_path / "desk", authority=authority)
+    put(authority, desk, Identity(Office.SUPERVISOR, "test", ("stop",)))
+    attacker = Identity(Office.SUPERVISOR, "test", ("set",))
+    certificate, key = authority.issue(attacker, 1.0)
+    credentials = Credentials(attacker, certificate, key, authority.certificate)
+    shown = Handshake(credentials, "test", 1).prove(Token(Role.REMOTE, LAYOUT, 1, Stage.HELD))
+    with (
+        session(with_keys(config, sides), Role.SLAVE, Role.MASTER) as (slave, master),
+        Rogue([config.slave, config.master], "test", credentials.for_tls()) as rogue,
+    ):
+        listen = RequestListener(slave)
+        wait_until(lambda: rogue.connected(2))
+        for n in range(300):  # of its own group, and of another, which access control drops
+            for group in ("remote-set", "remote-stop"):
+                rogue.announce(group, LAYOUT, 2 + n, proof=shown.proof)
+        wait_until(lambda: any("does not hold the key" in line for line in slave.refusals.take()))
+        with Link(with_keys(config, desk), "test", Role.REMOTE, at_once=True) as remote:
+
+            def is_stopped() -> bool:
+                remote.publish(STOP, EmergencyStop())
+                time.sleep(0.01)
+                return listen(0).stop is Reason.STOP_CALLED
+
+            wait_until(is_stopped)
+        assert not slave._roster._admissions["remote-stop"]._worthless
+        goes_on(slave, master)
 
 
 def test_a_lost_number_is_not_taken_by_somebody_else(

@@ -281,9 +281,10 @@ def test_connections_leave_no_file_open(config: LinkConfig) -> None:
     with Link(config, "test", Role.SLAVE) as slave, open("/dev/null", "rb"):
 
         def connected_and_gone() -> int:
-            with Link(config, "test", Role.VIEWER):
-                wait_until(lambda: slave.present(Role.VIEWER))
-            wait_until(lambda: not slave.present(Role.VIEWER))
+            with Link(config, "test", Role.VIEWER) as viewer:
+                viewer.listen((STATE,))
+                wait_until(lambda: slave.has_listener(STATE))
+            wait_until(lambda: not slave.has_listener(STATE))
             time.sleep(0.1)
             return len(os.listdir("/dev/fd"))
 

@@ -1,5 +1,7 @@
 """Who is let in: certificates of one authority, and nothing in the clear."""
 
+import socket
+import ssl
 import time
 from pathlib import Path
 
@@ -53,3 +55,25 @@ def test_a_plaintext_session_is_possible_if_asked_for(config: LinkConfig) -> Non
         master,
     ):
         pump(master, slave, 20)
+
+
+def test_only_tls_1_3_is_spoken_which_has_no_renegotiation(
+    folders: tuple[Path, Path], config: LinkConfig
+) -> None:
+    host, port = config.slave.split(":")
+    newest, older = (ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT) for _ in range(2))
+    older.maximum_version = ssl.TLSVersion.TLSv1_2
+    for context in (newest, older):
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        context.load_cert_chain(folders[0] / "test.viewer.pem", folders[0] / "test.viewer.key")
+    with Link(with_keys(folders[0], config), "test", Role.SLAVE):
+        with (
+            socket.create_connection((host, int(port)), 20.0) as plain,
+            newest.wrap_socket(plain) as secured,
+        ):
+            assert secured.version() == "TLSv1.3"
+        with (
+            socket.create_connection((host, int(port)), 20.0) as plain,
+            pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"),
+        ):
+            older.wrap_socket(plain)

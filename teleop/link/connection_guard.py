@@ -1,0 +1,469 @@
+"""Bound what the connections of a process can cost it, whoever opens them.
+
+Zenoh serves all listening sockets of TLS with one loop each, which sleeps for 100 ms after every
+connection whose handshake fails or times out (`TLS_ACCEPT_THROTTLE_TIME`, fixed when Zenoh is
+built), and accepts without a limit in between. Whoever lets 12 connections fail a second, or 600
+time out, so keeps everybody out, for as long as that and a minute longer. It keeps, too, whatever a
+peer declares: subscribers, tokens and names of keys up to 64 KB, for as long as the connection
+lasts. No setting of Zenoh bounds either, so a thread looks at our own sockets, on Linux:
+
+- A source of connections that stay half open for `STUCK_S`, or of too many at once, is blocked by
+  a filter of packets in the listening socket. A source is an address, half of one of IPv6, or on
+  this machine all users but ours and root: there the kernel tells whose a connecting socket is, and
+  those of ours pass with their second SYN, after one second. A block lasts `BLOCK_S`, or a second
+  for each of its connections, and twice as long each time, up to `BLOCK_MAX_S`.
+- The connections that it has half open are frozen, by a filter too, so that they do not fail all
+  at once when it closes them: nobody would get in until the last of them.
+- Connections that are half open for `HALF_OPEN_S` are shut down, one at a time, so that the loop
+  is awake in between.
+- A connection that has received more than the role in its certificate ever sends is shut down
+  (`allowance_of`), and so is the newest of more than `SAME_NAME` of one certificate's name. When
+  Zenoh has forgotten it, the memory is given back to the system. A peer that was cut off connects
+  again and declares everything at once, so new connections of a name that cannot stop a session
+  are shut down for `BARRED_S`.
+"""
+
+import contextlib
+import ctypes
+import math
+import os
+import re
+import select
+import socket
+import stat
+import struct
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
+from pathlib import Path
+from time import monotonic, sleep, thread_time
+from typing import NamedTuple
+
+import zenoh
+
+from teleop.keys.identity import Identity, Office
+
+LOOK_S = 0.1  # between two looks; longer if a look takes more than a tenth of it
+CHARGE_S = 0.01  # likewise, at the bytes alone; Zenoh reads a thousand declarations in it
+ARRIVAL_S = 0.005  # after a connection has come, until the next look
+STUCK_S, STUCK = 1.0, 8  # age and number of half-open connections after which a source is blocked
+HALF_OPEN_S = 2.0  # after which a half-open connection is shut down
+PACE_S = 0.2  # between two of them, of which Zenoh sleeps for half
+BLOCK_S, BLOCK_MAX_S = 5.0, 600.0
+FORGIVEN_S = 300.0  # after the end of a block, the next one is short again
+PORT_S = 5.0  # for which a socket of ours may connect past a block; its handshake takes less
+SOURCES = 500  # blocked at a time, in one filter of 4096 instructions
+SAME_NAME = 32  # connections of one certificate's name
+DISCARDS = 100  # reads of what a connection that is shut down has sent
+FORGET_S = 1.0  # in which Zenoh forgets a connection that was shut down
+BARRED_S = 5.0  # for which a name that sent too much, and cannot stop, gets no new connection
+
+HANDSHAKE_TIMEOUT_MS = 600_000  # of Zenoh, which must not have many of them time out together
+
+
+class Allowance(NamedTuple):
+    """Bytes that a connection may bring at once, per second, and in all."""
+
+    burst: float
+    rate: float
+    total: float = math.inf
+
+
+# A listener sends 3.5 kB when it connects, then 0.4 kB/s of challenges. What Zenoh keeps of it is
+# removed in 2 ms when it goes. Of a supervisor it keeps tokens, which take 10 us each: a bound in
+# all, behind which it connects again. One that may stop a session needs 8 kB/s to watch, 20 kB/s
+# for a call that nobody answers, and can interrupt the session anyway.
+LISTENS = Allowance(16e3, 4e3)
+SETS = Allowance(16e3, 1e3, 32e3)
+STOPS = Allowance(256e3, 16e3)
+
+
+def allowance_of(identity: Identity) -> Allowance | None:
+    """Return what a connection of a holder may bring; None: everything."""
+    if identity.office is Office.SUPERVISOR:
+        return STOPS if "stop" in identity.rights else SETS
+    return LISTENS if identity.office in (Office.RECORDER, Office.VIEWER) else None
+
+
+Ends = tuple[str, int]  # host and port
+Network = IPv4Network | IPv6Network
+_OPEN_FILES = Path("/dev/fd")  # of this process; absent on Windows
+_LINUX = sys.platform == "linux"
+_ENDPOINT = re.compile(r"\w+/\[?(?P<host>[^\]%]+?)(?:%\w+)?\]?:(?P<port>\d+)")
+_LOOPBACK = ip_network("127.0.0.0/8"), ip_network("::1/128")
+_SYN_SENT = b"02"
+_BYTES_RECEIVED = 128  # place of tcpi_bytes_received in TCP_INFO
+_ATTACH_FILTER, _DETACH_FILTER = 26, 27
+_LOAD, _LOAD_HALF, _AND, _EQUAL, _JUMP, _RETURN = 0x20, 0x28, 0x54, 0x15, 0x05, 0x06  # classic BPF
+_NETWORK_HEADER = 0xFFF00000  # place of the IP header; places from 0 are of the TCP header
+_PASS = 0xFFFFFFFF
+
+
+@dataclass(slots=True, eq=False)
+class _Connection:
+    """A TCP socket of this process."""
+
+    number: int  # file descriptor
+    inode: int
+    local: Ends
+    remote: Ends
+    since_s: float
+    received: int = 0  # [B]
+    left: float | None = None  # of its allowance [B]
+    charged_s: float = 0.0
+    frozen: bool = False
+    shut: bool = False
+
+    def shut_down(self) -> None:
+        """End the connection."""
+        self.shut = True
+        self._apply(_shut_down)
+
+    def freeze(self) -> None:
+        """Receive nothing more, not even the end of the connection."""
+        self.frozen = True
+        self.filter_packets([_step(_RETURN, 0)])
+
+    def read_received(self) -> int:
+        """Return how many bytes it has received; what was known last if it was closed."""
+        received = [self.received]
+
+        def read(own: socket.socket) -> None:
+            state = own.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED + 8)
+            received[0] = int.from_bytes(state[_BYTES_RECEIVED:], sys.byteorder)
+
+        self._apply(read)
+        return received[0]
+
+    def filter_packets(self, program: list[bytes]) -> None:
+        """Let the kernel drop packets to the socket; all pass if `program` is empty."""
+        self._apply(lambda own: _filter_packets(own, program))
+
+    def _apply(self, change: Callable[[socket.socket], None]) -> None:
+        """Change the socket, unless its file descriptor was closed, or reused."""
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(self.number)) as own:
+            if os.fstat(own.fileno()).st_ino == self.inode:
+                change(own)
+
+
+@dataclass(slots=True)
+class _Block:
+    until_s: float
+    seconds: float
+    local: bool  # a source on this machine
+
+
+class ConnectionGuard:
+    """Watches the connections of a Zenoh session in a thread, for as long as it is open.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        Open session.
+    listen : list of str
+        `HOST:PORT`s that it listens on.
+    burst : int
+        Half-open connections after which a source is blocked, however new they are.
+    note : callable
+        Told what was refused.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, listen: list[str], burst: int, note: Callable[[str], None]
+    ) -> None:
+        self._session, self._burst, self._note = session, burst, note
+        self._names: dict[tuple[Ends, Ends | None], str] = {}  # of certificates, by the ends
+        self._sockets: dict[int, _Connection | None] = {}  # by inode; None: not a connection
+        self._blocks: dict[Network, _Block] = {}
+        self._ports: dict[int, float] = {}  # of ours that connect past a block, and until when
+        self._barred: dict[str, float] = {}  # names that get no new connection, and until when
+        self._filter: tuple[dict[Network, bool], list[int]] = {}, []
+        self._charged: list[tuple[_Connection, str, int]] = []  # with a number by name
+        self._has_new = False
+        self._shut_s = self._trim_s = 0.0
+        self._listening: dict[Ends, _Connection] = {}
+        ports = {int(address.rpartition(":")[2]) for address in listen}
+        for number, inode in _open_sockets():
+            with contextlib.suppress(OSError), socket.socket(fileno=os.dup(number)) as own:
+                if own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+                    ends = _ends(own.getsockname())
+                    if ends[1] in ports:
+                        # no copy is kept, which would keep the port after the session's end
+                        self._listening[ends] = _Connection(number, inode, ends, ("", 0), 0.0)
+        hexadecimal = "|".join(map(_hexadecimal, self._listening)).encode()
+        self._row = re.compile(  # of /proc/net/tcp: ends, state, user and inode
+            rb"(\w+:\w+) (%s) (\w\w) \S+ \S+ \S+ +(\d+) +\d+ (\d+)" % hexadecimal
+        )
+        direct = zenoh.handlers.Callback(self._on_link, indirect=False)
+        self._links = session.info.declare_link_events_listener(direct, history=True)
+        if _LINUX:
+            threading.Thread(target=self._work, name="connection guard", daemon=True).start()
+
+    def _on_link(self, event: zenoh.LinkEvent) -> None:
+        """Keep whose a connection is."""
+        local = _address(event.link.src)
+        if local is None:
+            return
+        # the other end of a connection that we opened may be named by its host
+        ends = local, _address(event.link.dst) if local in self._listening else None
+        if event.kind == zenoh.SampleKind.DELETE:
+            self._names.pop(ends, None)
+            return
+        name = self._names[ends] = event.link.auth_identifier or ""
+        self._has_new = True
+        is_barred = self._barred.get(name, 0.0) > monotonic()
+        if local in self._listening and (self._blocks or is_barred):
+            for number, _ in _open_sockets():
+                with contextlib.suppress(OSError), socket.socket(fileno=os.dup(number)) as own:
+                    if (_ends(own.getsockname()), _ends(own.getpeername())) == ends:
+                        if is_barred:
+                            _shut_down(own)
+                        else:
+                            _filter_packets(own, [])  # it has that of the listening socket
+
+    def _work(self) -> None:
+        arrivals = select.epoll()
+        for listening in self._listening.values():
+            with contextlib.suppress(OSError):  # closed already
+                arrivals.register(listening.number, select.EPOLLIN | select.EPOLLET)
+        while not _is_closed(self._session):
+            begin_s = thread_time()  # not of other processes, on a busy machine
+            self._look(monotonic())
+            took_s = thread_time() - begin_s
+            end_s, pause_s = monotonic() + max(LOOK_S, 10 * took_s), CHARGE_S
+            while (left_s := end_s - monotonic()) > 0 and not self._has_new:
+                if arrivals.poll(min(left_s, pause_s)):
+                    sleep(max(ARRIVAL_S, 3 * took_s))
+                    break
+                begin_s = thread_time()
+                for charged in self._charged:
+                    self._charge(*charged, monotonic())
+                pause_s = max(CHARGE_S, 10 * (thread_time() - begin_s))
+        arrivals.close()
+
+    def _look(self, now_s: float) -> None:
+        """Look at all connections once."""
+        half_open, named = [], Counter[str]()
+        self._has_new, self._charged = False, []
+        for connection in self._connections(now_s):
+            ends = connection.local, connection.remote
+            name = self._names.get(ends, self._names.get((connection.local, None)))
+            if name is not None:
+                named[name] += 1
+                self._charged.append((connection, name, named[name]))
+                self._charge(connection, name, named[name], now_s)
+            elif connection.local in self._listening:
+                half_open.append(connection)
+        is_stuck = any(now_s - c.since_s > STUCK_S for c in half_open)
+        if is_stuck or len(half_open) >= self._burst or self._blocks:
+            self._block(half_open, now_s)
+        old = [c for c in half_open if now_s - c.since_s > HALF_OPEN_S and not c.shut]
+        if old and now_s - self._shut_s >= PACE_S:
+            self._shut_s = now_s
+            old[0].shut_down()
+        if 0.0 < self._trim_s < now_s:
+            self._trim_s = 0.0
+            _give_memory_back()
+
+    def _connections(self, now_s: float) -> list[_Connection]:
+        """Return the connections of this process, oldest first."""
+        known, self._sockets = self._sockets, {}
+        for number, inode in _open_sockets():
+            connection = known.get(inode)
+            if connection is not None:
+                connection.number = number
+            elif inode not in known:
+                try:
+                    with socket.socket(fileno=os.dup(number)) as own:
+                        ends = _ends(own.getsockname()), _ends(own.getpeername())
+                        if own.family in (socket.AF_INET, socket.AF_INET6):
+                            connection = _Connection(number, inode, *ends, now_s)
+                except OSError:  # listens, or is not connected yet
+                    continue
+            self._sockets[inode] = connection
+        return sorted((c for c in self._sockets.values() if c is not None), key=lambda c: c.since_s)
+
+    def _charge(self, connection: _Connection, name: str, count: int, now_s: float) -> None:
+        """Charge a connection for what it has received since the last time."""
+        try:
+            identity = Identity.parse(name)
+            allowance = allowance_of(identity)
+        except ValueError:
+            return
+        if allowance is None or connection.shut:
+            return
+        received = connection.read_received()
+        left = allowance.burst if connection.left is None else connection.left
+        left = min(allowance.burst, left + allowance.rate * (now_s - connection.charged_s))
+        connection.left = left - (received - connection.received)
+        connection.received, connection.charged_s = received, now_s
+        if connection.left < 0 or received > allowance.total:
+            self._note(f"a connection of the certificate {name}: it sends too much")
+            if connection.left < 0 and "stop" not in identity.rights:
+                self._barred[name] = now_s + BARRED_S
+        elif count > SAME_NAME:
+            self._note(f"a connection of the certificate {name}: it has {SAME_NAME} already")
+        else:
+            return
+        connection.shut_down()
+        self._trim_s = now_s + FORGET_S
+
+    def _block(self, half_open: list[_Connection], now_s: float) -> None:
+        """Block the sources of stuck or many connections, and end blocks."""
+        rows = {
+            (local, remote): (state, int(user), inode)
+            for local, remote, state, user, inode in self._row.findall(_system_sockets())
+        }
+        ours = 0, os.getuid()
+        by_source: dict[Network, list[_Connection]] = {}
+        local_sources = set()
+        for connection in (c for c in half_open if not c.frozen):
+            ends = _hexadecimal(connection.remote), _hexadecimal(connection.local)
+            _, user, inode = rows.get((ends[0].encode(), ends[1].encode()), (b"", -1, b""))
+            if user in ours and inode != b"0":
+                continue
+            source = _source(connection.remote[0], user != -1)
+            by_source.setdefault(source, []).append(connection)
+            if user != -1 or source in _LOOPBACK:
+                local_sources.add(source)
+        for source, connections in by_source.items():
+            stuck = sum(now_s - c.since_s > STUCK_S for c in connections)
+            block = self._blocks.get(source)
+            if block is None or block.until_s < now_s:
+                if stuck < STUCK and len(connections) < self._burst:
+                    continue
+                seconds = BLOCK_S if block is None else 2 * block.seconds
+                seconds = min(max(seconds, len(connections)), BLOCK_MAX_S)
+                self._blocks[source] = _Block(now_s + seconds, seconds, source in local_sources)
+                self._note(f"connections without a certificate from {source}")
+        self._blocks = {s: b for s, b in self._blocks.items() if now_s < b.until_s + FORGIVEN_S}
+        blocked = {s: b.local for s, b in self._blocks.items() if now_s < b.until_s}
+        if any(blocked.values()):
+            for (local, _), (state, user, _) in rows.items():
+                if state == _SYN_SENT and user in ours:
+                    self._ports[int(local.rpartition(b":")[2], 16)] = now_s + PORT_S
+        self._ports = {port: until_s for port, until_s in self._ports.items() if now_s < until_s}
+        wanted = blocked, sorted(self._ports) if blocked else []
+        if wanted != self._filter:
+            self._filter = wanted
+            for (host, _), listening in self._listening.items():
+                listening.filter_packets(_program(ip_address(host).version, *wanted))
+        for source in blocked:
+            for connection in by_source.get(source, ()):
+                connection.freeze()
+
+
+def _is_closed(session: zenoh.Session) -> bool:
+    try:
+        return session.is_closed()
+    except RuntimeError:  # it is being closed: the object is borrowed until it is
+        return True
+
+
+def _open_sockets() -> Iterator[tuple[int, int]]:
+    """Yield file descriptor and inode of each socket of this process."""
+    try:
+        names = os.listdir(_OPEN_FILES)
+    except OSError:  # no descriptor is left to list them with
+        return
+    for name in names:
+        with contextlib.suppress(OSError):  # closed since it was listed
+            status = os.fstat(int(name))
+            if stat.S_ISSOCK(status.st_mode):
+                yield int(name), status.st_ino
+
+
+def _ends(name: tuple[str, int] | str | bytes) -> Ends:
+    """Return host and port of a name of a socket; of no host if it is none of IP."""
+    if not isinstance(name, tuple) or not isinstance(name[0], str):
+        return "", 0
+    return name[0].partition("%")[0], name[1]
+
+
+def _address(endpoint: str) -> Ends | None:
+    """Return host and port of Zenoh's `tls/HOST:PORT`; None if it has none."""
+    match = _ENDPOINT.fullmatch(endpoint)
+    return None if match is None else (match["host"], int(match["port"]))
+
+
+def _system_sockets() -> bytes:
+    """Return the tables of TCP sockets of this machine; empty if they cannot be read."""
+    tables = b""
+    for table in Path("/proc/net/tcp"), Path("/proc/net/tcp6"):
+        with contextlib.suppress(OSError):
+            tables += table.read_bytes()
+    return tables
+
+
+def _hexadecimal(ends: Ends) -> str:
+    """Return an address as in /proc/net/tcp."""
+    packed = ip_address(ends[0]).packed
+    words = struct.unpack(f"={len(packed) // 4}I", packed)
+    return "".join(f"{word:08X}" for word in words) + f":{ends[1]:04X}"
+
+
+def _source(host: str, local: bool) -> Network:
+    """Return what a connection counts for: an address, or the many that one machine has."""
+    address = ip_address(host)
+    for loopback in _LOOPBACK:
+        if address in loopback:
+            return loopback
+    return ip_network(
+        (host, 64 if address.version == 6 and not local else address.max_prefixlen), strict=False
+    )
+
+
+def _program(version: int, blocked: dict[Network, bool], ports: Collection[int]) -> list[bytes]:
+    """Return a filter in classic BPF; of sources on this machine, some ports pass."""
+    program: list[bytes] = []
+    for source, local in list(blocked.items())[-SOURCES:]:
+        if source.version != version:
+            continue
+        drop = [_step(_RETURN, 0)]
+        if local:
+            tests = ([_step(_EQUAL, port, 0, 1), _step(_RETURN, _PASS)] for port in ports)
+            drop = [_step(_LOAD_HALF, 0), *(step for test in tests for step in test), *drop]
+        place = _NETWORK_HEADER + (12 if version == 4 else 8)  # of the source address
+        words = range(0, source.max_prefixlen // 8, 4)
+        for word in reversed(words):
+            value, mask = (
+                int.from_bytes(x.packed[word : word + 4]) for x in (source[0], source.netmask)
+            )
+            if mask:
+                drop = [
+                    _step(_LOAD, place + word), _step(_AND, mask), _step(_EQUAL, value, 1, 0),
+                    _step(_JUMP, len(drop)), *drop,
+                ]  # fmt: skip
+        program += drop
+    return [*program, _step(_RETURN, _PASS)] if program else []
+
+
+def _step(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
+    return struct.pack("HBBI", code, if_true, if_false, value)
+
+
+def _filter_packets(listening: socket.socket, program: list[bytes]) -> None:
+    """Let the kernel drop packets to a listening socket; all pass if `program` is empty."""
+    if program:
+        steps = ctypes.create_string_buffer(b"".join(program))
+        named = struct.pack("HP", len(program), ctypes.addressof(steps))
+        listening.setsockopt(socket.SOL_SOCKET, _ATTACH_FILTER, named)
+    else:
+        listening.setsockopt(socket.SOL_SOCKET, _DETACH_FILTER, 0)
+
+
+def _shut_down(own: socket.socket) -> None:
+    """End a connection, with what was received and not read, of which Zenoh would do all."""
+    own.shutdown(socket.SHUT_RDWR)
+    for _ in range(DISCARDS):
+        if not own.recv(65536, socket.MSG_DONTWAIT):
+            break
+
+
+def _give_memory_back() -> None:
+    """Return free memory to the system, if the C library can."""
+    with contextlib.suppress(AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)

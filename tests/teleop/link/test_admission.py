@@ -1,0 +1,345 @@
+"""Which tokens are looked at: bounded work, fair to certificates, whatever stands."""
+
+import secrets
+from collections import deque
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+
+from teleop.keys import OFFICE_OF, RIGHTS, Credentials, Identity, Office
+from teleop.keys.authority import Authority
+from teleop.link import roster as roster_module
+from teleop.link.access import access_control
+from teleop.link.admission import BURST, CERTIFICATES, STOP_CHECKS_HZ, WAITING, Admission
+from teleop.link.challenge import CHALLENGE_BYTES
+from teleop.link.handshake import Handshake, PairKeys
+from teleop.link.keyring import KEPT, Keyring
+from teleop.link.presence import LISTENERS, Stage, Token, groups_for, groups_of, root
+from teleop.link.refusals import Refusals
+from teleop.link.roster import ARRIVALS, TOKENS, Roster
+from teleop.messages import LAYOUT
+from teleop.topics import STOP, Role
+from tests.teleop.link.bench import wait_until
+from tests.teleop.link.test_denial import KEYS, MASTER
+
+SECOND = 1_000_000_000
+SHOWN = 128  # characters of a proof before the certificate
+
+
+def a_token(certificate: str, role: Role = Role.REMOTE, limit: str = "") -> Token:
+    """A token with a worthless proof of some certificate."""
+    proof = secrets.token_urlsafe(96)[:SHOWN] + certificate
+    return Token(role, LAYOUT, secrets.randbits(64), Stage.HELD, proof=proof, limit=limit)
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0
+
+    def __call__(self) -> int:
+        return self.now
+
+
+def checks_until(admission: Admission, clock: Clock, sought: Token, flood: Any) -> int:
+    """Number of checks, among tokens that come meanwhile, until `sought` is checked."""
+    for number in range(1, 10_000):
+        for token in flood():
+            admission.put(token)
+        clock.now += SECOND
+        taken = admission.take()
+        if taken is not None and taken[0] == sought:
+            return number
+        if taken is not None:
+            admission.refuse(taken[0])
+    raise AssertionError("never")
+
+
+def test_a_flood_of_one_certificate_keeps_only_that_one_waiting() -> None:
+    clock = Clock()
+    admission = Admission("remote", clock)
+    attacker, genuine = a_token("attacker"), a_token("genuine")
+    admission.know(attacker)
+    admission.know(genuine)
+    for _ in range(3 * WAITING):
+        admission.put(a_token("attacker"))
+    admission.put(genuine)
+    assert checks_until(admission, clock, genuine, lambda: [a_token("attacker")] * 20) <= 2
+
+
+def test_a_new_certificate_waits_beside_the_unknown_ones_and_then_no_more() -> None:
+    clock = Clock()
+    admission = Admission("remote", clock)
+    claim, held = a_token("new"), a_token("new")
+    for _ in range(WAITING - 2):
+        admission.put(a_token(secrets.token_hex(8)))
+    admission.put(claim)
+    admission.put(held)
+    first = None
+    while first not in (claim, held):
+        clock.now += SECOND
+        first, _ = admission.take() or (None, None)
+    admission.know(claim)
+    second = held if first == claim else claim
+    assert checks_until(admission, clock, second, list) <= 2
+
+
+def test_copies_of_a_certificate_do_not_keep_its_holder_out_for_good() -> None:
+    """He shows his token again and again; chance takes one of all that wait."""
+    clock = Clock()
+    admission = Admission("remote", clock)
+    genuine = a_token("copied")
+    admission.know(genuine)
+    checks_until(
+        admission, clock, genuine, lambda: [*(a_token("copied") for _ in range(10)), genuine]
+    )
+
+
+def test_worthless_tokens_are_checked_once_and_all_is_bounded() -> None:
+    clock = Clock()
+    admission = Admission("remote", clock)
+    worthless = a_token("x")
+    admission.put(worthless)
+    taken = admission.take()
+    assert taken == (worthless, None)
+    admission.refuse(worthless)
+    admission.put(worthless)
+    assert len(admission) == 0
+    for n in range(2 * CERTIFICATES):
+        admission.know(a_token(f"{n}"))
+    made_place = [not admission.put(a_token(f"{n % 3}")) for n in range(5 * WAITING)]
+    assert len(admission) == WAITING  # those of certificates that are forgotten share a queue
+    assert sum(made_place) == 4 * WAITING
+
+
+def test_checks_are_limited_and_a_token_that_vanishes_is_not_checked() -> None:
+    clock = Clock()
+    admission = Admission("remote-stop", clock)
+    for _ in range(BURST + 30):
+        admission.know(token := a_token(secrets.token_hex(4)))
+        admission.put(token)
+    assert sum(admission.take() is not None for _ in range(BURST + 30)) == BURST
+    clock.now += SECOND // 10
+    rest = sum(admission.take() is not None for _ in range(BURST + 30))
+    assert rest == STOP_CHECKS_HZ / 10
+    gone = a_token("gone")
+    admission.put(gone)
+    admission.remove(gone)
+    clock.now += 100 * SECOND
+    while (taken := admission.take()) is not None:
+        assert taken[0] != gone
+
+
+def test_each_group_of_tokens_may_be_announced_by_its_certificates_only() -> None:
+    access = access_control(["test"])
+    names = {s["id"]: s["cert_common_names"] for s in access["subjects"] if s["id"] != "anyone"}
+    announced: dict[str, set[str]] = {}
+    for rule in access["rules"]:
+        if "liveliness_token" in rule["messages"] and rule["flows"] == ["ingress"]:
+            holders = {
+                name
+                for policy in access["policies"]
+                if rule["id"] in policy["rules"]
+                for subject in policy["subjects"]
+                for name in names[subject]
+            }
+            for key in rule["key_exprs"]:
+                announced.setdefault(key, set()).update(holders)
+    by_name = {"launcher": "supervisor", "remote": "supervisor", "watch": "supervisor"}
+    groups = [group for role in Role for group in groups_of(role) if role not in LISTENERS]
+    assert len(groups) == 3 * 7 + 2
+    assert not [key for key in announced if "/viewer/" in key or "/recorder/" in key]
+    for group in groups:
+        role, dash, rights = group.partition("-")
+        holder = f"{by_name.get(role, role)}{dash}{rights}.test"
+        assert announced[f"{root('test')}/{group}/**"] == {holder}
+    assert announced[f"{root('test')}/relay/master/**"] == {"slave.test"}
+
+
+class Network:
+    """Stands in for a Zenoh session: the tokens that a test announces, kept as Zenoh keeps them."""
+
+    def __init__(self) -> None:
+        self.rings: dict[str, deque[Any]] = {}
+        self.asked: list[str] = []  # keys of the challenges
+        self.shown: list[bytes] = []  # tokens in them
+
+    def liveliness(self) -> Any:
+        return SimpleNamespace(declare_subscriber=self._watch)
+
+    def declare_queryable(self, *_: Any) -> Any:
+        return SimpleNamespace(undeclare=lambda: None)
+
+    def get(self, key: str, *_: Any, payload: bytes, **__: Any) -> None:
+        self.asked.append(key)
+        self.shown.append(payload[CHALLENGE_BYTES + 8 :])
+
+    def announce(self, token: Token, kind: Any = zenoh.SampleKind.PUT) -> None:
+        key = token.key("test")
+        ring = self.rings[f"{root('test')}/{token.group}/**"]
+        ring.append(SimpleNamespace(key_expr=key, kind=kind))
+
+    def _watch(self, key: str, handler: Any, history: bool) -> Any:
+        assert isinstance(handler, zenoh.handlers.RingChannel)
+        assert history
+        ring = self.rings[key] = deque(maxlen=ARRIVALS)
+        return SimpleNamespace(
+            try_recv=lambda: ring.popleft() if ring else None, undeclare=lambda: None
+        )
+
+
+class Session:
+    """The roster of a process that starts, and the certificates of others."""
+
+    def __init__(self, role: Role = Role.SLAVE) -> None:
+        self.authority = Authority.create("ours", 2)
+        self.network, self.refusals = Network(), Refusals()
+        self.keyring = Keyring(role, 1)
+        token = Token(role, LAYOUT, 1, Stage.CLAIM)
+        rights = ("stop",) if OFFICE_OF[role] is Office.SUPERVISOR else ()
+        handshake = Handshake(self.issue(OFFICE_OF[role], rights), "test", 1)
+        network: Any = self.network
+        self.roster = Roster(network, "test", token, False, handshake, self.keyring, self.refusals)
+
+    def issue(self, office: Office, rights: tuple[str, ...] = ()) -> Credentials:
+        identity = Identity(office, "test", rights)
+        certificate, key = self.authority.issue(identity, 1)
+        return Credentials(identity, certificate, key, self.authority.certificate)
+
+    def genuine(self, credentials: Credentials, role: Role, nonce: int) -> Token:
+        token = Token(role, LAYOUT, nonce, Stage.HELD)
+        return Handshake(credentials, "test", nonce).prove(token)
+
+    def worthless(self, token: Token) -> Token:
+        """A token with the certificate of another one, and nothing else."""
+        copied = a_token(token.certificate, token.role, token.limit)
+        assert copied.group == token.group
+        return copied
+
+    def is_asked(self, nonce: int) -> bool:
+        """Whether this process was believed, and challenged."""
+        return any(key.endswith(f"{nonce:016x}") for key in tuple(self.network.asked))
+
+
+@pytest.fixture
+def session() -> Any:
+    session = Session()
+    yield session
+    session.roster.close()
+
+
+def test_worthless_proofs_without_the_right_do_not_keep_out_who_may_stop(session: Session) -> None:
+    attacker = session.genuine(session.issue(Office.SUPERVISOR, ("set",)), Role.REMOTE, 5)
+    for _ in range(1000):
+        session.network.announce(session.worthless(attacker))
+    stopper = session.genuine(session.issue(Office.SUPERVISOR, ("stop",)), Role.REMOTE, 6)
+    session.network.announce(stopper)
+    wait_until(lambda: session.is_asked(6))
+    assert stopper.group == "remote-stop"
+    assert any("does not hold the key" in line for line in session.refusals.take())
+
+
+def test_a_group_that_the_certificate_does_not_give_is_refused(session: Session) -> None:
+    """Zenoh's access control does it before; a router could pass it on."""
+    credentials = session.issue(Office.SUPERVISOR, ("set",))
+    handshake = Handshake(credentials, "test", 7)
+    limited = handshake.prove(Token(Role.REMOTE, LAYOUT, 7, Stage.HELD))
+    assert limited.group == "remote-set"
+    session.network.announce(replace(limited, limit="-stop"))
+    lines: list[str] = []
+
+    def is_refused() -> bool:
+        lines.extend(session.refusals.take())
+        return any("a remote with the certificate supervisor-set.test" in line for line in lines)
+
+    wait_until(is_refused)
+    assert not session.is_asked(7)
+
+
+def test_tokens_of_one_certificate_make_place_for_those_of_another(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(roster_module, "SILENT_NS", 10**15)  # nobody here answers
+    credentials = session.issue(Office.SUPERVISOR, RIGHTS)
+    for nonce in range(10, 10 + TOKENS):
+        session.network.announce(session.genuine(credentials, Role.REMOTE, nonce))
+        wait_until(lambda nonce=nonce: session.is_asked(nonce))
+    other = session.genuine(session.issue(Office.SUPERVISOR, RIGHTS), Role.REMOTE, 6)
+    session.network.announce(other)
+    wait_until(lambda: session.is_asked(6))
+    assert len(session.roster._processes) == TOKENS
+
+
+def test_who_challenges_is_looked_at_though_its_token_was_lost(session: Session) -> None:
+    """And not if its token has vanished: a challenge may come late."""
+    credentials = session.issue(Office.SUPERVISOR, RIGHTS)
+    answered: list[PairKeys] = []
+    session.roster._show(session.genuine(credentials, Role.WATCH, 8), answered.append)
+    wait_until(lambda: session.is_asked(8))
+    late = session.genuine(credentials, Role.WATCH, 9)
+    session.network.announce(late, zenoh.SampleKind.DELETE)
+    wait_until(lambda: len(session.roster._departed) == 1)
+    session.roster._show(late, answered.append)
+    wait_until(lambda: len(answered) == 2)
+    assert not session.is_asked(9)
+
+
+def test_a_challenge_announces_a_supervisor_and_leaves_the_claim_of_a_side_a_claim() -> None:
+    for role, shown in ((Role.REMOTE, b"/remote-stop/"), (Role.SLAVE, b"/slave/")):
+        session = Session(role)
+        master = session.genuine(session.issue(Office.MASTER), Role.MASTER, 11)
+        session.network.announce(master)
+        wait_until(lambda session=session: session.is_asked(11))
+        session.roster.close()
+        (token, *_) = session.network.shown
+        assert shown in token
+        assert (b"/held/" in token) == (role is Role.REMOTE)
+
+
+def test_a_listener_is_answered_and_not_announced_nor_challenged(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its proof is checked once, and until it has shown itself again after others."""
+    checked: list[Token] = []
+    check = session.roster.examine
+    monkeypatch.setattr(session.roster, "examine", lambda t: checked.append(t) or check(t))
+    credentials, answered = session.issue(Office.VIEWER), []
+    viewer = session.genuine(credentials, Role.VIEWER, 10)
+    for count in range(1, 4):
+        session.roster._show(viewer, answered.append)
+        wait_until(lambda count=count: len(answered) == count)
+    assert checked == [viewer]
+    assert len(set(answered)) == 1
+    assert not session.roster.present(Role.VIEWER)
+    assert not session.roster.others
+    assert not session.network.asked
+    for nonce in range(100, 100 + TOKENS):
+        session.roster._show(session.genuine(credentials, Role.VIEWER, nonce), answered.append)
+    wait_until(lambda: len(answered) == 3 + TOKENS)
+    assert len(session.roster._processes) == TOKENS
+    session.roster._show(viewer, answered.append)
+    wait_until(lambda: len(answered) == 4 + TOKENS)
+    assert answered[-1] == answered[0]
+
+
+def test_a_listener_looks_at_the_sides_only_and_they_at_no_listener() -> None:
+    assert groups_for(Role.VIEWER) == ["master", "slave"]
+    looked_at = set(groups_for(Role.MASTER))
+    assert {"remote-stop", "launcher", "slave", "relay/master"} <= looked_at
+    assert not looked_at & {"viewer", "recorder"}
+
+
+def test_peers_that_come_and_go_do_not_displace_one_that_is_there() -> None:
+    keyring = Keyring(Role.SLAVE, 2)
+    launcher = MASTER._replace(role=Role.LAUNCHER, nonce=9)
+    keyring.add(launcher, KEYS)
+    for nonce in range(10, 10 + 2 * KEPT):
+        keyring.add(MASTER._replace(role=Role.REMOTE, nonce=nonce), KEYS)
+        keyring.remove(Role.REMOTE, nonce)
+    assert keyring.known(Role.LAUNCHER, 9) == launcher
+    senders = keyring.senders(STOP)
+    assert senders is not None
+    assert 9 in senders
+    assert len(senders) == KEPT + 1
