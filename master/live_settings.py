@@ -11,6 +11,7 @@ from typing import NamedTuple
 from master.config import MasterConfig
 from master.device import HandState
 from teleop.errors import UsageError
+from teleop.suggestions import did_you_mean
 
 SLEW_S = 0.5  # [s] ramp of the force scale
 STEP = 2.0**0.5  # factor of a button press
@@ -54,9 +55,9 @@ def change(live: Live, key: str, value: str) -> tuple[Live, str]:
     """
     name = key.removeprefix("master.")
     if name not in KEYS:
-        raise UsageError(
-            f"{key}: cannot be changed while the master runs (allowed: {', '.join(KEYS)})"
-        )
+        meant = did_you_mean(name, KEYS, cutoff=0.75)
+        what = f"is unknown{meant}" if meant else "cannot be changed while the master runs"
+        raise UsageError(f"{key}: {what} (allowed: {', '.join(KEYS)})")
     config = live.config
     try:
         if name == "force.scale":

@@ -38,9 +38,10 @@ from teleop.meter import format_reason
 from teleop.options import add_option, add_options
 from teleop.packet import Packet
 from teleop.process import Stop
-from teleop.remote.requests import Requests, SettingRequest
+from teleop.remote.requests import RequestListener, Requests, SettingRequest
 from teleop.run_config import load_section
 from teleop.session import OutlineReader, Reason, SessionOutline, State
+from teleop.slow_calls import SlowCalls
 from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, STATE, Role
 
 DIRECT = Bilateral()
@@ -71,6 +72,7 @@ class Master(LoopProcess):
         bilateral: Bilateral = DIRECT,
         commands_every: int = 1,
         health: HealthConfig = DEFAULT_BOUNDS,
+        requests: RequestListener | None = None,
     ) -> None:
         self._memory = loop.start(device.axes, now_ns())
         self.memory: loop.MasterState = one(self._memory)
@@ -79,11 +81,13 @@ class Master(LoopProcess):
         with_command = self._memory.copy()  # as it was when the command was found
         self._commanded = as_bytes(with_command)
         self._commanded_outline = OutlineReader(with_command["session"])
-        super().__init__(link, grid.stats, self._memory, device.axes, health=health)
+        super().__init__(link, grid.stats, self._memory, device.axes, requests, health)
         self._answer_ns = self._memory["answer_ns"]
         self._ticks = loop.TickInput.array()
         self._write_hand = partial(hand_input.fill, self._ticks["hand"])
         self._live, self._device = live_settings.start(config), device
+        self._reads, self._writes = SlowCalls("device: read"), SlowCalls("device: write")
+        self._is_layout_compared = False  # axes of the device with joints of the rig
         self._settings = SettingsRecord(config, bilateral)
         self._command, self._hand = Packet(Command), Packet(Hand)
         self._force = np.zeros(MAX_JOINTS)  # [N] that the gate let through
@@ -98,6 +102,7 @@ class Master(LoopProcess):
         self._answered_in_ns = self._states.packet.records["answer_ns"]
         self._peer_state = self._states.packet.records["state"]
         self._peer_reason = self._states.packet.records["reason"]
+        self._joints = self._states.packet.records["joints"]
         self._scaled_from, self._scaled_config = (config, 1.0), config
 
     def tick(self, tick: Tick) -> None:
@@ -144,12 +149,15 @@ class Master(LoopProcess):
 
     def _read(self, time_s: float) -> tuple[Reason, HandState | None, str]:
         """Read the device; return what is wrong with it, the hand, and why the device is away."""
+        begin_ns = now_ns()
         try:
             return Reason.NONE, self._device.read(time_s), ""
         except DeviceLost as error:
             return Reason.DEVICE_FAULT, None, str(error)
         except DeviceFault as error:
             return self._device_failed(error), None, ""
+        finally:
+            self._reads.add(now_ns() - begin_ns)
 
     def _phase_input(self, dt: float, fault: Reason, requests: Requests) -> loop.PhaseInput:
         states, now = self._states, now_ns()
@@ -219,8 +227,10 @@ class Master(LoopProcess):
         self._commanded[:] = self._now
         is_new = self._states.stamp_ns != known_ns
         verdict = self._find_force(settings, tick, fault, requests, is_new)
+        begin_ns = now_ns()
         try:
             self._device.write(tuple(self._force[: self._device.axes].tolist()))
+            self._writes.add(now_ns() - begin_ns)
         except DeviceFault as error:
             self._now[:] = self._commanded
             self._write_hand(None)
@@ -286,7 +296,7 @@ class Master(LoopProcess):
     ) -> None:
         """Do what nobody waits for, once the force is written."""
         side = self._outline()
-        self._requests.relay(Role.MASTER, side, requests.words)
+        self._finish_requests(side, requests, self._states, tick.stamp_ns)
         if hand is not None and not self._link.skip_unsubscribed(HAND):
             age = self._states.age_ns(tick.stamp_ns)
             loop.fill_hand_message(
@@ -310,6 +320,20 @@ class Master(LoopProcess):
         )
         if self._report(tick.stamp_ns, self._states):
             self._link.publish(LATENCY, self._meter.stages.message(Role.MASTER))
+            self._warn([self._reads.take(), self._writes.take(), self._layout_difference()])
+
+    def _layout_difference(self) -> str:
+        """Return, once, which axes of the device or joints of the rig have no counterpart."""
+        joints, axes = int(self._joints[0]), self._device.axes
+        if self._is_layout_compared or not joints:
+            return ""
+        self._is_layout_compared = True
+        if axes == joints:
+            return ""
+        what = f"the device has {axes} axes, the rig {joints} joints: "
+        if axes > joints:
+            return f"{what}axes from {joints + 1} on move nothing"
+        return f"{what}joints from {axes + 1} on are not moved"
 
     def _device_failed(self, error: DeviceFault) -> Reason:
         self._end(TeleopError(f"haptic device: {error}"))
@@ -363,7 +387,9 @@ class Master(LoopProcess):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop master`."""
     add_option(parser, "--session", help="name of the session (default that of the config)")
-    add_options(parser, "--config", "--set", "--insecure", "--duration", "--json")
+    add_options(
+        parser, "--config", "--set", "--allow-imports", "--insecure", "--duration", "--json"
+    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -373,7 +399,7 @@ def main(args: argparse.Namespace) -> int:
         warm_up()
     stop = Stop(args.duration)
 
-    def start(link: Link, stack: ExitStack) -> tuple[Master, Grid, Stop]:
+    def start(link: Link, requests: RequestListener, stack: ExitStack) -> tuple[Master, Grid, Stop]:
         stop.wake = link.wake
         for warning in lifted("master.gate", config.gate):
             print(warning, flush=True)
@@ -381,7 +407,9 @@ def main(args: argparse.Namespace) -> int:
         stack.callback(device.close)
         commands_every = config.commands_every(shared.rate_hz)
         grid = Grid(shared.rate_hz * commands_every, stop)
-        master = Master(config, link, device, grid, shared.bilateral, commands_every, shared.health)
+        master = Master(
+            config, link, device, grid, shared.bilateral, commands_every, shared.health, requests
+        )
         return master, grid, stop
 
     return conclude(args, *run_session(Role.MASTER, shared, start))

@@ -15,7 +15,7 @@ import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 from estimator.records import as_bytes, one
 from slave import loop, model_files
@@ -57,9 +57,11 @@ from teleop.realtime import ordinary_scheduling
 from teleop.remote.requests import RequestListener, Requests, call_stop
 from teleop.run_config import load_section
 from teleop.session import Reason, SessionOutline, State
+from teleop.slow_calls import SlowCalls
 from teleop.summary import force_line
 from teleop.topics import COMMAND, STATE, TENDONS, Role
 
+GIVEN_UP = "calibration given up: "
 ROWS = 32  # samples that a tick takes at first; more are made room for
 
 _CLOCK_SET = int(Reason.CLOCK_SET)
@@ -93,6 +95,7 @@ class SlaveProcess(LoopProcess):
         self._rig, self._model = rig, model
         self._emergency_stop = emergency_stop_of(rig)
         self._enabling = enabling(rig)
+        self._reads, self._writes = SlowCalls("rig: read"), SlowCalls("rig: write")
         self._is_rig_stopped = False  # its emergency stop was called, nothing written since
         past = past or Past(now_ns(), ())
         with ordinary_scheduling():  # the samples of a calibration take up to seconds
@@ -179,7 +182,9 @@ class SlaveProcess(LoopProcess):
         if self._emergency_stop is None or self._outline().state is not State.STOPPED:
             self._is_rig_stopped = False
             if self._has_motor[0]:
+                begin_ns = now_ns()
                 self._rig.write(self._motor[: self._rig.tendons].copy())
+                self._writes.add(now_ns() - begin_ns)
             return
         self._has_motor[0] = False  # the next engagement begins where the encoders are by then
         if not self._is_rig_stopped:
@@ -218,6 +223,7 @@ class SlaveProcess(LoopProcess):
         ahead, self._ahead, self._samples = self._ahead, None, 0
         samples: tuple[RigSample, ...] = ()
         fault = Reason.NONE
+        begin_ns = now_ns()
         try:
             samples = self._rig.read(time_s)
         except RigFinished:
@@ -225,6 +231,7 @@ class SlaveProcess(LoopProcess):
             fault = Reason.RIG_FINISHED
         except RigFault as error:
             fault = self._failed(error)
+        self._reads.add(now_ns() - begin_ns)
         if ahead is not None:
             if len(samples) == 1 and samples[0] is ahead:
                 self._samples, self._is_estimated = 1, True
@@ -259,11 +266,12 @@ class SlaveProcess(LoopProcess):
             fill_tendon_state(slave.layout, slave.memory, rows, k, self._tendon_state.records)
             self._link.publish_packet(TENDONS, self._tendon_state)
         self._score.add_rows(slave.layout, rows, samples)
-        self._requests.relay(Role.SLAVE, side, requests.words)
+        self._finish_requests(side, requests, self._commands, tick.stamp_ns)
         self._publish_ledger(tick.stamp_ns)
         self._telemetry(time_s)
         self._watch_link(tick.stamp_ns, self._commands, int(self._echo_ns[0]), 0)
-        self._report(tick.stamp_ns, self._commands)
+        if self._report(tick.stamp_ns, self._commands):
+            self._warn([self._reads.take(), self._writes.take()])
         if ahead is not None:
             self._estimate_ahead(ahead)
         return rig_ns
@@ -287,7 +295,8 @@ class SlaveProcess(LoopProcess):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop slave`."""
     add_option(parser, "--session", help="name of the session (default that of the config)")
-    add_options(parser, "--config", "--set", "--insecure", "--model", "--duration", "--json")
+    add_options(parser, "--config", "--set", "--allow-imports", "--insecure", "--model")
+    add_options(parser, "--duration", "--json")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -298,14 +307,15 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError("--model: conflicts with slave.initialise.at_start; use one of them")
     prepare(config, with_dynamics=bool(files) or has_model_file(config))
 
-    def start(link: Link, stack: ExitStack) -> tuple[SlaveProcess, EventClock, Stop]:
+    def start(
+        link: Link, requests: RequestListener, stack: ExitStack
+    ) -> tuple[SlaveProcess, EventClock, Stop]:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
         for warning in config_warnings(config, shared.coupling):
             print(warning, flush=True)
         stop = Stop(args.duration)
         stop.wake = link.wake
-        requests = RequestListener(link)
         link.subscribe_latest(COMMAND, round(config.command_timeout * 1e9))
         model, past = model_of(config, rig, link, requests, stop, shared.rate_hz, files)
         clock = EventClock(shared.rate_hz, stop, partial(link.wait, COMMAND))
@@ -361,9 +371,13 @@ def model_of(
         master = link.latest(COMMAND).message
         if asked.stop:
             call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
-            give_up_calibration(rig, format_reason(asked.stop, asked.words))
+            stop_motors(rig, said := f"{GIVEN_UP}{format_reason(asked.stop, asked.words)}")
+            done = SessionOutline(State.STOPPED, asked.stop)
+            requests.answer(Role.SLAVE, done, 0, None if master is None else State(master.state))
+            raise TeleopError(said)
         if master is not None and State(master.state) is State.STOPPED:
-            give_up_calibration(rig, Reason.PEER_STOPPED.text)
+            stop_motors(rig, said := f"{GIVEN_UP}{Reason.PEER_STOPPED.text}")
+            raise TeleopError(said)
         return stop.reason if stop() else ""
 
     publish_event(
@@ -376,22 +390,21 @@ def model_of(
         past.start_ns,
         stopped=stopped,
         progress=calibrating(rig),
+        analysing=stop.interrupting,
     )
     publish_event(link, Role.SLAVE, SessionOutline(), f"off: {rig.name} is calibrated")
     found = [tendon.model() for tendon in done.calibration.tendons]
     return loop.rig_model(rig.joints, found), past._replace(samples=done.samples, motor=done.motor)
 
 
-def give_up_calibration(rig: Rig, reason: str) -> NoReturn:
-    """Stop the motors by their own means, if they have any, and raise `TeleopError`."""
-    said = f"calibration given up: {reason}"
+def stop_motors(rig: Rig, reason: str) -> None:
+    """Stop the motors by their own means, if they have any; `TeleopError` if that fails."""
     emergency_stop = emergency_stop_of(rig)
     if emergency_stop is not None:
         try:
             emergency_stop()
         except RigFault as error:
-            raise TeleopError(f"{said}; rig: {error}") from error
-    raise TeleopError(said)
+            raise TeleopError(f"{reason}; rig: {error}") from error
 
 
 def introduced(tendons: Sequence[TendonConfig]) -> list[str]:

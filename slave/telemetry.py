@@ -1,5 +1,6 @@
 """Low-rate messages of the slave: events, tension profiles, sheath shapes."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -92,12 +93,26 @@ class Telemetry:
             if not_ready == NOT_CALIBRATED:
                 return self._model.not_ready_text
             return NOT_READY_TEXT[not_ready]
+        if reason is Reason.SAMPLES_STALE:
+            return self._unreadable()
         if reason is Reason.CALIBRATION_DUE:
             return self._misfit()
         if reason is Reason.STOP_CALLED:
             return self.stop_text
         if self._now["found"][0] == reason:
             return self._named(int(self._memory.found_tendon))
+        return ""
+
+    def _unreadable(self) -> str:
+        """Return which value of the newest sample is refused as not finite; empty if none is."""
+        for k in range(len(self._model.models)):
+            tendon = self._memory.tendons[k]
+            for name, value in (
+                ("tension", tendon.tension),
+                ("displacement", tendon.displacement),
+            ):
+                if not (tendon.valid or math.isfinite(value)):
+                    return f"{self._named(k)}: its {name} is {value}"
         return ""
 
     def _misfit(self) -> str:

@@ -19,12 +19,21 @@ from teleop.link_health import DEFAULT_BOUNDS, HealthConfig, LinkHealth, observe
 from teleop.meter import LoopMeter
 from teleop.process import Stop, supervised, write_summary
 from teleop.realtime import enter_loop, go_realtime
-from teleop.remote.requests import RequestListener
+from teleop.remote.requests import RequestListener, Requests
+from teleop.remote.stop_socket import StopSocket
 from teleop.run_config import RunConfig
-from teleop.session import OutlineReader, Reason, SessionOutline, reason_of
+from teleop.session import (
+    OutlineReader,
+    Reason,
+    SessionOutline,
+    State,
+    known_state,
+    reason_of,
+)
 from teleop.summary import loop_lines, trouble
 from teleop.topics import LEDGER, LINK, REPORT, Role
 
+PEER_NS = 1_000_000_000  # [ns] without a message, after which a peer is not connected
 MANY = 50  # messages without a tag between two reports; fewer are of a process that just starts
 
 
@@ -106,6 +115,22 @@ class LoopProcess(ABC):
         self.error = self.error or error
         self.ended = str(self.error)
 
+    def _finish_requests(
+        self, side: SessionOutline, requests: Requests, latest: Latest[Any], now: int
+    ) -> None:
+        """Tell the others of an executed stop, and answer requests from this machine."""
+        self._requests.relay(self.role, side, requests.words)
+        if self._requests.is_asked:
+            is_fresh = latest.is_fresh(now, PEER_NS)
+            peer = State(known_state(latest.packet.records["state"][0])) if is_fresh else None
+            self._requests.answer(self.role, side, self._outline.stops, peer)
+
+    def _warn(self, texts: Iterable[str]) -> None:
+        """Publish what is doubtful about this side; empty texts are left out."""
+        for text in texts:
+            if text:
+                publish_event(self._link, self.role, self._outline(), f"WARNING: {text}")
+
     def _publish_ledger(self, stamp_ns: int) -> None:
         if self._ledger.is_due(stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
             self._link.publish_packet(LEDGER, self._ledger.filled())
@@ -181,7 +206,9 @@ def run(process: LoopProcess, clock: Iterable[Tick], stop_for: Callable[[str], N
 
 
 def run_session(
-    role: Role, shared: RunConfig, start: Callable[[Link, ExitStack], Started[Process]]
+    role: Role,
+    shared: RunConfig,
+    start: Callable[[Link, RequestListener, ExitStack], Started[Process]],
 ) -> tuple[Process, dict[str, Any]]:
     """Join the session, `start` the process with its hardware, and run it to its end.
 
@@ -191,9 +218,10 @@ def run_session(
     with ExitStack() as stack:
         # a process that is refused as the second of its role must not have touched the hardware
         link = stack.enter_context(Link(shared.link, shared.session, role))
-        process, clock, stop = start(link, stack)
-        if link.warning:
-            publish_event(link, role, SessionOutline(), link.warning)
+        stop_socket = stack.enter_context(StopSocket(shared.session, role.name.lower()))
+        process, clock, stop = start(link, RequestListener(link, stop_socket), stack)
+        for warning in filter(None, (link.warning, stop_socket.warning)):
+            publish_event(link, role, SessionOutline(), warning)
         enter_loop(granted, shared.realtime)
         run(process, clock, stop.request)
         summary = process.summary()

@@ -233,8 +233,8 @@ def padded(values: Sequence[float], size: int) -> tuple[float, ...]:
 
 
 def text_bytes(text: str) -> tuple[int, ...]:
-    """Return `text` as UTF-8, cut and zero-padded to `TEXT_BYTES`."""
-    raw = text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
+    """Return `text` as UTF-8, cut and zero-padded to `TEXT_BYTES`; what is no text becomes `?`."""
+    raw = text.encode(errors="replace")[:TEXT_BYTES].decode(errors="ignore").encode()
     return tuple(raw.ljust(TEXT_BYTES, b"\0"))
 
 

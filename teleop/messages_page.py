@@ -78,27 +78,32 @@ another layout is dropped.
 
 ## Tokens and tags
 
-**Presence.** Each process declares a liveliness token, which vanishes with it:
+**Presence.** Each process but recorders and viewers declares a liveliness token, which
+vanishes with it:
 
-    teleop/<session>/@/<role>/<layout>/<sender>/<stage>/<proof>
+    teleop/<session>/@/<group>/<layout>/<sender>/<stage>/<proof>
 
-`layout` and `sender` have 8 and 16 hexadecimal digits; `stage` is `claim` while it looks whether
-its role is taken, then `held`. The proof is, in base64url without padding: an X25519 public key
-drawn at the start (32 bytes), an Ed25519 signature (64 bytes), and the process's certificate
-(X.509, DER). The signature covers, joined by a zero byte, `teleop hello 1`, the token's key up to
-the stage, and public key and certificate in succession. A token without a valid proof of a
-certificate of its role and session is ignored.
+`group` is the role, and of a supervisor with some rights only also those, as in the common name of
+its certificate: `remote-stop` of `supervisor-stop.bench`. `layout` and `sender` have 8 and 16
+hexadecimal digits; `stage` is `claim` while it looks whether its role is taken, then `held`. The
+proof is, in base64url without padding: an X25519 public key drawn at the start (32 bytes), an
+Ed25519 signature (64 bytes), and the process's certificate (X.509, DER). The signature covers,
+joined by a zero byte, `teleop hello 1`, the token's key up to the stage, and public key and
+certificate in succession. A token without a valid proof of a certificate of its group and session
+is ignored.
 
 **Challenges.** A token can be played back, so a process must answer when it is asked, every two
 seconds or so, for its token to count. A challenge is a query on
 
-    teleop/<session>/@/prove/<role of who asks>/<sender of who is asked>
+    teleop/<session>/@/prove/<group of who asks>/<sender of who is asked>
 
 with the payload: 16 random bytes; the sender in question (u64, little-endian), which is who is
 asked or, of a slave, a master that it has relayed; and the key of a token of who asks. The answer
 is the BLAKE2b of 32 bytes of the first 24 bytes of the payload, with the pair key from who is asked
 to who asks, and `teleop present` as `person`. Sides ask each other and the supervisors, all others
-the sides; recorders and viewers are asked by nobody, but answer.
+the sides; recorders and viewers are asked by nobody. A challenge also announces who asks: its token
+may have been lost in a flood. So it is repeated, each time later, until it is answered. Recorders
+and viewers declare no token and show one in their challenges only, as `held`.
 
 **Pair keys.** Sender and addressee derive the key of their direction from the shared secret of
 X25519 by HKDF-SHA256 without salt, 32 bytes, with the info `teleop message 1 <session> <sender>

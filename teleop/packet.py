@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from estimator.compiled import compiled
 from estimator.records import Records, one
-from teleop.messages import ENCAPSULATION, LAYOUT, Message
+from teleop.messages import ENCAPSULATION, LAYOUT, Message, Schema
 
 M = TypeVar("M", bound=Message)
 Bytes = NDArray[np.uint8]
 
 _BODY = 8  # start of the body in a packet's memory: aligned, after the encapsulation
+_HEAD = Schema(Message).record_dtype
 _CHECKED = _BODY + 4  # the checksum covers everything after it
 
 _CRC_32 = 0xEDB88320  # the polynomial of zlib.crc32, reflected
@@ -72,20 +73,24 @@ def crc32(data: Bytes, seed: int) -> int:
 @compiled
 def seal(
     memory: Bytes,
-    records: Records,
+    heads: Records,
     size: int,
     seed: int,
     sender: np.uint64,
     sequence: int,
     stamp_ns: int,
 ) -> None:
-    """Fill in the head of a complete message; `size` [bytes] is that of its body."""
-    record = records[0]
-    record.layout = LAYOUT
-    record.sender = sender
-    record.sequence = sequence
-    record.stamp_ns = stamp_ns
-    record.checksum = crc32(memory[_CHECKED : _BODY + size], seed)
+    """Fill in the head of a complete message; `size` [bytes] is that of its body.
+
+    `heads` is the same type for all messages, so that this is compiled once, not at the first
+    message of each kind, in the middle of a session.
+    """
+    head = heads[0]
+    head.layout = LAYOUT
+    head.sender = sender
+    head.sequence = sequence
+    head.stamp_ns = stamp_ns
+    head.checksum = crc32(memory[_CHECKED : _BODY + size], seed)
 
 
 class Packet(Generic[M]):
@@ -109,13 +114,14 @@ class Packet(Generic[M]):
         self._memory[_BODY - len(ENCAPSULATION) : _BODY] = list(ENCAPSULATION)
         self.records: Records = self._memory[_BODY:].view(schema.record_dtype)
         self.record: M = one(self.records)
+        self._heads = self._memory[_BODY : _BODY + _HEAD.itemsize].view(_HEAD)
         begin = _BODY - len(ENCAPSULATION)
         self.data = self._memory.data[begin : begin + schema.size]
 
     def seal(self, sender: int, sequence: int, stamp_ns: int) -> bytes:
         """Fill in the head and return the bytes to send."""
         nonce = np.uint64(sender)  # uint64, as numba's int is signed
-        seal(self._memory, self.records, self._size, self._seed, nonce, sequence, stamp_ns)
+        seal(self._memory, self._heads, self._size, self._seed, nonce, sequence, stamp_ns)
         return self.data.tobytes()
 
     def fill(self, message: M) -> None:

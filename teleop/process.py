@@ -1,14 +1,13 @@
 """What each of our processes does around its work: when to stop, and what it leaves."""
 
 import argparse
-import ctypes
-import json
 import math
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -20,11 +19,20 @@ _PR_SET_PDEATHSIG = 1
 
 # What ends a command: Ctrl-C, a service manager, and a terminal that is gone (ssh dropped).
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-INTERRUPTED = 128 + signal.SIGINT  # exit code of a command that was told to end before it began
 SUPERVISED = "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
 STANDBY = "TELEOP_STANDBY"  # set in the environment of a spare, which waits for a line to begin
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+REPEAT_S = 0.01  # [s] until a signal whose exception was ignored is delivered again
 HEARTBEAT = "\x06"  # a line that says: not hung; the launcher does not print it
 STATUS = "\x05"  # begins a line for the launcher's status line
+
+
+def module_command(module: str) -> list[str]:
+    """Return the words that run a module of ours in a process of its own.
+
+    It imports nothing from the current folder (`-P`), where any file may have the name of a module.
+    """
+    return [sys.executable, "-P", "-m", module]
 
 
 def supervised() -> bool:
@@ -56,14 +64,35 @@ def on_ending(handler: Callable[[int, FrameType | None], None]) -> None:
 class _Interruption:
     """Of a signal to a command without a loop to stop: raised, and remembered."""
 
-    came = False
+    number = 0  # of the signal; 0 before it
 
-    def __call__(self, _number: int, _frame: FrameType | None) -> None:
-        self.came = True
+    def __call__(self, number: int, _frame: FrameType | None) -> None:
+        self.number = self.number or number
         raise KeyboardInterrupt
+
+    def deliver_again(self, ignored: Any) -> None:
+        """Deliver the signal again if Python ignores what it raised, as in `__del__`.
+
+        For `sys.unraisablehook`.
+        """
+        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(ignored)
+            return
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(self.number or signal.SIGINT))
+        signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+
+    @property
+    def exit_code(self) -> int:
+        """Of a command that was told to end before it began, or was done."""
+        return 128 + (self.number or signal.SIGINT)
 
 
 interruption = _Interruption()
+
+
+def exit_code_of(reason: str) -> int:
+    """Return the exit code of a command that a signal of this name ended; 0 for another reason."""
+    return 128 + signal.Signals[reason] if reason in signal.Signals.__members__ else 0
 
 
 class Stop:
@@ -92,6 +121,22 @@ class Stop:
         """Stop at the next asking; the first reason is kept."""
         self.reason = self.reason or reason
 
+    @property
+    def exit_code(self) -> int:
+        """Of a command that a signal ended before it was done; 0 without a signal."""
+        return exit_code_of(self.reason)
+
+    @contextmanager
+    def interrupting(self) -> Iterator[None]:
+        """Let a signal raise `KeyboardInterrupt`, where nobody asks for long."""
+        on_ending(interruption)
+        try:
+            if self.exit_code:  # it came before
+                interruption(signal.Signals[self.reason], None)
+            yield
+        finally:
+            on_ending(self._on_signal)
+
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self.request(signal.Signals(number).name)
         self.wake()
@@ -106,6 +151,8 @@ def die_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:
         The process `parent` had died before this was asked.
     """
     if sys.platform == "linux":
+        import ctypes  # slow to import, and not needed by a command that a user starts
+
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, by)
     if os.getppid() != parent:
         raise TeleopError(f"the process that started this one ({parent}) has ended")
@@ -115,6 +162,16 @@ def die_with_launcher() -> None:
     """End this process when the launcher that started it dies, if one did."""
     if supervised():
         die_with_parent(int(os.environ[SUPERVISED]))
+
+
+def limit_numeric_threads() -> None:
+    """Let numeric libraries compute in one thread, unless the environment says otherwise.
+
+    To be called before numpy is imported. Arrays are small: a second thread is slower, and each
+    library's pool would hold locked stacks.
+    """
+    for name in _THREAD_COUNTS:
+        os.environ.setdefault(name, "1")
 
 
 def let_loops_first() -> None:
@@ -148,6 +205,8 @@ def seconds(text: str) -> float:
 def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
     """Write `summary` as JSON to `path`, whole or not at all; `UsageError` if that cannot be."""
     if path is not None:
+        import json  # slow to import
+
         write_whole(path, json.dumps(summary, indent=2) + "\n", "the summary")
 
 

@@ -40,7 +40,6 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 _HEAPS = 2
 _LARGEST_IN_HEAP = 32 << 20  # [B] the highest threshold that glibc takes
 
-_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _COMPILER = "libllvmlite"
 
 
@@ -61,16 +60,6 @@ class RealtimeConfig:
 
 
 _DEFAULT = RealtimeConfig()
-
-
-def limit_numeric_threads() -> None:
-    """Let numeric libraries compute in one thread, unless the environment says otherwise.
-
-    To be called before numpy is imported. Arrays are small: a second thread is slower, and each
-    library's pool would hold locked stacks.
-    """
-    for name in _THREAD_COUNTS:
-        os.environ.setdefault(name, "1")
 
 
 def go_realtime(config: RealtimeConfig = _DEFAULT) -> list[str]:

@@ -2,51 +2,50 @@
 
 Each session is a JSON file in a folder that only the user may enter, locked (`flock`) by its
 launcher. The kernel drops the lock with the process, however it ends; a file without a lock is left
-over and is removed by the next reader.
+over and is removed by the next reader. The module imports nothing that is slow to import, since an
+emergency stop does not wait.
 """
 
 import fcntl
 import json
 import os
 import re
-import secrets
 import stat
-import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
-from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from teleop.errors import UsageError
 
 _FOLDER = "tendon-teleop"
 _STEM = 30  # longest part of a name that a config file gives [characters]
 _TRIES = 100  # random names
+SOCKET_ADDRESS_BYTES = 104  # of a Unix socket, with a closing zero; 108 on Linux
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunningSession:
+class RunningSession(NamedTuple):
     """A session of this user on this machine."""
 
     session: str
     overrides: tuple[str, ...]  # `key=value` that lead to it: session, link
     endpoints: tuple[str, ...]  # the same for people
     config: str = ""  # absolute path of its config file, if any
-    pid: int = field(default_factory=os.getpid)  # of its launcher
-    began: str = field(  # local time
-        default_factory=lambda: datetime.now().astimezone().isoformat(" ", "seconds")
-    )
+    pid: int = 0  # of its launcher
+    began: str = ""  # local time
 
 
 @contextmanager
 def registered(entry: RunningSession) -> Iterator[None]:
     """List a session while this context lasts.
 
-    A session that cannot be listed runs all the same: its first line says how to reach it.
+    Process and time are those of this call. A session that cannot be listed runs all the same: its
+    first line says how to reach it.
     """
+    entry = entry._replace(pid=os.getpid(), began=time.strftime("%Y-%m-%d %H:%M:%S%z"))
     try:
-        folder = _own_folder()
+        folder = own_folder()
         path = folder / f"{entry.session}.{entry.pid}.json"
         partial = path.with_suffix(".partial")
         file = partial.open("w")
@@ -55,7 +54,7 @@ def registered(entry: RunningSession) -> Iterator[None]:
         return
     with file:
         fcntl.flock(file, fcntl.LOCK_EX)  # before it has its name, so that no reader removes it
-        json.dump(asdict(entry), file)
+        json.dump(entry._asdict(), file)
         file.flush()
         partial.replace(path)
         try:
@@ -68,11 +67,11 @@ def registered(entry: RunningSession) -> Iterator[None]:
 def running() -> list[RunningSession]:
     """Return the sessions of this user on this machine, the oldest first."""
     try:
-        paths = list(_own_folder().glob("*.json"))
+        paths = list(own_folder().glob("*.json"))
     except OSError:
         return []
     found = [entry for entry in map(_read, paths) if entry is not None]
-    return sorted(found, key=lambda entry: entry.began)
+    return sorted(found, key=lambda entry: (entry.began, entry.session))
 
 
 def own_name(base: str) -> str:
@@ -80,7 +79,7 @@ def own_name(base: str) -> str:
     stem = re.sub(r"[^a-z0-9_-]+", "-", base.lower()).strip("-")[:_STEM] or "session"
     taken = {entry.session for entry in running()}
     for _ in range(_TRIES):
-        name = f"{stem}-{secrets.token_hex(2)}"
+        name = f"{stem}-{os.urandom(2).hex()}"
         if name not in taken:
             return name
     raise UsageError(f"no free name for a session like {stem!r}; choose one with --session")
@@ -113,6 +112,26 @@ def find(name: str = "", config: Path | None = None) -> RunningSession | None:
     return entries[0] if entries else None
 
 
+def describe_absence(session: str, what: str, endpoints: Iterable[str]) -> str:
+    """Return the line of a command whose session does not answer.
+
+    Parameters
+    ----------
+    session : str
+        Its name, chosen or by default.
+    what : str
+        What is missed, e.g. "no master answers".
+    endpoints : iterable of str
+        Where it was sought.
+    """
+    if entries := running():
+        return f"session {session!r}: {what}; running on this machine: {names_of(entries)}"
+    return (
+        f"no session of yours runs on this machine, and {what} at {', '.join(endpoints)} (session "
+        f"{session!r}); for a session on other machines give its --config FILE"
+    )
+
+
 def names_of(entries: list[RunningSession]) -> str:
     """Return the names of sessions as text; those of one name with their processes."""
     names = [entry.session for entry in entries]
@@ -139,15 +158,40 @@ def _read(path: Path) -> RunningSession | None:
     return None
 
 
-def _own_folder() -> Path:
-    """Return the folder, made if it is missing; `OSError` if others could write there."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    if runtime and os.access(runtime, os.W_OK):
-        folder = Path(runtime) / _FOLDER
-    else:
-        folder = Path(tempfile.gettempdir()) / f"{_FOLDER}-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
+def own_folder(socket_name: str = "") -> Path:
+    """Return the folder, made if it is missing; `OSError` if others could write there.
+
+    With a `socket_name` one in which a Unix socket can have that name.
+    """
+    for folder in _folders():
+        fits = len(os.fsencode(folder / socket_name)) < SOCKET_ADDRESS_BYTES
+        if os.access(folder.parent, os.W_OK) and (fits or not socket_name):
+            folder.mkdir(mode=0o700, exist_ok=True)
+            _require_private(folder)
+            return folder
+    raise PermissionError("there is no folder of this user alone: set XDG_RUNTIME_DIR")
+
+
+def own_folders() -> list[Path]:
+    """Return the folders that processes of this user may use, whatever their environment."""
+    private = []
+    for folder in _folders():
+        with suppress(OSError):
+            _require_private(folder)
+            private.append(folder)
+    return private
+
+
+def _folders() -> list[Path]:
+    """Return the folders to try; a process of a service manager may lack `XDG_RUNTIME_DIR`."""
+    bases = (os.environ.get("XDG_RUNTIME_DIR"), f"/run/user/{os.getuid()}")
+    folders = [Path(base) / _FOLDER for base in bases if base]
+    temporary = (os.environ.get("TMPDIR"), "/tmp", "/var/tmp")  # noqa: S108 - private folders only
+    folders += [Path(base).absolute() / f"{_FOLDER}-{os.getuid()}" for base in temporary if base]
+    return list(dict.fromkeys(folders))
+
+
+def _require_private(folder: Path) -> None:
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
         raise PermissionError(f"{folder} is not a folder of this user alone")
-    return folder

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from teleop.link import Link, ReceivedMessage
 from teleop.messages import STOP_ACTIONS, EmergencyStop, Setting, text_bytes, text_of
 from teleop.remote import watches
+from teleop.remote.stop_socket import StopSocket
 from teleop.remote.watches import ArmedWatch, Beat
 from teleop.session import Reason, SessionOutline, State
 from teleop.topics import SETTING, STOP, Role, role_name
@@ -37,10 +38,18 @@ _NOTHING = Requests()
 
 
 class RequestListener:
-    """Listens for stops, resets, watches and settings; used from the loop's thread."""
+    """Listens for stops, resets, watches and settings; used from the loop's thread.
 
-    def __init__(self, link: Link) -> None:
-        self._link = link
+    Parameters
+    ----------
+    link : Link
+        Of the session.
+    stop_socket : StopSocket, optional
+        For requests from this machine, which do not pass the network.
+    """
+
+    def __init__(self, link: Link, stop_socket: StopSocket | None = None) -> None:
+        self._link, self._stop_socket = link, stop_socket
         self._listener = link.listen((STOP, SETTING))
         self._armed: tuple[ArmedWatch, ...] = ()
         self._settings: deque[SettingRequest] = deque()
@@ -52,8 +61,9 @@ class RequestListener:
         A reset is valid if it gives the newest of our `stops`, so that it cannot reset a later
         stop. Of settings there are `SETTINGS` in a tick at most.
         """
+        local = [] if self._stop_socket is None else self._stop_socket.take()
         messages = self._listener.drain()
-        if not messages and not self._armed and not self._settings:
+        if not messages and not local and not self._armed and not self._settings:
             return _NOTHING
         calls = [
             item for item in messages if item.topic is STOP and item.sender != self._link.nonce
@@ -61,7 +71,9 @@ class RequestListener:
         calls_and_bodies = [
             (item, call)
             for item, call in ((item, EmergencyStop.unpack(item.data)) for item in calls)
-            if self._may(item, call.role, "reset" if call.action == RESET else "stop")
+            # a LEAVE may be read after the token of its sender has vanished; it ends no other watch
+            if call.action == LEAVE
+            or self._may(item, call.role, "reset" if call.action == RESET else "stop")
         ]
         beats = [
             Beat(item.sender, item.received_ns, call.action == LEAVE)
@@ -74,13 +86,18 @@ class RequestListener:
             reset=any(
                 call.action == RESET and (call.side, call.number) == (self._link.role, stops)
                 for _, call in calls_and_bodies
-            ),
+            )
+            or any(request.is_reset and request.number == stops for request in local),
             settings=self._next_settings(messages),
         )
-        for _, call in calls_and_bodies:
-            if call.action not in (RESET, WATCH, LEAVE):
-                words = f"{role_name(call.role)}: {text_of(call.text)}"
-                return requests._replace(stop=Reason.STOP_CALLED, words=words)
+        callers = [
+            f"{role_name(call.role)}: {text_of(call.text)}"
+            for _, call in calls_and_bodies
+            if call.action not in (RESET, WATCH, LEAVE)
+        ]
+        callers += [f"this machine: {request.reason}" for request in local if not request.is_reset]
+        if callers:
+            return requests._replace(stop=Reason.STOP_CALLED, words=callers[0])
         return requests
 
     def refused(self) -> dict[str, int]:
@@ -100,6 +117,28 @@ class RequestListener:
         self._before = side
         if began and side.reason in RELAYED:
             call_stop(self._link, role, words or side.reason.text)
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a request from this machine waits for an answer."""
+        return self._stop_socket is not None and self._stop_socket.is_asked
+
+    def answer(self, role: Role, side: SessionOutline, stops: int, peer: State | None) -> None:
+        """Answer the requests from this machine that have been executed.
+
+        Parameters
+        ----------
+        role, side, stops : Role, SessionOutline and int
+            Of this process.
+        peer : State, optional
+            Of the other side; None if nothing new comes from it.
+        """
+        if self._stop_socket is not None:
+            other = Role.SLAVE if role is Role.MASTER else Role.MASTER
+            lines = [f"{role.name.lower()} {side.state.name.lower()} {stops}"]
+            if peer is not None:
+                lines.append(f"{other.name.lower()} {peer.name.lower()}")
+            self._stop_socket.answer(lines)
 
     def _next_settings(self, messages: list[ReceivedMessage]) -> tuple[SettingRequest, ...]:
         """Queue new requests for settings; return those of this tick."""

@@ -15,6 +15,7 @@ from teleop.link import Link
 from teleop.messages import TEXT_BYTES, Answer, Setting, text_bytes, text_of
 from teleop.options import add_option, add_options
 from teleop.run_config import load_shared
+from teleop.running_sessions import describe_absence
 from teleop.topics import ANSWER, SETTING, Role
 
 PATIENCE_S = 5.0
@@ -45,7 +46,8 @@ def main(args: argparse.Namespace) -> int:
         while not link.present(Role.MASTER) and time.monotonic() < deadline:
             time.sleep(0.01)
         if not link.present(Role.MASTER):
-            raise TeleopError(f"session {config.session!r}: no master connected")
+            endpoints = config.link.routers or (config.link.master,)
+            raise TeleopError(describe_absence(config.session, "no master answers", endpoints))
         setting = Setting(role=Role.REMOTE, key=text_bytes(args.key), value=text_bytes(args.value))
         link.publish(SETTING, setting)
         deadline = time.monotonic() + PATIENCE_S

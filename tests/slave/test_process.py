@@ -3,6 +3,7 @@ import json
 import math
 import os
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 
@@ -225,6 +226,7 @@ class Until:
 
     def __init__(self, ticks):
         self.left, self.reason = ticks, ""
+        self.interrupting = nullcontext
 
     def __call__(self):
         self.left -= 1
@@ -628,7 +630,7 @@ def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch
     message = EmergencyStop(role=Role.REMOTE, action=CALL, text=text_bytes("a nurse"))
     data = message.pack(77, 1, now_ns())
 
-    def never_calibrated(_rig, _config, _grid, _start, stopped, progress):
+    def never_calibrated(_rig, _config, _grid, _start, stopped, progress, analysing):
         assert stopped() == ""
         line.heard = [ReceivedMessage(STOP, data, now_ns(), 77, 1, now_ns())]
         stopped()
@@ -646,7 +648,7 @@ def test_under_a_master_that_is_stopped_nothing_is_calibrated(monkeypatch, kind,
     rig, line = kind(), FakeLink()
     line.master_state = State.STOPPED
 
-    def never_calibrated(_rig, _config, _grid, _start, stopped, progress):
+    def never_calibrated(_rig, _config, _grid, _start, stopped, progress, analysing):
         stopped()
 
     monkeypatch.setattr(process, "initialise", never_calibrated)

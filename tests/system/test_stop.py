@@ -2,6 +2,7 @@
 
 import signal
 import subprocess
+import tempfile
 from contextlib import contextmanager
 
 import numpy as np
@@ -11,6 +12,7 @@ from teleop.app.launch.supervisor import wait_for
 from teleop.recording.reader import read_columns
 from teleop.session import Reason, State
 from teleop.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role
+from tests.strangers import flooded
 from tests.system.processes import START_S, Processes, pause
 
 HELD = (
@@ -87,6 +89,44 @@ def test_a_stop_is_latched_on_both_sides_until_reset_and_then_waits_for_the_oper
             assert len(stops) == 1
             assert stops[0] in (Reason.STOP_CALLED, Reason.PEER_STOPPED)  # whichever came first
             assert Reason.RESET in told["reason"]
+
+
+def test_a_stop_gets_through_when_strangers_keep_both_ports_busy(tmp_path, demo_config):
+    with Processes(tmp_path, demo_config, *HELD) as session:
+        session.start_all()
+        config = session.link_config
+        with flooded([config.master, config.slave]):
+            for words in ([], ["--reset"], ["--why", "\udcff"]):
+                code, text = asked(session, "stop", *words)
+                assert code == 0, text
+        pause(0.5)
+        for name in ("master", "slave", "record"):
+            session.stop(name)
+        calls = columns(session, STOP)
+        assert_safe_after(session, calls["stamp_ns"].max())
+
+
+def test_a_stop_goes_through_a_watch_of_its_machine_when_the_ports_are_busy(tmp_path, demo_config):
+    """The sides are as if on other machines: their sockets cannot be seen."""
+    with (
+        tempfile.TemporaryDirectory(dir="/tmp") as rig,
+        tempfile.TemporaryDirectory(dir="/tmp") as desk,
+        Processes(tmp_path, demo_config, *HELD) as session,
+    ):
+        at_desk = ["env", f"XDG_RUNTIME_DIR={desk}"]
+        session.start_all(prefix=["env", f"XDG_RUNTIME_DIR={rig}"])
+        session.start("stop", "--watch", prefix=at_desk)
+        log = tmp_path / "3-stop.log"
+        assert wait_for(lambda: "watching master and slave" in log.read_text(), START_S)
+        config = session.link_config
+        with flooded([config.master, config.slave]):
+            stop = session.start("stop", prefix=at_desk)
+            assert stop.wait(30) == 0, session.outputs()
+        for name in ("master", "slave", "record"):
+            session.stop(name)
+        events = columns(session, EVENT)
+        told = events["role"][events["state"] == State.STOPPED]
+        assert set(told) == {Role.MASTER, Role.SLAVE}
 
 
 def test_a_slave_without_a_master_is_stopped_and_reset_too(tmp_path, demo_config):

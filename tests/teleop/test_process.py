@@ -14,7 +14,6 @@ import pytest
 from teleop.errors import TeleopError, UsageError
 from teleop.output_file import OutputFile
 from teleop.process import (
-    INTERRUPTED,
     SUPERVISED,
     Stop,
     die_with_launcher,
@@ -46,6 +45,28 @@ def test_a_duration_counts_from_the_first_tick_however_long_setting_up_took(monk
     now[0] = 132.0
     assert stop()
     assert stop.reason == "duration reached"
+
+
+LOST = """
+import signal, sys, time
+from teleop.__main__ import _interruptible
+class Deleted:
+    def __del__(self):  # Python ignores what is raised here
+        signal.raise_signal(signal.SIGINT)
+_interruptible()
+try:
+    Deleted()
+    time.sleep(10)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_an_interruption_that_python_ignores_is_delivered_again():
+    run = subprocess.run(
+        [sys.executable, "-c", LOST], capture_output=True, text=True, check=True, timeout=20
+    )
+    assert (run.stdout, run.stderr) == ("interrupted\n", "")
 
 
 STOPPING = """
@@ -89,7 +110,7 @@ sys.exit(program.main())
 def test_a_command_without_a_loop_closes_what_it_has_opened(number):
     words = [sys.executable, "-c", INTERRUPTED_COMMAND, number.name]
     ended = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert (ended.returncode, ended.stdout) == (INTERRUPTED, "closed\n")
+    assert (ended.returncode, ended.stdout) == (128 + number, "closed\n")
 
 
 def test_a_summary_replaces_the_old_one_whole(tmp_path):

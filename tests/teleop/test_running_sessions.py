@@ -1,9 +1,11 @@
 """Sessions of one user on one machine: each has its own place, and commands find them."""
 
 import argparse
+import errno
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +17,14 @@ from teleop.app import cli
 from teleop.config import load
 from teleop.errors import PeerError, UsageError
 from teleop.run_config import RunConfig, load_shared
-from teleop.running_sessions import RunningSession, find, own_name, registered, running
+from teleop.running_sessions import (
+    RunningSession,
+    describe_absence,
+    find,
+    own_name,
+    registered,
+    running,
+)
 from tests.teleop.link.bench import wait_until
 
 _HOLDER = """
@@ -56,6 +65,25 @@ def test_a_session_is_listed_while_it_runs(runtime):
     assert list(runtime.iterdir()) == []
 
 
+def test_a_session_that_does_not_answer_is_told_from_none_at_all():
+    alone = describe_absence("demo", "no master answers", ["127.0.0.1:7451"])
+    assert alone.startswith("no session of yours runs on this machine, and no master answers at")
+    with registered(entry("a")), registered(entry("b")):
+        assert describe_absence("c", "no master answers", ["127.0.0.1:7451"]) == (
+            "session 'c': no master answers; running on this machine: a, b"
+        )
+
+
+def test_a_loopback_interface_that_is_down_is_named_at_once(monkeypatch, capsys):
+    def refuse(*_):
+        raise OSError(errno.ENETUNREACH, "Network is unreachable")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    assert cli.main(["run", "--view", "none", "--duration", "2"]) == 1
+    said = "teleop: 127.0.0.1 cannot be connected to: Network is unreachable; bring the loopback"
+    assert capsys.readouterr().err.startswith(said)
+
+
 def test_a_session_whose_process_was_killed_is_forgotten(runtime):
     with subprocess.Popen([sys.executable, "-c", _HOLDER], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"listed\n"
@@ -76,7 +104,7 @@ def test_a_folder_where_others_may_write_is_not_believed(runtime):
 
 def test_without_a_runtime_folder_the_registry_is_one_of_the_user_below_tmp(monkeypatch, tmp_path):
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     with registered(entry()):
         assert [e.session for e in running()] == ["a"]
         assert (tmp_path / f"tendon-teleop-{os.getuid()}").is_dir()

@@ -1,0 +1,247 @@
+"""Emergency stops from the same machine, past the network, which strangers can keep busy.
+
+Each side of a session, and each `teleop stop --watch`, has a Unix datagram socket in the user's
+runtime folder, which nobody else can enter:
+
+    <runtime folder>/<session>.<network namespace>.<role>.<process>.stop
+
+A request is a line of text, `stop` or `reset NUMBER`, and after it the reason, in any bytes. The
+answer has a line `ROLE STATE STOPS` for the process itself, and a line `ROLE STATE` for each side
+that it is connected to. Neither depends on the version of the messages. The module imports nothing
+that is slow to import, since an emergency stop does not wait.
+"""
+
+import os
+import re
+import select
+import socket
+import time
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from teleop.running_sessions import own_folder, own_folders
+
+ANSWER_S = 2.0  # [s] timeout for the answers of all processes; they take milliseconds
+REPEAT_S = 0.02  # [s] between two requests: a peer's state in an answer may still be the old one
+REQUEST_BYTES = 1024
+REQUESTS = 4  # taken at a time; the others wait for the next tick
+SIDES = ("master", "slave")
+STOPPED, SILENT = "stopped", "silent"
+_REQUEST = re.compile(rb"(?P<action>stop|reset) ?(?P<number>\d{1,9})?(?:\n(?P<reason>.*))?", re.S)
+_ANSWER = re.compile(r"(?P<role>[a-z]{1,9}) (?P<state>[a-z]{1,9})(?: (?P<stops>\d{1,9}))?")
+
+
+class LocalRequest(NamedTuple):
+    """A request from this machine."""
+
+    is_reset: bool
+    number: int  # of the stop that is to be reset
+    reason: str
+
+
+class StopSocket:
+    """Receives requests of this user; a context manager, used from one thread.
+
+    Parameters
+    ----------
+    session : str
+        Name of the session.
+    role : str
+        Role of this process, in lower case.
+
+    Attributes
+    ----------
+    warning : str
+        Why there is no socket, once entered; empty if there is one.
+    """
+
+    def __init__(self, session: str, role: str) -> None:
+        self._name = f"{session}.{_network()}.{role}.{os.getpid()}.stop"
+        self.warning = ""
+        self._socket: socket.socket | None = None
+        self._poll = select.poll()
+        self._askers: set[str] = set()  # without an answer so far
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        try:
+            self._socket = _bound(own_folder(self._name) / self._name, self._stack)
+        except OSError as error:
+            self.warning = (
+                "WARNING: `teleop stop` reaches this process over the network only: no socket in "
+                f"the runtime folder of this user: {error}"
+            )
+        else:
+            self._poll.register(self._socket, select.POLLIN)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket = None
+        self._stack.close()
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a request waits for an answer."""
+        return bool(self._askers)
+
+    def fileno(self) -> int:
+        """Return the file number to wait for requests at; -1 if there is no socket."""
+        return -1 if self._socket is None else self._socket.fileno()
+
+    def take(self) -> list[LocalRequest]:
+        """Return the requests that wait, without waiting; takes a microsecond if there are none."""
+        requests: list[LocalRequest] = []
+        while self._socket is not None and len(requests) < REQUESTS and self._poll.poll(0):
+            try:
+                data, asker = self._socket.recvfrom(REQUEST_BYTES)
+            except OSError:
+                break
+            match = _REQUEST.fullmatch(data)
+            if match is None:
+                continue
+            if asker:
+                self._askers.add(asker)
+            requests.append(
+                LocalRequest(
+                    match["action"] == b"reset",
+                    int(match["number"] or 0),
+                    (match["reason"] or b"").decode(errors="replace"),
+                )
+            )
+        return requests
+
+    def answer(self, lines: list[str]) -> None:
+        """Answer all who have asked since the last answer."""
+        askers, self._askers = self._askers, set()
+        for asker in askers:
+            if self._socket is not None:
+                with suppress(OSError):  # it waits no more
+                    self._socket.sendto("\n".join(lines).encode(), asker)
+
+
+class LocalAnswers:
+    """What the processes of a session on this machine have answered.
+
+    Parameters
+    ----------
+    roles : set of str
+        Roles of the processes that were asked.
+
+    Attributes
+    ----------
+    stops : dict
+        Number of the newest stop of each side that answered for itself.
+    """
+
+    def __init__(self, roles: set[str]) -> None:
+        self._own = dict.fromkeys(roles & set(SIDES), SILENT)
+        self._reported: dict[str, str] = {}
+        self.stops: dict[str, int] = {}
+
+    @property
+    def states(self) -> dict[str, str]:
+        """State of each side in lower case, by role; `SILENT` if it was asked without an answer."""
+        both = self._reported | self._own
+        return {side: both[side] for side in SIDES if side in both}
+
+    @property
+    def are_direct(self) -> bool:
+        """Whether each side has answered for itself."""
+        return bool(self._own) and self._reported.keys() <= self._own.keys()
+
+    def add(self, data: bytes) -> None:
+        """Take an answer."""
+        for line in data.decode(errors="replace").splitlines():
+            match = _ANSWER.fullmatch(line)
+            if match is None or match["role"] not in SIDES:
+                continue
+            if match["stops"] is None:
+                self._reported[match["role"]] = match["state"]
+            else:
+                self._own[match["role"]] = match["state"]
+                self.stops.setdefault(match["role"], int(match["stops"]))
+
+
+def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
+    """Send a stop, or a reset, to the processes of a session on this machine until all obey.
+
+    A reset resets the stop that its side has when it answers first, not a later one. Gives up after
+    `ANSWER_S`; then some of the states are others.
+    """
+    with ExitStack() as stack:
+        sockets = [(path, role) for path, name, role in _sockets() if name == session]
+        answers = LocalAnswers({role for _, role in sockets})
+        if not sockets:
+            return answers
+        mine = _bound(sockets[0][0].with_name(f"{os.urandom(8).hex()}.answer"), stack)
+        deadline = time.monotonic() + ANSWER_S
+        while sockets and time.monotonic() < deadline:
+            for place, role in list(sockets):
+                action = f"reset {answers.stops.get(role, 0)}" if is_reset else "stop"
+                try:
+                    mine.sendto(action.encode() + b"\n" + as_bytes(reason), str(place))
+                except (ConnectionRefusedError, FileNotFoundError):  # its process has ended
+                    with suppress(OSError):
+                        place.unlink()
+                    sockets.remove((place, role))
+                except OSError:  # its queue is full: it gets the next one
+                    continue
+            ready = time.monotonic() + REPEAT_S
+            while select.select([mine], [], [], max(0.0, ready - time.monotonic()))[0]:
+                answers.add(mine.recv(REQUEST_BYTES))
+            states = answers.states.values()
+            if states and SILENT not in states and all((s == STOPPED) != is_reset for s in states):
+                break
+        return answers
+
+
+def sessions_with_sockets() -> set[str]:
+    """Return the names of this user's sessions with a socket on this machine."""
+    return {session for _, session, _ in _sockets()}
+
+
+def as_bytes(reason: str) -> bytes:
+    """Return a reason as bytes, whatever is in it, short enough for a request."""
+    return reason.encode(errors="replace")[: REQUEST_BYTES // 2]
+
+
+def _sockets() -> list[tuple[Path, str, str]]:
+    """Return the sockets on this machine, with session and role of each.
+
+    Those of killed processes are removed.
+    """
+    found = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        for path in (path for folder in own_folders() for path in folder.glob("*.stop")):
+            session, network, role, *_ = (*path.name.split("."), "", "")
+            if network != str(_network()):
+                continue
+            try:
+                probe.connect(str(path))
+            except ConnectionRefusedError:
+                with suppress(OSError):
+                    path.unlink()
+            except OSError:  # it is gone
+                continue
+            else:
+                found.append((path, session, role))
+    return found
+
+
+def _bound(path: Path, stack: ExitStack) -> socket.socket:
+    """Return a datagram socket at `path`, for its owner only; `stack` closes and removes it."""
+    bound = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+    bound.bind(str(path))
+    stack.callback(path.unlink, missing_ok=True)
+    path.chmod(0o600)
+    bound.setblocking(False)
+    return bound
+
+
+def _network() -> int:
+    """Return the number of this network namespace: a container is a machine of its own."""
+    try:
+        return os.stat("/proc/self/ns/net").st_ino
+    except OSError:
+        return 0

@@ -1,0 +1,96 @@
+"""Requests of other processes, as a side takes them."""
+
+import pytest
+
+from teleop.link import ReceivedMessage
+from teleop.link.refusals import Refusals
+from teleop.messages import EmergencyStop
+from teleop.remote import stop_over_link
+from teleop.remote.requests import CALL, LEAVE, WATCH, RequestListener
+from teleop.session import Reason
+from teleop.topics import STOP, Role
+
+MS = 1_000_000
+NONCE = 7
+
+
+class FakeLink:
+    """A link of a side: messages that `send` has put there, of a process that may be gone."""
+
+    role, nonce = Role.SLAVE, 1
+
+    def __init__(self):
+        self.refusals, self.here, self._messages = Refusals(), True, []
+
+    def send(self, action, now):
+        call = EmergencyStop(role=Role.WATCH, action=action)
+        sequence = now // MS + 1
+        data = STOP.message.schema.pack(call, NONCE, sequence, now)
+        self._messages.append(ReceivedMessage(STOP, bytes(data), now, NONCE, sequence, now))
+
+    def listen(self, _topics):
+        return self
+
+    def drain(self):
+        messages, self._messages = self._messages, []
+        return messages
+
+    def present(self, role, nonce):
+        return self.here and (role, nonce) == (Role.WATCH, NONCE)
+
+    def may(self, nonce, right):
+        return self.here and (nonce, right) == (NONCE, "stop")
+
+
+@pytest.fixture
+def line():
+    return FakeLink()
+
+
+def watched(line):
+    """A side that a process watches."""
+    requests = RequestListener(line)
+    line.send(WATCH, 0)
+    assert requests(0).stop is Reason.NONE
+    return requests
+
+
+def test_a_watch_that_leaves_is_no_stop_though_its_token_vanished_before_that_was_read(line):
+    requests = watched(line)
+    line.send(LEAVE, 1 * MS)
+    line.here = False
+    for now in (2, 3, 1000):
+        assert requests(now * MS).stop is Reason.NONE
+
+
+def test_a_watch_that_vanishes_or_falls_silent_is_a_stop(line):
+    requests = watched(line)
+    line.here = False
+    assert requests(1 * MS).stop is Reason.WATCH_LOST
+    line.here = True
+    requests = watched(line)
+    assert requests(240 * MS).stop is Reason.NONE
+    assert requests(260 * MS).stop is Reason.WATCH_LOST
+
+
+@pytest.mark.parametrize("action", [CALL, WATCH])
+def test_nothing_else_counts_of_a_process_that_is_not_here(line, action):
+    requests = RequestListener(line)
+    line.here = False
+    line.send(action, 0)
+    assert requests(0).stop is Reason.NONE
+    line.here = True
+    assert requests(1000 * MS).stop is Reason.NONE
+
+
+def test_a_watch_says_that_it_leaves_until_a_side_that_heard_nothing_would_have_stopped(
+    monkeypatch,
+):
+    sent, now = [], [0.0]
+    monkeypatch.setattr(stop_over_link.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(stop_over_link.time, "sleep", lambda s: now.__setitem__(0, now[0] + s))
+    monkeypatch.setattr(stop_over_link, "call_stop", lambda *a: sent.append((now[0], a[-1])))
+    stop_over_link._send_leave(object(), "")
+    assert [action for _, action in sent] == [LEAVE] * len(sent)
+    assert sent[0][0] == 0.0
+    assert now[0] >= 0.25

@@ -1,0 +1,223 @@
+"""Emergency stops that do not pass the network."""
+
+import secrets
+import socket
+import stat
+import subprocess
+import sys
+import tempfile
+import threading
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from teleop.remote import stop_socket
+from teleop.remote.stop_socket import StopSocket, request_local, sessions_with_sockets
+
+
+@pytest.fixture(autouse=True)
+def runtime_folder(monkeypatch):
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:  # short, as the address of a socket
+        monkeypatch.setenv("XDG_RUNTIME_DIR", name)
+        yield Path(name)
+
+
+def datagrams():
+    return socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+
+
+class Side:
+    """A loop that obeys requests: `tick` answers with its state, and with that of its peer."""
+
+    def __init__(self, own, role, peer=()):
+        self.own, self.role, self.peer = own, role, list(peer)
+        self.state, self.stops, self.reasons = "engaged", 4, []
+
+    def tick(self):
+        for request in self.own.take():
+            if not request.is_reset:
+                self.reasons.append(request.reason)
+                self.stops += self.state != "stopped"
+                self.state = "stopped"
+            elif request.number == self.stops:
+                self.state = "ready"
+        if self.own.is_asked:
+            self.own.answer([f"{self.role} {self.state} {self.stops}", *self.peer])
+
+
+@contextmanager
+def running(*sides):
+    """Tick sides in a thread, as a loop does."""
+    end = threading.Event()
+
+    def work():
+        while not end.wait(0.002):
+            for side in sides:
+                side.tick()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        end.set()
+        thread.join()
+
+
+def test_both_sides_stop_and_are_reset_by_the_number_of_their_stop():
+    with StopSocket("s", "master") as one, StopSocket("s", "slave") as two:
+        master, slave = Side(one, "master"), Side(two, "slave")
+        with running(master, slave):
+            answers = request_local("s", is_reset=False, reason="smoke")
+            assert answers.states == {"master": "stopped", "slave": "stopped"}
+            assert set(master.reasons) == {"smoke"}
+            assert answers.are_direct
+            assert (master.stops, slave.stops) == (5, 5)
+            answers = request_local("s", is_reset=True, reason="")
+            assert answers.states == {"master": "ready", "slave": "ready"}
+
+
+def test_a_side_tells_of_its_peer_on_another_machine():
+    with StopSocket("s", "slave") as own:
+        side = Side(own, "slave", ["master engaged"])
+        with running(side):
+            answers = request_local("s", is_reset=False, reason="")
+    assert answers.states == {"master": "engaged", "slave": "stopped"}
+    assert not answers.are_direct
+
+
+def test_a_side_that_does_not_answer_is_silent_even_if_its_peer_speaks_for_it():
+    with StopSocket("s", "master") as one, StopSocket("s", "slave"):
+        master = Side(one, "master", ["slave stopped"])
+        with running(master):
+            answers = request_local("s", is_reset=False, reason="")
+    assert answers.states == {"master": "stopped", "slave": "silent"}
+
+
+def test_another_session_is_not_stopped():
+    with StopSocket("s-2", "master") as own:
+        side = Side(own, "master")
+        with running(side):
+            for name in ("s", "", "*", "../s-2", "s-2.*"):
+                assert request_local(name, is_reset=False, reason="").states == {}
+    assert side.state == "engaged"
+
+
+@pytest.mark.parametrize(
+    "reason", ["", "\udcff\udc80", "line\nstop\nreset 4", "x" * 100_000, "é\0"]
+)
+def test_a_stop_does_not_depend_on_its_reason(reason):
+    with StopSocket("s", "master") as own:
+        side = Side(own, "master")
+        with running(side):
+            answers = request_local("s", is_reset=False, reason=reason)
+    assert answers.states == {"master": "stopped"}
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"stopp", b"reset", b"\xff" * 4000, b"reset -1", b"reset 99999999999"]
+)
+def test_what_is_no_request_changes_nothing(data, runtime_folder):
+    with (
+        StopSocket("s", "master") as own,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
+    ):
+        side = Side(own, "master")
+        (path,) = (runtime_folder / "tendon-teleop").iterdir()
+        sender.sendto(data, str(path))
+        side.tick()
+    assert side.state == "engaged"
+
+
+def test_many_requests_take_a_bounded_part_of_a_tick(runtime_folder):
+    with (
+        StopSocket("s", "master") as own,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
+    ):
+        sender.setblocking(False)
+        (path,) = (runtime_folder / "tendon-teleop").iterdir()
+        with suppress(BlockingIOError):
+            for _ in range(100_000):
+                sender.sendto(b"stop", str(path))
+        assert len(own.take()) == stop_socket.REQUESTS
+
+
+def test_only_the_user_reaches_a_socket_and_it_is_gone_at_the_end(runtime_folder):
+    folder = runtime_folder / "tendon-teleop"
+    with StopSocket("s", "slave"):
+        (path,) = folder.iterdir()
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert sessions_with_sockets() == {"s"}
+    assert list(folder.iterdir()) == []
+
+
+def test_the_socket_of_a_killed_process_is_removed(runtime_folder):
+    code = (
+        "import os; from teleop.remote.stop_socket import StopSocket; "
+        "StopSocket('s', 'slave').__enter__(); os.kill(os.getpid(), 9)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=False)
+    (left,) = runtime_folder.glob("*/*.stop")
+    assert sessions_with_sockets() == set()  # `teleop stop` does not ask which session
+    assert not left.exists()
+
+
+def test_a_process_that_is_killed_during_a_request_is_not_waited_for(monkeypatch, runtime_folder):
+    with datagrams() as killed:
+        killed.bind(str(runtime_folder / "s.slave.stop"))
+    paths = [(runtime_folder / "s.slave.stop", "s", "slave")]
+    monkeypatch.setattr(stop_socket, "_sockets", lambda: paths)
+    assert request_local("s", is_reset=False, reason="").states == {"slave": "silent"}
+    assert not paths[0][0].exists()
+
+
+def test_a_folder_that_others_may_enter_is_not_used(runtime_folder):
+    folder = runtime_folder / "tendon-teleop"
+    folder.mkdir()
+    folder.chmod(0o750)
+    with StopSocket("s", "slave") as own:
+        assert "over the network only" in own.warning
+        assert own.take() == []
+        assert own.fileno() == -1
+
+
+def test_a_process_with_another_environment_finds_the_others(monkeypatch, runtime_folder):
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    monkeypatch.setenv("TMPDIR", str(runtime_folder))
+    with StopSocket("s", "master") as own:
+        side = Side(own, "master")
+        (runtime_folder / "mine").mkdir()
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime_folder / "mine"))
+        with running(side):
+            assert request_local("s", is_reset=False, reason="").states == {"master": "stopped"}
+
+
+def test_a_folder_too_long_for_the_address_of_a_socket_is_passed_over(monkeypatch, runtime_folder):
+    long = runtime_folder / ("x" * 90)
+    long.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
+    name = f"s{secrets.token_hex(4)}"
+    with StopSocket(name, "master") as own:
+        assert not own.warning
+        side = Side(own, "master")
+        with running(side):
+            assert request_local(name, is_reset=False, reason="").states == {"master": "stopped"}
+
+
+def test_nothing_slow_is_imported():
+    code = (
+        "import sys; from teleop.app import cli; cli.main(['stop', '--session', 's']); "
+        "slow = {'numpy', 'zenoh', 'numba', 'yaml', 'importlib.metadata', 'logging', "
+        "'dataclasses', 'inspect', 'tempfile', 'ctypes', 'datetime', 'difflib'}; "
+        "print(sorted(slow & sys.modules.keys()))"
+    )
+    words = [sys.executable, "-c", code]
+    with (
+        StopSocket("s", "master") as master,
+        StopSocket("s", "slave") as slave,
+        running(Side(master, "master"), Side(slave, "slave")),
+    ):
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["master    stopped", "slave     stopped", "[]"]
