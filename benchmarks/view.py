@@ -10,7 +10,7 @@ just killed, several times over; a recorder beside it tells the period of both l
 from command to force in each state. The states take turns in one run, so all meet the same machine.
 
 Then an hour of messages, ten seconds of that run again and again with stamps of their own, goes
-through the view as fast as it can: memory of both its processes and of a page in a headless
+through the view as fast as it can: memory of its process and of a page in a headless
 Chromium, open from the start, and the size of its file. It is shown on the page and written to a
 file at once, at the rates of the config.
 """
@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from teleop import config
 from teleop.clock import now_ns
 from teleop.link import Link
+from teleop.process import STANDBY
 from teleop.recording.reader import open_recording, read_columns, read_messages
 from teleop.run_config import RunConfig
 from teleop.session import State
@@ -74,19 +75,22 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
         shared += ["--set", f"link.{side}=127.0.0.1:{free_port(0)}"]
     looked = [] if browser.program() is None else ["opened", "reloaded"]
     spans: Spans = {state: [] for state in ("off", "on", *looked, "stopped", "killed")}
-    ports = {name: free_port(0) for name in ("web_port", "grpc_port")}
-    places = [word for name, port in ports.items() for word in ("--set", f"view.{name}={port}")]
 
     with ExitStack() as stack:
 
         def start(command: str, *arguments: str) -> subprocess.Popen[bytes]:
             process = subprocess.Popen(
                 [sys.executable, "-m", "teleop", command, *shared, *arguments],
-                stdout=subprocess.DEVNULL,
+                stdout=subprocess.PIPE if command == "view" else subprocess.DEVNULL,
                 stderr=subprocess.STDOUT,
             )
             stack.callback(end, process)
             return process
+
+        def address_of(viewer: subprocess.Popen[bytes]) -> str:
+            assert viewer.stdout is not None  # noqa: S101 - a pipe, above
+            words = next(line for line in viewer.stdout if line.startswith(WEB_VIEW.encode()))
+            return words.decode().removeprefix(WEB_VIEW).strip()
 
         def measured(state: str, settle_s: float = SETTLE_S) -> None:
             time.sleep(settle_s)
@@ -100,11 +104,12 @@ def session(folder: Path, seconds: float, rounds: int) -> tuple[Path, Spans]:
         wait_until_engaged(shared[3::2])
         for _ in range(rounds):
             measured("off")
-            viewer = start("view", "--view", "web", *places)
+            viewer = start("view", "--view", "web")
+            address = address_of(viewer)
             time.sleep(SETTLE_S)
             measured("on")
             if looked:
-                look(f"http://127.0.0.1:{ports['web_port']}/?renderer=webgl", measured)
+                look(f"{address}?renderer=webgl", measured)
             viewer.send_signal(signal.SIGSTOP)
             measured("stopped")
             viewer.kill()
@@ -178,8 +183,8 @@ def hour(recording: Path, minutes: float = HOUR_S / 60) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "hour.rrd"
         with Sink("web", view, "hour", file, live=True) as sink, ExitStack() as stack:
-            if sink.stream is None or sink.pid is None:
-                raise RuntimeError("a web view has a stream and a program")
+            if sink.stream is None:
+                raise RuntimeError("a web view has a stream")
             page = None if browser.program() is None else stack.enter_context(browser.Browser())
             if page is not None:
                 os.setpriority(os.PRIO_PGRP, page.pid, 19)
@@ -192,13 +197,13 @@ def hour(recording: Path, minutes: float = HOUR_S / 60) -> None:
                     break
                 scene.pictures(batch)
                 scene.curves(batch)
-                sink.stream.flush()
+                sink.publish()
                 if moments and passed_s >= 60 * moments[0] - 1e-6:
                     minute, size = moments.pop(0), file.stat().st_size / 1e6
                     speed = passed_s / (time.monotonic() - begin)
                     print(
-                        f"{minute:3} min: view {memory_mb(os.getpid()):4.0f} MB, its program "
-                        f"{memory_mb(sink.pid):4.0f} MB, page {page_memory_mb(page):4.0f} MB; "
+                        f"{minute:3} min: view {memory_mb(os.getpid()):4.0f} MB, "
+                        f"page {page_memory_mb(page):4.0f} MB; "
                         f"file {size:6.1f} MB, "
                         f"{size / max(minute, 1):.1f} MB a minute; {speed:.1f} times real time",
                         flush=True,
@@ -260,14 +265,14 @@ def processes(file: Path, seconds: float) -> None:
         wait_until_engaged(shared[3::2], file)
         time.sleep(5 * SETTLE_S)  # the periods settle
         views = [pid for pid in children(launcher.pid) if b"\0view\0" in command_of(pid)]
-        programs = [pid for view in views for pid in children(view)]
-        before, begin = [processor_s(pid) for pid in (*views, *programs)], time.monotonic()
+        before, begin = [processor_s(pid) for pid in views], time.monotonic()
         time.sleep(seconds)
         passed = time.monotonic() - begin
         load = os.getloadavg()[0]
         print(f"{file.name}, {seconds:g} s, load {load:.1f}: share of a core, resident and own MB")
-        for pid, earlier in zip((*views, *programs), before, strict=True):
-            name = "viewer program" if pid in programs else "view" if children(pid) else "its spare"
+        for pid, earlier in zip(views, before, strict=True):
+            spare = STANDBY.encode() in Path(f"/proc/{pid}/environ").read_bytes()
+            name = "its spare" if spare else "view"
             share = (processor_s(pid) - earlier) / passed
             print(f"{name:14} {share:5.2f} {memory_mb(pid):6.0f} {own_memory_mb(pid):6.0f}")
 

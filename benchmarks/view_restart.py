@@ -9,6 +9,7 @@ processor time of the view, and the page's own address how long the view was awa
 software, at the lowest priority: what it takes from a small machine is no cost of the view.
 """
 
+import json
 import math
 import os
 import re
@@ -26,8 +27,9 @@ from pathlib import Path
 import numpy as np
 
 from teleop.clock import now_ns
+from teleop.process import STANDBY
 from teleop.recording.reader import read_columns
-from teleop.view.ports import free_port
+from teleop.view.ports import WEB_VIEW, free_port
 from tests import browser
 
 ROOT = Path(__file__).parents[1]
@@ -41,10 +43,9 @@ class Run:
     """A session that runs, and what it prints."""
 
     def __init__(self, config: Path, folder: Path) -> None:
-        self.port = free_port(0)
         words = ["run", "--config", str(config), "--view", "web", "--record", str(folder)]
         for text in (
-            *("session=view-restart", f"view.web_port={self.port}"),
+            "session=view-restart",
             *(f"link.{side}=127.0.0.1:{free_port(0)}" for side in ("master", "slave")),
         ):
             words += ["--set", text]
@@ -61,24 +62,25 @@ class Run:
 
     @property
     def address(self) -> str:
-        """Where its page is."""
-        return f"http://127.0.0.1:{self.port}/"
+        """Where its page is; empty until it has said so."""
+        found = (line.partition(WEB_VIEW)[2] for line in self.lines if WEB_VIEW in line)
+        return next(found, "")
 
     def engaged(self) -> bool:
         """Return whether it has said so."""
         return any("engaged" in line for line in self.lines)
 
-    def instance(self) -> bytes:
+    def instance(self) -> str:
         """Return which view answers; empty if none does."""
+        asked = self.address + "blocks?older=1"  # answered at once
         try:
-            with urllib.request.urlopen(self.address + "instance", timeout=1.0) as answer:  # noqa: S310
-                content: bytes = answer.read()
-                return content
-        except (urllib.error.URLError, OSError):
-            return b""
+            with urllib.request.urlopen(asked, timeout=1.0) as answer:  # noqa: S310
+                return str(json.loads(answer.headers["X-View"])["instance"])
+        except (urllib.error.URLError, OSError, ValueError):
+            return ""
 
     def view(self) -> int:
-        """Return the process id of the view: the one of `teleop view` that has a viewer program."""
+        """Return the process id of the view: the one of `teleop view` that is no spare."""
         end = time.monotonic() + AWAY_S
         while (pid := self._view()) is None:
             if time.monotonic() > end:
@@ -93,7 +95,7 @@ class Run:
         rows = [line.split(None, 2) for line in text.splitlines()]
         views = {pid for pid, parent, words in rows if parent == str(self.process.pid)
                  and " view " in words}  # fmt: skip
-        found = (int(parent) for _, parent, words in rows if parent in views and "rerun" in words)
+        found = (int(pid) for pid in views if STANDBY.encode() not in environment_of(pid))
         return next(found, None)
 
     def processor_s(self) -> float:
@@ -111,6 +113,10 @@ class Run:
                 return time.monotonic() - begin
             time.sleep(0.02)
         return math.inf
+
+
+def environment_of(pid: str) -> bytes:
+    return Path(f"/proc/{pid}/environ").read_bytes()
 
 
 def main(config: str = str(ROOT / "configs" / "demo.yaml"), seconds: str = "10") -> None:

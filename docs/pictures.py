@@ -131,9 +131,10 @@ def photograph(run: Recorded, shot: Shot, until_s: float, path: Path) -> None:
         if sink.stream is None:
             raise RuntimeError("a web view has a stream")
         scene = Scene(settings, sink.stream, sink.lay_out)
-        from_recording(str(run.path), _Between(scene, until_s, shot.past_s), _never, 0.25)
-        sink.stream.flush()
-        page.open(sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl")
+        from_recording(
+            str(run.path), _Between(scene, until_s, shot.past_s), _never, 0.25, sink.publish
+        )
+        page.open(sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl&layout=full")
         page.settle(SETTLED_S, still=STILL)
         page.save(path)
     print(path.relative_to(ROOT))
@@ -164,6 +165,9 @@ class _Between:
 
     def curves(self, batches: Mapping[AnyTopic, Rows]) -> int:
         return self._scene.curves(self._cut(batches))
+
+    def end(self, what: str, silent_ns: int = 0) -> None:
+        """Show no end: a moment of the run is photographed."""
 
 
 def animate(run: Recorded, path: Path) -> None:

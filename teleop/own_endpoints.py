@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import secrets
+import socket
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -64,12 +65,28 @@ def entry_of(shared: RunConfig, impair: ImpairConfig | None, config: Path | None
 
 
 def free_ports(count: int) -> list[int]:
-    """Return different ports that nobody listens at on loopback."""
+    """Return different ports that nobody listens at on loopback; `TeleopError` if it is down."""
+    require_loopback()
     for _ in range(100):
         ports = {free_port(FIRST_PORT + secrets.randbelow(PORTS)) for _ in range(count)}
         if len(ports) == count:
             return list(ports)
     raise TeleopError(f"no {count} free ports on {LOOPBACK}")
+
+
+def require_loopback() -> None:
+    """Raise `TeleopError` if nothing can be connected to on loopback."""
+    with socket.socket() as listener, socket.socket() as caller:
+        caller.settimeout(1.0)
+        try:
+            listener.bind((LOOPBACK, 0))
+            listener.listen()
+            caller.connect(listener.getsockname())
+        except OSError as error:
+            raise TeleopError(
+                f"{LOOPBACK} cannot be connected to: {error.strerror or error}; bring the loopback "
+                "interface up (ip link set lo up)"
+            ) from error
 
 
 def absolute_paths(config: Any) -> Any:

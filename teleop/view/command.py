@@ -17,11 +17,13 @@ import math
 import os
 import sys
 import time
+import warnings
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from teleop.config import RECORDING
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.options import ViewMode, add_options
@@ -30,12 +32,13 @@ from teleop.process import (
     Stop,
     has_display,
     let_loops_first,
+    print_warning,
     supervised,
     wait_in_standby,
     write_summary,
 )
 from teleop.recording.reader import open_recording
-from teleop.recording.replay import print_doubts, require_playable
+from teleop.recording.replay import adopt_config, print_doubts, require_playable
 from teleop.run_config import RunConfig, load_section
 from teleop.topics import TOPICS, Role
 from teleop.view.config import LAYOUTS, ViewConfig
@@ -75,6 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run the command; returns its exit code."""
+    if args.file is not None and Path(args.file).suffix == RECORDING:
+        adopt_config(args, Path(args.file))
     run, config = load_section(args, ViewConfig, "view", join=args.file is None)
     foxglove = args.foxglove or config.foxglove
     config = replace(config, layout=args.layout or config.layout, foxglove=foxglove)
@@ -130,9 +135,11 @@ def destination_of(view: ViewMode | Path | None, out: Path | None) -> tuple[View
 
 
 def require_viewer(file: str, mode: ViewMode, out: Path | None) -> None:
-    """Check that a Rerun file exists and is to be looked at."""
+    """Check that a Rerun file is to be looked at, and holds a recording, cut off or not."""
     if mode not in ("native", "web") or out is not None:
         raise UsageError(f"{file}: is a Rerun file already; --view native or web shows it")
+    if Path(file).exists() and not Path(file).is_file():
+        raise UsageError(f"{file}: is not a file")
     try:
         with Path(file).open("rb") as content:
             begin = content.read(4)
@@ -142,6 +149,19 @@ def require_viewer(file: str, mode: ViewMode, out: Path | None) -> None:
         raise UsageError(
             f"{file}: is no Rerun file; `teleop view RECORDING.mcap` shows a recording"
         )
+    from rerun.chunk import RrdReader
+
+    try:
+        with warnings.catch_warnings(action="ignore"):  # files of a view have no footer
+            recordings = RrdReader(file).recordings()
+    except RuntimeError as error:
+        reason = " ".join(str(error).split()).rpartition(f"{file}: ")[2]
+        if "exceeds file size" not in reason:  # the view was killed: what is whole is shown
+            raise UsageError(f"{file}: is damaged: {reason}") from error
+        print_warning(f"{file}: is truncated; what is whole is shown")
+    else:
+        if not recordings:
+            raise UsageError(f"{file}: holds no recording")
 
 
 def _show_saved(path: Path, mode: ViewMode, config: ViewConfig, stop: Stop) -> int:
@@ -180,16 +200,20 @@ def _feed(
         scene = Scene(config, sink.stream, sink.lay_out, everything=whole, live=live)
         show = scene
         if file is None:
-            sink.follow(lambda: scene.newest_ns)
+            sink.follow(lambda: scene.newest_ns, scene.show_panel)
     _say(sink)
     let_loops_first()  # not before: after a failure the view must be back soon
     if file is not None:
         return _show_recording(file, config, show, sink, stop)
+
+    def has_ended() -> bool:
+        return not any(map(link.present, (Role.MASTER, Role.SLAVE)))
+
     with ExitStack() as stack:
         sampled = frozenset() if config.foxglove else config.sampled()
         link = stack.enter_context(Link(run.link, run.session, Role.VIEWER))
         listener = link.listen(TOPICS, sampled)
-        if not supervised() and not any(map(link.present, (Role.MASTER, Role.SLAVE))):
+        if not supervised() and has_ended():
             print(f"Waiting for session {run.session!r} (`teleop sessions` lists those that run)")
         messages: Messages = listener
         if config.foxglove:
@@ -197,7 +221,16 @@ def _feed(
             print(f"Foxglove view: {server.url}", flush=True)
             messages = server.forwarding(listener)
         share = config.processor_share if sink.watched else math.inf
-        fed = from_link(messages, show, sink, stop, config.drain_hz, periods(sink, config), share)
+        fed = from_link(
+            messages,
+            show,
+            sink,
+            stop,
+            config.drain_hz,
+            periods(sink, config),
+            share,
+            has_ended,
+        )
         counts = {topic: listener.counts(topic) for topic in TOPICS}
         summary["lost"] = {
             topic.name: c.lost + (0 if topic in sampled else c.overwritten)
@@ -211,7 +244,7 @@ def _show_recording(
     path: str, config: ViewConfig, show: Show, sink: Sink, stop: Stop
 ) -> FeedCounts:
     """Show a recording, and wait until the viewer is closed."""
-    fed = from_recording(path, show, stop, config.file_period_s)
+    fed = from_recording(path, show, stop, config.file_period_s, sink.publish)
     if sink.watched:
         _wait(sink, stop)
     stop.request("the recording is shown")

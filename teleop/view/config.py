@@ -63,7 +63,6 @@ class ViewConfig:
     server_memory_mb: int = 8  # [MB] of history for a page that is opened later: half a minute
     page_memory_mb: int = 1024  # [MB] memory of the viewer, in a browser or a window
     web_port: int = 9090  # preferred port; a free one if it is in use
-    grpc_port: int = 9876  # likewise
     foxglove: bool = False  # also serve the messages to the Foxglove app, on this machine
     foxglove_port: int = 8765  # preferred port, as above
     directory: str = "recordings"  # folder of `--view rrd` without `--out`
@@ -91,7 +90,6 @@ class ViewConfig:
             ("server_memory_mb", 4, 65536, " MB"),
             ("page_memory_mb", 256, 4000, " MB"),
             ("web_port", 1024, 65535, ""),
-            ("grpc_port", 1024, 65535, ""),
             ("foxglove_port", 1024, 65535, ""),
         ):
             value = getattr(self, name)

@@ -34,6 +34,9 @@ class Show(Protocol):
     def silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""
 
+    def end(self, what: str, silent_ns: int = 0) -> None:
+        """Show that a session or recording (`what`) has ended, and no forces."""
+
 
 class Messages(Protocol):
     """A source of received messages, such as a `Listener`."""
@@ -98,6 +101,7 @@ def from_link(
     drain_hz: float,
     periods_s: tuple[float, float],
     processor_share: float = math.inf,
+    has_ended: Callable[[], bool] = lambda: False,
 ) -> FeedCounts:
     """Show received messages until stopped.
 
@@ -109,6 +113,8 @@ def from_link(
         [s] between updates of the scene, and of the curves; stretched, and rows thinned by the
         same factor, where they would take more than `processor_share`, of one processor, or where
         a page does not keep up.
+    has_ended : callable
+        Whether neither side of the session is there; asked when nothing arrives, and at the end.
     """
     fed = FeedCounts()
     pictures, curves = (PacedMessages(period_s, 1.0 / drain_hz) for period_s in periods_s)
@@ -125,31 +131,43 @@ def from_link(
         messages = [(h.topic, h.data) for h in listener.drain()]
         fed.received += len(messages)
         heard_ns = tick.stamp_ns if messages or not heard_ns else heard_ns
-        if tick.stamp_ns - heard_ns > _SILENT_NS:
-            show.silence(tick.stamp_ns - heard_ns)
+        silent_ns = tick.stamp_ns - heard_ns
+        if silent_ns > _SILENT_NS and fed.received and has_ended():
+            show.end("session", silent_ns)
+        elif silent_ns > _SILENT_NS:
+            show.silence(silent_ns)
         curves.add(m for m in messages if m[0] in _GROWING)
         pictures.add(messages)
         if not sink.alive():
-            fed.fault = "" if sink.window else "the viewer program ended"
-            stop.request("the viewer has ended")
+            stop.request("the window was closed")
             continue
         factor = pacing.update(time.process_time(), time.monotonic(), sink.behind_s)
         pictures.stretch = curves.stretch = factor
         show.stretch(factor)
         pass_on(tick.stamp_ns, all_of_it=False)
+        sink.publish()
         if tick.stamp_ns >= probe_ns:
             probe_ns = tick.stamp_ns + _PROBE_EVERY_NS
             beat()
             if sink.stuck():
-                fed.fault = "the viewer program accepts no more data"
+                fed.fault = "the window accepts no more data"
                 stop.request("the viewer is stuck")
     if sink.alive() and not fed.fault:
         pass_on(0, all_of_it=True)
+        if fed.received and has_ended():
+            sink.ended = "The session has ended."
+            show.end("session")
     return fed
 
 
-def from_recording(path: str, show: Show, stop: Callable[[], bool], period_s: float) -> FeedCounts:
-    """Show a whole recording, a block of `period_s` [s] at a time."""
+def from_recording(
+    path: str,
+    show: Show,
+    stop: Callable[[], bool],
+    period_s: float,
+    publish: Callable[[], None] = lambda: None,
+) -> FeedCounts:
+    """Show a whole recording, a block of `period_s` [s] at a time; each is published."""
     fed = FeedCounts()
     for block in _blocks(path, round(period_s * 1e9)):
         if stop():
@@ -162,6 +180,10 @@ def from_recording(path: str, show: Show, stop: Callable[[], bool], period_s: fl
                 f"{path}: {error}; view it with the version that recorded it"
             ) from error
         fed.shown += show.pictures(batches) + show.curves(batches)
+        publish()
+    else:
+        show.end("recording")
+        publish()
     return fed
 
 
@@ -178,6 +200,9 @@ class Discard:
         """Show nothing."""
 
     def silence(self, silent_ns: int) -> None:
+        """Show nothing."""
+
+    def end(self, what: str, silent_ns: int = 0) -> None:
         """Show nothing."""
 
 

@@ -36,6 +36,7 @@ class Levers:
         self._sender = sender
         self._sheaths = sheaths
         self._thinned = thinned
+        self._drawn = False  # since forces were forgotten
         self._travel: dict[int, float] = {}  # joint -> [m] as last estimated
 
     def place(self) -> None:
@@ -86,10 +87,28 @@ class Levers:
             (HAND, self._hands),
         ):
             if topic in batches:
+                self._drawn = True
                 rows = self._thinned(batches[topic], self._config.rate_hz.levers)
                 paint(rows)
                 drawn += len(rows)
         return drawn
+
+    def forget_forces(self, stamp_ns: int) -> None:
+        """Draw no force from one instant [ns] on."""
+        stage = self._sheaths.stage
+        if stage is None or not self._drawn:
+            return
+        self._drawn = False
+        none, at = np.array([False]), np.array([stamp_ns])
+        nothing = np.empty((0, 3))
+        arrow = columns(rr.Arrows3D, none, origins=nothing, vectors=nothing)
+        number = columns(rr.Points3D, none, positions=nothing, labels=[])
+        interval = columns(rr.LineStrips3D, none, strips=np.empty((0, 2, 3)))
+        for joint in stage.joints:
+            path = f"scene/joint_{joint}"
+            self._sender.columns_at(f"{path}/force", at, arrow + number + interval)
+            self._sender.columns_at(f"{path}/truth", at, arrow)
+            self._sender.columns_at(f"scene/hand_{joint}/handle", at, arrow + number)
 
     def _tips(self, rows: Rows) -> None:
         for joint, lever, path in self._joints(rows):

@@ -14,6 +14,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
+from teleop.clock import now_ns
 from teleop.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
 from teleop.view.batch import AnyTopic, Paced, Rows, split
 from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
@@ -57,7 +58,7 @@ class Panel:
 
     def __init__(self, config: ViewConfig, sender: Sender, sheaths: Sheaths) -> None:
         self._scale_N = config.tension_scale_N  # [N] length of a bar without a known limit
-        self._whole = config.layout == "surgeon"  # others show the banner only
+        self.whole = config.layout == "surgeon"  # others show the banner only
         self._sender = sender
         self._sheaths = sheaths
         self._sides: dict[Role, tuple[int, int]] = {}
@@ -84,7 +85,7 @@ class Panel:
             limits = limits[np.isfinite(limits) & (limits > 0)]  # the last command has none
             self._limit_N = float(limits[-1]) if len(limits) else self._limit_N
         self._banners(batches)
-        if not self._whole:
+        if not self.whole:
             return
         if STATE in batches and len(batches[STATE]):
             self._forces(batches[STATE])
@@ -98,10 +99,22 @@ class Panel:
 
     def silence(self, silent_ns: int) -> None:
         """Say that nothing has arrived for so long [ns]."""
+        self._forget(Banner(NO_DATA, "the session sends nothing"), silent_ns)
+
+    def end(self, what: str, silent_ns: int) -> None:
+        """Say that a session or recording has ended so long [ns] after its last message."""
+        self._forget(Banner(f"{what} ended"), silent_ns)
+
+    def present_ns(self, silent_ns: int) -> int:
+        """Return the stamp of now [ns], so long after the last message; our clock before any."""
+        return self.newest_ns + silent_ns if self.newest_ns else now_ns()
+
+    def _forget(self, now: Banner, silent_ns: int) -> None:
+        """Show a banner, and neither forces nor the link's quality."""
         self._sides.clear()
-        stamp_ns = self.newest_ns + silent_ns
-        self._show(Banner(NO_DATA, "the session sends nothing"), stamp_ns)
-        if self._whole and self._counts:
+        stamp_ns = self.present_ns(silent_ns)
+        self._show(now, stamp_ns)
+        if self.whole and self._counts:
             self._counts.clear()
             self._deaf.clear()
             self._drawing("panel/link", stamp_ns, [], PLAIN, 0.0)

@@ -1,25 +1,41 @@
 """Ports of the view, on loopback."""
 
+import os
+import secrets
 import socket
-import time
 
 from teleop.errors import TeleopError
 
 LOOPBACK = "127.0.0.1"
 WEB_VIEW = "Web view: "  # of the line that a web view prints first; its address follows
-_POLL_S = 0.02
+HELD = "TELEOP_VIEW_PORT"  # of a socket that listens, and the secret of its address
+_WAITING = 64  # connections that are not accepted yet
 
 
-def free_port(first_choice: int, patience_s: float = 0.0) -> int:
-    """Return `first_choice` if nobody listens there on loopback, another free port otherwise.
+def hold_port(first_choice: int) -> tuple[socket.socket, dict[str, str]]:
+    """Return a socket that listens for a child, and what its environment tells it of that.
 
-    `patience_s` [s] is how long to wait for the first choice, which a process that was just killed
-    may still hold.
+    So the page comes back at its address if the child is started again, and nobody else takes the
+    port meanwhile, to whom the page in a browser would tell the secret.
     """
-    end = time.monotonic() + patience_s
-    while (port := _bindable(first_choice)) is None and time.monotonic() < end:
-        time.sleep(_POLL_S)
-    port = port or _bindable(0)
+    held = socket.create_server((LOOPBACK, free_port(first_choice)), backlog=_WAITING)
+    return held, {HELD: f"{held.fileno()} {new_secret()}"}
+
+
+def held_port() -> tuple[socket.socket, str] | None:
+    """Return the socket that the process which started this one holds, and its secret."""
+    number, _, secret = os.environ.get(HELD, "").partition(" ")
+    return (socket.socket(fileno=int(number)), secret) if secret else None
+
+
+def new_secret() -> str:
+    """Return a secret for an address: 128 bits."""
+    return secrets.token_urlsafe(16)
+
+
+def free_port(first_choice: int) -> int:
+    """Return `first_choice` if nobody listens there on loopback, another free port otherwise."""
+    port = _bindable(first_choice) or _bindable(0)
     if port is None:
         raise TeleopError(f"no free port on {LOOPBACK}")
     return port

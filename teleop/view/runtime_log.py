@@ -11,14 +11,15 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from teleop.user_folders import state_folder
+
 _STDERR = 2
 _LARGEST = 1_000_000  # [bytes] after which the file begins anew
 
 
 def log_path(session: str) -> Path:
     """Return the file for a session: in the user's state folder (XDG base directories)."""
-    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(state) / "tendon-teleop" / f"view-{session}.log"
+    return state_folder() / "tendon-teleop" / f"view-{session}.log"
 
 
 @contextlib.contextmanager

@@ -145,6 +145,16 @@ class Scene:
     def silence(self, silent_ns: int) -> None:
         """Show that nothing has arrived for so long [ns]."""
         self._panel.silence(silent_ns)
+        self._levers.forget_forces(self._panel.present_ns(silent_ns))
+
+    def end(self, what: str, silent_ns: int = 0) -> None:
+        """Show that a session or recording ended so long [ns] after its last data, no forces."""
+        self._panel.end(what, silent_ns)
+        self._levers.forget_forces(self._panel.present_ns(silent_ns))
+
+    def show_panel(self) -> None:
+        """Send all of the panel from now on, which `surgeon` shows; from any thread."""
+        self._panel.whole = True
 
     def _learn(self, rows: Rows) -> int:
         """Process the sheaths, and redraw everything if they have changed."""

@@ -1,9 +1,13 @@
-"""Destinations of the scene: window, web page, file, or none."""
+"""Destinations of the scene: window, web page, file, or none.
+
+What Rerun encodes comes back into this process, which gives it to the pages that ask and to the
+window's standard input: no server of Rerun has the data, as its ports are open to every user.
+"""
 
 import sys
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Self
@@ -12,18 +16,18 @@ import rerun as rr
 
 from teleop.errors import UsageError
 from teleop.options import ViewMode
-from teleop.process import has_display, supervised
+from teleop.process import has_display
+from teleop.scratch_folder import ScratchFolder
 from teleop.view.config import ViewConfig
 from teleop.view.layouts import blueprint
 from teleop.view.page import Page
-from teleop.view.ports import WEB_VIEW, free_port
-from teleop.view.viewer_process import ViewerProcess
+from teleop.view.ports import WEB_VIEW, held_port
+from teleop.view.rrd import Blocks, RrdError, split_block
+from teleop.view.viewer_process import Window, read_viewer_files
 
 APPLICATION = "teleop"
 _FLUSH_S = 3.0
-_PROBE_S = 0.75
-_LET_GO_S = 0.5
-_SAME_PORT_S = 3.0  # to wait for the port of a view that was killed
+_BLOCK = 1 << 20  # [bytes] of a file that a page is given at once, more or less
 
 
 class Sink:
@@ -53,29 +57,25 @@ class Sink:
         saved: Path | None = None,
     ) -> None:
         self.lines: list[str] = []
-        self._saved = [] if saved is None else [str(saved)]
-        self._mode = mode
         self._config = config
         self.file = _new_file(config, session) if mode == "rrd" and out is None else out
-        self._viewer: ViewerProcess | None = None
+        self._window: Window | None = None
         self._page: Page | None = None
+        self._blocks: Blocks | None = None
+        self._encoded: rr.BinaryStream | None = None
         self._joints: Mapping[int, Sequence[int]] = {}  # as laid out
-        self._sinks: list[rr.GrpcSink | rr.FileSink] = []
-        self._slow_probes = 0
+        self._layouts = 0  # sent
+        self._show_panel: Callable[[], None] = lambda: None
+        self.ended = "The view was closed."  # what open pages are told at the end
         with ExitStack() as stack:  # the programs first: a child is best started before any thread
             if mode == "native":
-                self._open_window(stack, config)
+                self._open_window(stack, saved)
             elif mode == "web":
-                self._open_page(stack, config, live)
-            if self.file is not None:
-                self._open_file(self.file)
+                self._open_page(stack, live, saved)
             # no stream without a sink: it would buffer everything
             self.stream: rr.RecordingStream | None = None
-            if self._sinks and saved is None:
-                self.stream = rr.RecordingStream(APPLICATION)
-                stack.callback(self.stream.disconnect)
-                self.stream.set_sinks(*self._sinks, default_blueprint=blueprint(config, {}))
-                self.stream.send_recording_name(session)
+            if saved is None and (self.watched or self.file is not None):
+                self._open_stream(stack, session)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -87,94 +87,105 @@ class Sink:
     @property
     def watched(self) -> bool:
         """Whether it is a viewer."""
-        return self._viewer is not None
-
-    @property
-    def window(self) -> bool:
-        """Whether it is a window, which the user may close."""
-        return self._mode == "native"
-
-    @property
-    def pid(self) -> int | None:
-        """The process id of the viewer program, if there is one."""
-        return None if self._viewer is None else self._viewer.pid
+        return self._window is not None or self._page is not None
 
     def alive(self) -> bool:
-        """Return whether the viewer program, if any, still runs."""
-        return self._viewer is None or self._viewer.running()
+        """Return whether the window, if any, is open."""
+        return self._window is None or self._window.running()
 
     def lay_out(self, joints: Mapping[int, Sequence[int]]) -> None:
         """Lay the views out for these joints, each with its tendons."""
         if self.stream is not None and joints != self._joints:
             self._joints = joints
+            self._layouts += 1
             self.stream.send_blueprint(blueprint(self._config, joints))
 
-    def follow(self, newest_ns: Callable[[], int]) -> None:
-        """Let a page compare what it shows with the newest stamp [ns] that was sent."""
+    def follow(self, newest_ns: Callable[[], int], show_panel: Callable[[], None]) -> None:
+        """Let pages compare what they show with the newest stamp [ns] that was sent.
+
+        `show_panel` is called, from any thread, once a page needs what the layout `surgeon` shows.
+        """
         if self._page is not None:
             self._page.newest_ns = newest_ns
+            self._page.layout = lambda: self._layouts
+            self._page.light = self._light_layout
+            self._show_panel = show_panel
 
     @property
     def behind_s(self) -> float:
         """How far [s] the slowest open page is behind what was sent; 0 if none says so."""
         return 0.0 if self._page is None else self._page.behind_s()
 
+    def publish(self) -> None:
+        """Give viewers what was sent to the stream."""
+        block = None if self._encoded is None else self._encoded.read(flush_timeout_sec=_FLUSH_S)
+        if not block:
+            return
+        if self._blocks is not None:
+            self._blocks.add(block)
+        if self._window is not None:
+            self._window.add(block)
+
     def stuck(self) -> bool:
-        """Return whether the viewer has stopped accepting data: two probes in a row failed."""
-        if self.stream is None or not self.alive():
-            return False
-        try:
-            self.stream.flush(timeout_sec=_PROBE_S)
-        except RuntimeError:
-            self._slow_probes += 1
-        else:
-            self._slow_probes = 0
-        return self._slow_probes > 1
+        """Return whether the window has stopped accepting data."""
+        return self._window is not None and self._window.stuck()
 
     def close(self) -> None:
-        """Flush for a few seconds at most, and end the viewer program."""
-        if self.stream is not None and self.alive() and not self._slow_probes:
-            try:
-                self.stream.flush(timeout_sec=_FLUSH_S)
-            except RuntimeError as error:
-                print(f"view: the last data did not get there: {error}", file=sys.stderr)
-        # letting go of a viewer that hangs waits until it is gone, also where all was flushed into
-        # the kernel's buffers
-        patience = threading.Timer(_LET_GO_S, self._viewer.kill if self._viewer else lambda: None)
-        patience.daemon = True
-        patience.start()
+        """Publish the rest, tell open pages why it ends, and end a window."""
+        try:
+            self.publish()
+        except RuntimeError as error:
+            print(f"view: the last data did not get there: {error}", file=sys.stderr)
         self._stack.close()
-        patience.cancel()
 
-    def _open_window(self, stack: ExitStack, config: ViewConfig) -> None:
+    def _open_stream(self, stack: ExitStack, session: str) -> None:
+        stream = rr.RecordingStream(APPLICATION)
+        stack.callback(stream.disconnect)
+        sinks: list[rr.BinaryStream | rr.FileSink] = []
+        if self.watched:
+            self._encoded = rr.binary_stream(stream)
+            sinks.append(self._encoded)
+        if self.file is not None:
+            sinks.append(self._open_file(self.file))
+        stream.set_sinks(*sinks, default_blueprint=blueprint(self._config, {}))
+        stream.send_recording_name(session)
+        self.stream = stream
+
+    def _light_layout(self) -> bytes:
+        """Return the layout `surgeon`, encoded, and let what it shows be sent."""
+        self._show_panel()
+        light = blueprint(replace(self._config, layout="surgeon"), self._joints)
+        with ScratchFolder() as folder:
+            path = Path(folder) / "light.rbl"
+            light.save(APPLICATION, path)
+            return path.read_bytes()
+
+    def _open_window(self, stack: ExitStack, saved: Path | None) -> None:
         if not has_display():
             raise UsageError("--view native: there is no display here; use --view web")
-        port = free_port(config.grpc_port)
-        memory = f"{config.page_memory_mb}MB"
-        arguments = [*self._saved, "--hide-welcome-screen", "--memory-limit", memory]
-        arguments.append("--expect-data-soon")
-        self._viewer = stack.enter_context(ViewerProcess(arguments, port))
-        self._sinks.append(rr.GrpcSink(self._viewer.url))
-        self.lines.append("Native view: opened")
+        self._window = stack.enter_context(Window(self._config.page_memory_mb))
+        if saved is not None:
+            self._window.add(saved.read_bytes())
+        self.lines.append(f"Native view: opened{self._window.note}")
 
-    def _open_page(self, stack: ExitStack, config: ViewConfig, live: bool) -> None:
-        # after a restart the page that is open in a browser looks for us where we were
-        patience_s = _SAME_PORT_S if supervised() else 0.0
-        port, inner = free_port(config.grpc_port, patience_s), free_port(0)
-        arguments = [*self._saved, "--serve-web", "--web-viewer-port", str(inner)]
-        arguments += ["--server-memory-limit", f"{config.server_memory_mb}MB"]
-        if live:
-            arguments.append(
-                "--newest-first"
-            )  # a browser that connects later starts with the newest data
-        self._viewer = stack.enter_context(ViewerProcess(arguments, port))
-        web_port = free_port(config.web_port, patience_s)
-        page = stack.enter_context(Page(web_port, inner, self._viewer.url, config.page_memory_mb))
+    def _open_page(self, stack: ExitStack, live: bool, saved: Path | None) -> None:
+        config = self._config
+        # a recording is kept as far as a page can
+        limit_mb = config.server_memory_mb if live else config.page_memory_mb
+        self._blocks = blocks = Blocks(limit_mb * 1_000_000)
+        if saved is not None:
+            try:
+                for block in split_block(saved.read_bytes(), _BLOCK):
+                    blocks.add(block)
+            except RrdError as error:
+                raise UsageError(f"{saved}: is no Rerun file that can be shown: {error}") from error
+        port, secret = held_port() or (config.web_port, "")
+        page = Page(port, secret, read_viewer_files(), blocks, config.page_memory_mb)
+        stack.callback(lambda: page.close(self.ended))
         self._page = page
-        self._sinks.append(rr.GrpcSink(self._viewer.url))
         self.lines.append(f"{WEB_VIEW}{page.address}")
 
-    def _open_file(self, path: Path) -> None:
+    def _open_file(self, path: Path) -> rr.FileSink:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("ab"):
@@ -182,8 +193,8 @@ class Sink:
         except OSError as error:
             raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
         # a footer names every chunk, and all of them are kept in memory until the file is closed
-        self._sinks.append(rr.FileSink(path, write_footer=False))
         self.lines.append(f"View file: {path}")
+        return rr.FileSink(path, write_footer=False)
 
 
 def _new_file(config: ViewConfig, session: str) -> Path:

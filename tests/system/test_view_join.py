@@ -20,7 +20,6 @@ from teleop.view.scene import Scene
 from teleop.view.sender import Sender
 from teleop.view.sinks import Sink
 from tests import browser
-from tests.system.processes import free_ports
 from tests.system.view_pictures import APPEARS_S, BANNER, EACH_VIEW, SCENE, pixels
 from tests.teleop.view_session import CONFIG, SENDER, T0, Session
 
@@ -35,26 +34,27 @@ END = T0 + round((START_S + TURNS * TURN_S) * 1e9)
 MESSAGES = Session(1.0).messages
 
 
-def overflow(stream):
+def overflow(sink):
     """Send twice what the server keeps, so that it drops everything before but static data."""
     noise = np.random.default_rng(0).integers(0, 256, 1_000_000, np.uint8)
     megabyte = rr.AnyValues.columns(noise=noise).partition([len(noise)])
     for _ in range(2 * SERVER_MB):
-        Sender(stream).columns_at("noise", np.array([T0]), megabyte)
+        Sender(sink.stream).columns_at("noise", np.array([T0]), megabyte)
+        sink.publish()
 
 
-def feed(scene, stream):
+def feed(scene, sink):
     """Send the start with the sheaths, which the server drops, then twelve seconds of motion."""
     first = round(len(MESSAGES) * START_S)
     scene.send(decode(MESSAGES[:first]))
-    overflow(stream)
+    overflow(sink)
     moving = decode(MESSAGES[first:])
     for turn in range(TURNS):
         later = {topic: rows.copy() for topic, rows in moving.items()}
         for rows in later.values():
             rows["stamp_ns"] += round(turn * TURN_S * 1e9)
         scene.send(later)
-    stream.flush()
+        sink.publish()
 
 
 def hidden(picture):
@@ -77,12 +77,11 @@ def require_everything(page):
 
 
 def test_pages_that_are_opened_late_show_everything_and_follow_the_session():
-    ports = dict(zip(("web_port", "grpc_port"), free_ports(2), strict=True))
-    config = replace(CONFIG, server_memory_mb=SERVER_MB, **ports)
+    config = replace(CONFIG, server_memory_mb=SERVER_MB)
     with Sink("web", config, "test", None, live=True) as sink, browser.Browser() as one:
         scene = Scene(config, sink.stream, sink.lay_out)
-        feed(scene, sink.stream)
-        address = sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl"
+        feed(scene, sink)
+        address = sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl&layout=full"
         one.open(address)
         require_everything(one)
         with browser.Browser() as other:
@@ -99,7 +98,7 @@ def test_pages_that_are_opened_late_show_everything_and_follow_the_session():
                     ]
                 )
             )
-            sink.stream.flush()
+            sink.publish()
             for page in (one, other):
                 assert wait_for(
                     lambda shown=page: pixels(shown.picture(), BANNER, STATES["holding"]) > 10_000,

@@ -49,9 +49,9 @@ def shown(chromium, config):
         scene = Scene(config, sink.stream, sink.lay_out)
         for start in range(0, len(MESSAGES), 500):
             scene.send(decode(MESSAGES[start : start + 500]))
-        sink.stream.flush()
+            sink.publish()
         address = sink.lines[0].removeprefix("Web view: ")
-        chromium.open(address + "?renderer=webgl")
+        chromium.open(address + "?renderer=webgl&layout=full")
         yield chromium.settle(APPEARS_S, appeared=engaged), address
 
 
@@ -129,13 +129,13 @@ def test_a_page_says_how_old_what_it_shows_is(chromium):
     with Sink("web", config, "test", None, live=True) as sink:
         scene = Scene(config, sink.stream, sink.lay_out)
         scene.send(decode(MESSAGES))
-        sink.stream.flush()
-        sink.follow(lambda: scene.newest_ns + 12_000_000_000)
-        chromium.open(sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl")
+        sink.publish()
+        sink.follow(lambda: scene.newest_ns + 12_000_000_000, scene.show_panel)
+        chromium.open(sink.lines[0].removeprefix("Web view: ") + "?renderer=webgl&layout=full")
         strip = (0, 0, 1280, 60)
         assert wait_for(lambda: pixels(chromium.picture(), strip, LOST) > 5000, APPEARS_S, 1.0)
         assert sink.behind_s == pytest.approx(12.0, abs=0.1)
-        sink.follow(lambda: scene.newest_ns)
+        sink.follow(lambda: scene.newest_ns, scene.show_panel)
         assert wait_for(lambda: pixels(chromium.picture(), strip, LOST) == 0, 60)
 
 

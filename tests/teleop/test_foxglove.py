@@ -1,18 +1,17 @@
 """The server for the Foxglove app, seen by a client of the WebSocket protocol alone (RFC 6455)."""
 
 import base64
+import hashlib
 import json
 import os
 import socket
 import struct
-import sys
+import urllib.parse
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from teleop.app import cli
-from teleop.errors import UsageError
 from teleop.ros.outputs import OUTPUTS
 from teleop.ros.standard import JointState
 from teleop.topics import STATE, TOPICS
@@ -26,12 +25,14 @@ PATIENCE_S = 20.0
 class Client:
     """What the app does: connect, be told of channels, subscribe, receive."""
 
-    def __init__(self, url):
-        self.host, _, port = url.removeprefix("ws://").partition(":")
-        self._socket = socket.create_connection((self.host, int(port)), PATIENCE_S)
+    def __init__(self, url, origin="https://app.foxglove.dev", host=None):
+        address = urllib.parse.urlsplit(url)
+        self.host = address.hostname
+        self._socket = socket.create_connection((self.host, address.port), PATIENCE_S)
         key = base64.b64encode(os.urandom(16)).decode()
         self._socket.sendall(
-            f"GET / HTTP/1.1\r\nHost: {url}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            f"GET {address.path} HTTP/1.1\r\nHost: {host or address.netloc}\r\n"
+            f"Origin: {origin}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
             "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
         )
@@ -39,7 +40,8 @@ class Client:
         while b"\r\n\r\n" not in self._data:
             self._data += self._socket.recv(4096)
         answer, _, self._data = self._data.partition(b"\r\n\r\n")
-        assert b" 101 " in answer
+        self.status = int(answer.split()[1])
+        assert self.status != 101 or accepted(key) in answer.decode()
 
     def close(self):
         self._socket.close()
@@ -73,6 +75,12 @@ class Client:
             self._data += self._socket.recv(65536)
         taken, self._data = self._data[:size], self._data[size:]
         return taken
+
+
+def accepted(key):
+    """What a server proves with that it speaks WebSocket (RFC 6455, 4.2.2)."""
+    guid = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
+    return base64.b64encode(hashlib.sha1(key.encode() + guid).digest()).decode()  # noqa: S324
 
 
 class Source:
@@ -116,12 +124,38 @@ def test_a_second_server_takes_another_port():
         assert one.url != other.url
 
 
-def test_without_the_package_it_is_one_line(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(UsageError, match="pip install"):
-        FoxgloveServer("demo", 8765)
-    assert cli.main(["view", "--view", "none", "--foxglove"]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"origin": "https://evil.example"},
+        {"origin": "http://127.0.0.1:9090"},
+        {"origin": "null"},
+        {"host": "rebound.example:8765"},
+        {"path": "/"},
+        {"path": "/guess/"},
+    ],
+)
+def test_nobody_else_is_let_in(asked):
+    with FoxgloveServer("demo", 8765) as server:
+        own = urllib.parse.urlsplit(server.url)
+        path = asked.pop("path", own.path)
+        client = Client(f"ws://{own.netloc}{path}", **asked)
+        client.close()
+        assert client.status == 403
+
+
+@pytest.mark.parametrize("frame", [b"\x81\x02{}", b"\x82\xff" + b"\xff" * 12, b"\x81\x82abcd12"])
+def test_what_is_no_frame_of_the_protocol_ends_that_connection_only(frame):
+    with FoxgloveServer("demo", 8765) as server:
+        client = Client(server.url)
+        client._socket.sendall(frame)
+        client._socket.shutdown(socket.SHUT_WR)
+        while client._socket.recv(65536):
+            pass
+        client.close()
+        other = Client(server.url)
+        assert other.receive("serverInfo")["capabilities"] == []
+        other.close()
 
 
 def field_of(message, text):

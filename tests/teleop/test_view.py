@@ -1,35 +1,38 @@
 import json
 import os
-import signal
 import socket
 import struct
 import subprocess
 import sys
-import threading
 import time
 import urllib.error
 import urllib.parse
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
 from teleop.app import cli
+from teleop.app.launch.supervisor import wait_for
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
-from teleop.process import Stop
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.topics import HAND, TENDONS, TOPICS
+from teleop.view import viewer_process
 from teleop.view.batch import decode
 from teleop.view.config import ViewConfig, ViewRates
 from teleop.view.feed import Discard, PacedMessages, from_link, from_recording
 from teleop.view.ports import free_port
+from teleop.view.rrd import Blocks, split_messages
 from teleop.view.scene import Scene
+from teleop.view.sender import Sender
 from teleop.view.sinks import Sink
-from teleop.view.viewer_process import ViewerProcess
+from teleop.view.viewer_process import silence
 from tests.teleop.view_session import CONFIG, SENDER, T0, Session, read, save
 
 
@@ -123,6 +126,9 @@ class Seen:
 
     def silence(self, silent_ns):
         pass
+
+    def end(self, what, _silent_ns=0):
+        self.ended = what
 
 
 def test_the_link_is_shown_until_the_end_and_what_waited_too(session):
@@ -226,89 +232,173 @@ LOOPBACK_HEX = "0100007F"
 linux = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
 
+def address_of(sink):
+    return sink.lines[0].removeprefix("Web view: ")
+
+
+def get(url, **headers):
+    """Return status, headers and content of an answer."""
+    asked = urllib.request.Request(url, headers=headers)  # noqa: S310
+    try:
+        with urllib.request.urlopen(asked, timeout=10) as answer:  # noqa: S310
+            return answer.status, answer.headers, answer.read()
+    except urllib.error.HTTPError as refused:
+        with refused:
+            return refused.code, refused.headers, refused.read()
+
+
+def blocks(sink, **query):
+    """Return what a page is told, and the messages it gets."""
+    status, headers, content = get(f"{address_of(sink)}blocks?{urllib.parse.urlencode(query)}")
+    assert status == 200
+    return json.loads(headers["X-View"]), content
+
+
 @linux
-def test_the_web_view_listens_on_loopback_only(web):
-    listening = sockets_of([os.getpid(), web._viewer.pid])
-    assert len(listening) >= 3  # data, the program's page, ours
+def test_the_web_view_listens_on_loopback_only_and_leaves_no_program(web):
+    listening = sockets_of([os.getpid()])
+    assert (LOOPBACK_HEX, urllib.parse.urlsplit(address_of(web)).port) in listening
     assert {address for address, _ in listening} == {LOOPBACK_HEX}
+    files = Path(f"/proc/{os.getpid()}/task").glob("*/children")
+    children = [pid for file in files for pid in file.read_text().split()]
+    assert not [pid for pid in children if b"rerun" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-def test_the_page_is_served_and_may_reach_only_this_machine(web):
-    address = web.lines[0].removeprefix("Web view: ")
-    with urllib.request.urlopen(address + "viewer.html", timeout=10) as answer:  # noqa: S310
-        page = answer.read().decode()
-        policy = answer.headers["Content-Security-Policy"]
-    assert "re_viewer.js" in page
-    assert page.count(f'memory_limit: "{CONFIG.page_memory_mb}MB",') == 1
-    with urllib.request.urlopen(address + "instance", timeout=10) as answer:  # noqa: S310
-        query = urllib.parse.parse_qs(json.load(answer)["query"])
-    assert query["theme"] == ["dark"]
-    (data,) = query["url"]
-    assert data == web._viewer.url
-    reachable = policy.split("connect-src ")[1].split(";")[0].split()
-    assert reachable == ["'self'", "http://" + urllib.parse.urlsplit(data[6:]).netloc]
+def test_the_page_is_served_and_may_reach_only_its_server(web):
+    status, headers, page = get(address_of(web) + "viewer.html")
+    assert status == 200
+    assert b"re_viewer.js" in page
+    assert page.count(f'memory_limit: "{CONFIG.page_memory_mb}MB",'.encode()) == 1
+    policy = headers["Content-Security-Policy"]
     assert policy.startswith("default-src 'self'")
-    sources = [word for rule in policy.split(";") for word in rule.split()[1:]]
-    assert not [s for s in sources if "://" in s and "127.0.0.1" not in s]
+    assert "connect-src" not in policy  # as default-src
+    assert "://" not in policy
     assert "*" not in policy
+    assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
 
 
 def test_the_page_learns_the_newest_stamp_and_says_how_far_it_is_behind():
     with Sink("web", CONFIG, "test", None, live=True) as sink:
-        address = sink.lines[0].removeprefix("Web view: ") + "instance"
-        sink.follow(lambda: T0)
-        for query, behind_s in (
-            ("", 0),
-            ("?behind=nan", 0),
-            ("?behind=x", 0),
-            ("?behind=4.5", 4.5),
-        ):
-            with urllib.request.urlopen(address + query, timeout=10) as answer:  # noqa: S310
-                assert json.load(answer)["newest_s"] == pytest.approx(T0 * 1e-9)
+        sink.follow(lambda: T0, lambda: None)
+        for query, behind_s in (({}, 0), ({"behind": "nan"}, 0), ({"behind": 4.5}, 4.5)):
+            said, _ = blocks(sink, newer=10**15, **query)
+            assert said["newest_s"] == pytest.approx(T0 * 1e-9)
             assert sink.behind_s == behind_s
 
 
 @pytest.mark.parametrize(
-    "path", ["/../etc/passwd", "/signed-in", "//example.org/", "/re_viewer.wasm"]
+    "path",
+    ["../../etc/passwd", "signed-in", "/example.org/", "re_viewer.wasm", "rrd.py", "page.html"],
 )
 def test_the_page_serves_nothing_else(web, path):
-    port = urllib.parse.urlsplit(web.lines[0].removeprefix("Web view: ")).port
-    with pytest.raises(urllib.error.HTTPError) as refused:
-        urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10)
-    assert refused.value.code == 404
-    refused.value.close()
+    assert get(address_of(web) + path)[0] == 404
+
+
+@pytest.mark.parametrize("query", ["newer=x", "newer=1&older=%00", "behind=far", "older=1e9"])
+def test_a_question_that_is_none_is_refused(web, query, capfd):
+    assert get(f"{address_of(web)}blocks?{query}")[0] == 400
+    assert capfd.readouterr().err == ""
+
+
+def entities(answers, tmp_path):
+    """Return the entities in messages for a page, and the stamps of each."""
+    file = tmp_path / "page.rrd"
+    file.write_bytes(answers[0] + b"".join(content[12:] for content in answers[1:]))
+    return {
+        name: [stamp for component in parts.values() for stamp in component if stamp is not None]
+        for name, parts in read(file).items()
+    }
+
+
+def test_a_page_gets_the_present_before_the_past_and_all_of_both(session, tmp_path):
+    """However late it is opened: static data, the newest, and then older data in turn."""
+    with Sink("web", CONFIG, "test", tmp_path / "all.rrd", live=True) as sink:
+        scene = Scene(CONFIG, sink.stream, sink.lay_out)
+        for start in range(0, len(session.messages), 100):
+            scene.send(decode(session.messages[start : start + 100]))
+            sink.publish()
+        said, newest = blocks(sink)
+        kept = b"".join([newest[:12], *(m.content for m in split_messages(newest) if m.kept)])
+        low, high = 0, said["oldest"]
+        first = entities([newest], tmp_path)
+        assert max(first["/tension/tendon_0/in"]) == session.of(TENDONS)[-1].stamp_ns
+        assert "/scene/tendon_0/tube" in first
+        found = {name: set(stamps) for name, stamps in first.items()}
+        earliest = min(first["/tension/tendon_0/in"])
+        while high > low + 1:
+            told, older = blocks(sink, newer=low, older=high)
+            if not older:
+                break
+            high = told["oldest"]
+            past = entities([kept, older], tmp_path)
+            for name, stamps in past.items():
+                found.setdefault(name, set()).update(stamps)
+            curve = past.get("/tension/tendon_0/in", [])
+            assert not curve or max(curve) < earliest
+            earliest = min([earliest, *curve])
+        said, rest = blocks(sink, newer=said["newest"])
+        assert rest == b""
+    sent = entities([(tmp_path / "all.rrd").read_bytes()], tmp_path)
+    assert found == {name: set(stamps) for name, stamps in sent.items()}
+
+
+def test_what_is_kept_for_late_pages_is_bounded_but_never_lacks_static_data(tmp_path):
+    kept = Blocks(1_000_000)
+    stream = rr.RecordingStream("test")
+    encoded = rr.binary_stream(stream)
+    sender = Sender(stream)
+    sender.static("still", rr.Points2D([[1.0, 2.0]]))
+    noise = np.random.default_rng(0).integers(0, 256, 100_000, np.uint8)
+    for k in range(40):
+        columns = rr.AnyValues.columns(noise=noise).partition([len(noise)])
+        sender.columns_at("noise", np.array([T0 + 1000 * k]), columns)
+        kept.add(encoded.read())
+    first, size, seen = kept.newer(-1, 0.0), 0, []
+    high = first.newest + 1
+    while (answer := kept.older(high, 0)).content:
+        size, high = size + len(answer.content), answer.oldest
+        seen += entities([first.content, answer.content], tmp_path)["/noise"]
+    assert 800_000 < size < 1_100_000
+    assert set(seen) == {T0 + 1000 * k for k in range(40 - len(set(seen)), 40)}
+    assert "/still" in entities([first.content], tmp_path)
+
+
+def test_an_open_page_is_told_that_the_session_has_ended():
+    with ThreadPoolExecutor() as pool, Sink("web", CONFIG, "test", None, live=True) as sink:
+        blocks(sink, page="a")
+        seen = pool.submit(lambda: [blocks(sink, page="a", newer=10**15)[0] for _ in range(2)])
+        sink.ended = "The session has ended."
+    assert seen.result()[-1]["ended"] == "The session has ended."
 
 
 def test_a_browser_that_disconnects_is_no_error(web, capfd):
-    address = urllib.parse.urlsplit(web.lines[0].removeprefix("Web view: "))
+    address = urllib.parse.urlsplit(address_of(web))
     for _ in range(3):
         with socket.create_connection((address.hostname, address.port)) as browser:
             reset_at_close = struct.pack("ii", 1, 0)
             browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, reset_at_close)
-            browser.sendall(b"GET /re_viewer_bg.wasm HTTP/1.0\r\n\r\n")
+            file = f"{address.path}re_viewer_bg.wasm"
+            browser.sendall(f"GET {file} HTTP/1.1\r\nHost: localhost:1\r\n\r\n".encode())
             browser.recv(1000)
-    with urllib.request.urlopen(web.lines[0].removeprefix("Web view: "), timeout=10) as answer:  # noqa: S310
-        answer.read()
+    assert get(address_of(web))[0] == 200
     time.sleep(0.2)
     assert capfd.readouterr().err == ""
 
 
-def test_a_second_web_view_takes_other_ports(web):
+def test_a_second_web_view_takes_another_port_and_secret(web):
     with Sink("web", CONFIG, "test", None, live=True) as second:
-        assert second.lines != web.lines
-        assert second._viewer.url != web._viewer.url
+        one, other = (urllib.parse.urlsplit(address_of(sink)) for sink in (web, second))
+        assert one.port != other.port
+        assert one.path != other.path
+        assert len(one.path) >= 22  # 128 bits
 
 
 @linux
-def test_usage_statistics_are_off_whatever_the_users_settings(web):
-    environment = dict(
-        entry.split("=", 1)
-        for entry in Path(f"/proc/{web._viewer.pid}/environ").read_text().split("\0")
-        if "=" in entry
-    )
+def test_usage_statistics_are_off_whatever_the_users_settings(tmp_path):
+    silence(tmp_path)
     answer = subprocess.run(
         [sys.executable, "-m", "rerun", "analytics", "config"],
-        env=environment,
+        env=os.environ | {"XDG_CONFIG_HOME": str(tmp_path)},
         capture_output=True,
         text=True,
         check=True,
@@ -316,52 +406,49 @@ def test_usage_statistics_are_off_whatever_the_users_settings(web):
     assert '"analytics_enabled": false' in answer.stdout
 
 
-def test_a_page_nobody_feeds_answers_in_words(monkeypatch):
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # pytest keeps its own
-    with Sink("web", CONFIG, "test", None, live=True) as sink:
-        sink._viewer.close()
-        assert not sink.alive()
-        with pytest.raises(urllib.error.HTTPError) as refused:
-            urllib.request.urlopen(  # noqa: S310
-                sink.lines[0].removeprefix("Web view: ") + "viewer.html", timeout=10
-            )
-        assert refused.value.code == 502
-        refused.value.close()
-        fed = from_link(OneBatch([]), Discard(), sink, (stop := Stop()), 100, (0.0, 0.0))
-        assert stop.reason == "the viewer has ended"
-        assert "program ended" in fed.fault
-
-
 @linux
-def test_a_viewer_that_hangs_is_noticed_and_does_not_hold_us(session, capfd):
-    with Sink("web", CONFIG, "test", None, live=True) as sink:
-        pid = sink._viewer.pid
-        scene = Scene(CONFIG, sink.stream)
-        os.kill(pid, signal.SIGSTOP)
-        for _ in range(20):
-            scene.send(decode(session.messages[:1000]))
-        assert [sink.stuck(), sink.stuck()] == [False, True]
-        begin = time.monotonic()
-    assert time.monotonic() - begin < 20  # a hang, not a speed
-    assert not Path(f"/proc/{pid}").exists() or "Z" in Path(f"/proc/{pid}/stat").read_text()
-    capfd.readouterr()
-
-
-@linux
-def test_a_viewer_that_hangs_with_all_its_data_in_the_pipe_does_not_hold_us(session, capfd):
-    sink = Sink("web", CONFIG, "test", None, live=True)
-    scene = Scene(CONFIG, sink.stream)
-    scene.send(decode(session.messages[:100]))
-    sink.stream.flush()
-    os.kill(sink._viewer.pid, signal.SIGSTOP)
-    scene.send(decode(session.messages[100:200]))
-    rescue = threading.Timer(20.0, sink._viewer.kill)  # so that a hang fails and does not hang us
-    rescue.start()
+@pytest.mark.parametrize("hangs", [True, False])
+def test_a_window_gets_all_that_was_sent_and_one_that_hangs_does_not_hold_us(
+    session, tmp_path, monkeypatch, hangs
+):
+    """In place of Rerun's program is one that keeps what it is fed, or reads nothing."""
+    fed, program = tmp_path / "fed.rrd", tmp_path / "rerun"
+    program.write_text("#!/bin/sh\n" + ("exec sleep 60" if hangs else f"exec cat > '{fed}'") + "\n")
+    program.chmod(0o700)
+    monkeypatch.setattr(viewer_process, "program", lambda: program)
+    monkeypatch.setenv("DISPLAY", ":0")
     begin = time.monotonic()
-    sink.close()
-    rescue.cancel()
-    assert time.monotonic() - begin < 15
-    capfd.readouterr()
+    with Sink("native", CONFIG, "test", None, live=True) as sink:
+        scene = Scene(CONFIG, sink.stream)
+        scene.send(decode(session.messages))
+        sink.publish()
+        assert wait_for(lambda: sink.stuck() == hangs, 20)
+        if not hangs:
+            assert wait_for(lambda: fed.exists() and whole(fed, session), 20, 0.2)
+    assert time.monotonic() - begin < 60  # a hang, not a speed
+
+
+def whole(file, session):
+    try:
+        stamps = read(file)["/tension/tendon_0/in"]["Scalars:scalars"]
+    except (KeyError, RuntimeError, ValueError):
+        return False
+    return max(stamps) == session.of(TENDONS)[-1].stamp_ns
+
+
+@linux
+def test_a_window_has_a_network_of_its_own(tmp_path, monkeypatch):
+    program = tmp_path / "rerun"
+    program.write_text('#!/bin/sh\ncat /proc/net/dev > "$XDG_CONFIG_HOME/dev"\nexec cat\n')
+    program.chmod(0o700)
+    monkeypatch.setattr(viewer_process, "program", lambda: program)
+    monkeypatch.setenv("DISPLAY", ":0")
+    with Sink("native", CONFIG, "test", None, live=True) as sink:
+        ours, theirs = (os.readlink(f"/proc/{pid}/ns/net") for pid in ("self", sink._window.pid))
+        if ours == theirs:  # this system has no namespaces for users
+            assert "other users of this machine" in sink.lines[0]
+        else:
+            assert sink.lines == ["Native view: opened"]
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no recording"])
@@ -377,11 +464,13 @@ def test_a_bad_recording_is_refused_before_anything_is_written(content, tmp_path
     assert not out.exists()
 
 
-def test_a_viewer_that_cannot_start_says_why():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        with pytest.raises(TeleopError, match=r"did not start: \S"):
-            ViewerProcess(["--no-such-option"], taken.getsockname()[1])
+def test_a_viewer_that_cannot_start_says_why(monkeypatch, tmp_path):
+    program = tmp_path / "rerun"
+    program.write_text("#!/bin/sh\necho no such thing >&2\nexit 1\n")
+    program.chmod(0o700)
+    monkeypatch.setattr(viewer_process, "program", lambda: program)
+    with pytest.raises(TeleopError, match="did not start: no such thing"):
+        viewer_process.read_viewer_files()
 
 
 def test_a_free_port_is_taken_when_the_first_choice_is_not():
@@ -396,10 +485,9 @@ def test_a_free_port_is_taken_when_the_first_choice_is_not():
 def test_the_viewer_ends_when_we_are_killed(tmp_path):
     script = (
         "import sys, time\n"
-        "from teleop.view.ports import free_port\n"
         "from teleop.view.viewer_process import ViewerProcess\n"
-        "viewer = ViewerProcess(['--serve-grpc'], free_port(0))\n"
-        "print(viewer.pid, flush=True)\n"
+        "viewer = ViewerProcess(['--serve-grpc', '--port', 'auto'])\n"
+        "print(viewer.process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)

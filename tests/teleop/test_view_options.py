@@ -26,12 +26,16 @@ def test_a_file_name_that_ends_in_rrd_is_a_view(tmp_path):
         (["view", "here.rrd", "--view", "rrd"], "is a Rerun file already"),
         (["view", "absent.rrd", "--view", "web"], "absent.rrd: cannot be read"),
         (["view", "text.rrd", "--view", "web"], "is no Rerun file"),
+        (["view", "noise.rrd", "--view", "web"], "noise.rrd: is damaged: "),
+        (["view", "pipe.rrd", "--view", "web"], "pipe.rrd: is not a file"),
         (["view", "rig.yaml"], "is a config; teleop view --config rig.yaml"),
     ],
 )
 def test_a_view_that_cannot_be_is_refused_in_one_line(words, said, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.rrd").write_text("text")
+    (tmp_path / "noise.rrd").write_bytes(b"RRF2" + bytes(range(256)) * 20)
+    os.mkfifo(tmp_path / "pipe.rrd")
     assert cli.main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line

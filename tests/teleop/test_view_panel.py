@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from teleop.messages import MAX_JOINTS, Command, Hand, LoopReport, SlaveState, padded
 from teleop.session import Reason, State
 from teleop.topics import COMMAND, HAND, REPORT, SHEATH, STATE, Role
+from teleop.view import panel
 from teleop.view.batch import decode
 from teleop.view.colours import STATES
 from teleop.view.config import ViewConfig
@@ -214,6 +215,14 @@ def test_the_banner_follows_the_state_and_says_when_nothing_comes(drawn):
     states = [STATES[name] for name in ("ready", "engaged", "no data")]
     assert [values[0] for _, values in sorted(colours.items())] == states
     assert sorted(colours) == [T0, T0 + 500_000_000, T0 + 990_000_000 + 2_000_000_000]
+
+
+def test_before_the_first_message_the_banner_is_of_now(tmp_path, monkeypatch):
+    path = tmp_path / "panel.rrd"
+    monkeypatch.setattr(panel, "now_ns", lambda: T0)
+    with Sink("rrd", SURGEON, "test", path, live=False) as sink:
+        Scene(SURGEON, sink.stream, sink.lay_out).silence(2_000_000_000)
+    assert list(read(path)["/panel/banner/area"]["LineStrips2D:colors"]) == [T0]
 
 
 def test_the_newest_banner_is_that_of_the_last_message_whose_clock_is_behind(tmp_path):
