@@ -11,11 +11,12 @@ import argparse
 import dataclasses
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from teleop.clock import now_ns
+from teleop.config import RECORDING
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.options import add_options
@@ -25,10 +26,12 @@ from teleop.realtime import limit_computing
 from teleop.recording.config import RecordConfig
 from teleop.recording.priority import go_first
 from teleop.recording.progress import Progress
+from teleop.recording.reader import recorded_config
 from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
 from teleop.recording.writer import RecordingWriter
 from teleop.run_config import load_section
 from teleop.status_line import StatusLine
+from teleop.strict_yaml import read_text
 from teleop.topics import TOPICS, Role
 
 SUPERVISED_GRACE_NS = 3_000_000_000  # the launcher stops us last: the sides have left, or soon will
@@ -47,19 +50,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def config_of(path: Path | None) -> tuple[str, Sequence[str]]:
+    """Return the text of a config file, and the overrides that come with it in a recording."""
+    if path is None:
+        return "", ()
+    return recorded_config(path) if path.suffix == RECORDING else (read_text(path), ())
+
+
 def main(args: argparse.Namespace) -> int:
     """Record until told to stop; returns the exit code."""
     run, config = load_section(args, RecordConfig, "record")
     if args.out:
         config = dataclasses.replace(config, directory=str(args.out))
-    config_text = args.config.read_text() if args.config else ""
+    config_text, overrides = config_of(args.config)
     granted = go_first(config.priority)
     sys.setswitchinterval(_SWITCH_S)
     stop = Stop(args.duration)
     with Link(run.link, run.session, Role.RECORDER) as link:
         listener = link.listen(TOPICS)
         writer = RecordingWriter(
-            config, run.session, now_ns(), config_text, args.overrides, link.insecure
+            config, run.session, now_ns(), config_text, [*overrides, *args.overrides], link.insecure
         )
         if link.warning:
             print(link.warning, flush=True)

@@ -26,6 +26,9 @@ from teleop.recording.names import (
 )
 from teleop.recording.scan import MESSAGE_HEAD, RecordingError, Scan
 
+ROWS_MAX = 1 << 32
+"""Bytes of the columns of a topic, in memory."""
+
 _TIMES_AT = 6  # where the two times begin in a MESSAGE_HEAD; a row of columns begins there
 
 
@@ -105,6 +108,7 @@ def open_recording(path: str | Path) -> RecordingInfo:
         layout = int(head["layout"], 16) if "layout" in head else None
     except ValueError as error:
         raise RecordingError(f"{path}: is damaged: invalid number in metadata: {error}") from error
+    config_text, overrides = _config_of(scan, head)
     return RecordingInfo(
         path=scan.path,
         complete=scan.complete,
@@ -114,8 +118,8 @@ def open_recording(path: str | Path) -> RecordingInfo:
         session=head.get("session", ""),
         layout=layout,
         versions=scan.metadata.get(VERSIONS_METADATA, {}),
-        config_text=scan.attachments.get(CONFIG_ATTACHMENT, b"").decode(errors="replace"),
-        overrides=tuple(head.get("overrides", "").splitlines()),
+        config_text=config_text,
+        overrides=overrides,
         messages=messages,
         lost=lost,
         dropped=dropped,
@@ -123,6 +127,24 @@ def open_recording(path: str | Path) -> RecordingInfo:
         first_ns=first,
         last_ns=last,
     )
+
+
+def recorded_config(path: str | Path) -> tuple[str, tuple[str, ...]]:
+    """Return the config file of a recorded session as text, and its overrides.
+
+    Only the head of the recording is read. `RecordingError` if it is no recording of a session.
+    """
+    scan = Scan(Path(path))
+    next(scan.blocks(), None)  # both come before the first messages
+    head = scan.metadata.get(SESSION_METADATA)
+    if head is None:
+        raise RecordingError(f"{path}: is no recording of a session, which would have its config")
+    return _config_of(scan, head)
+
+
+def _config_of(scan: Scan, head: Mapping[str, str]) -> tuple[str, tuple[str, ...]]:
+    text = scan.attachments.get(CONFIG_ATTACHMENT, b"").decode(errors="replace")
+    return text, tuple(head.get("overrides", "").splitlines())
 
 
 def read_messages(
@@ -173,6 +195,7 @@ def read_columns(
     """
     scan = Scan(Path(path))
     parts: list[NDArray[np.void]] = []
+    size = 0
     for block in scan.blocks():
         wanted = {n for n, channel in scan.channels.items() if topic_in(channel) == topic}
         pieces = [
@@ -183,6 +206,12 @@ def read_columns(
         if pieces:
             piece = _rows(pieces, _row_dtype(scan, wanted, topic), scan.path, topic)
             parts.append(piece if names is None else _selected(piece, names, scan.path, topic))
+            size += parts[-1].nbytes
+            if size > ROWS_MAX:
+                raise RecordingError(
+                    f"{path}: has more than {ROWS_MAX >> 30} GB of {topic} messages in "
+                    "memory; take a part of the recording by `mcap filter`"
+                )
     if not parts:
         present = ", ".join(sorted(map(topic_in, scan.channels.values()))) or "none at all"
         damage = f"; it is damaged {scan.damage}" if scan.damage else ""

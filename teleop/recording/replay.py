@@ -14,7 +14,6 @@ import argparse
 import contextlib
 import itertools
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -27,14 +26,15 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
 from teleop.messages import LAYOUT
 from teleop.options import add_options
-from teleop.process import Stop, print_warning
+from teleop.process import Stop, module_command, print_warning
 from teleop.recording.readdress import Readdress
 from teleop.recording.reader import RecordingInfo, open_recording, read_messages
 from teleop.recording.scan import RecordingError
 from teleop.run_config import RunConfig
 from teleop.running_sessions import registered
 from teleop.status_line import StatusLine
-from teleop.topics import Role
+from teleop.topics import HAND, Role
+from teleop.view.config import ViewConfig
 
 _LOOK_S = 0.05  # [s] between checks of stop, presence and progress
 _VIEW_S = 60.0  # [s] for the view to start
@@ -62,10 +62,11 @@ def main(args: argparse.Namespace) -> int:
     """Play a recording; returns the exit code."""
     if not 0.001 <= args.speed <= 1000:
         raise UsageError(f"--speed {args.speed:g}: allowed are 0.001 to 1000")
-    named = [f"session={args.session}"] if args.session else []
-    run = load(args.config, RunConfig, None, [*args.overrides, *named])
     info = open_recording(args.file)
     require_playable(info)
+    adopt_config(args, args.file)
+    named = [f"session={args.session}"] if args.session else []
+    run = load(args.config, RunConfig, None, [*args.overrides, *named])
     session = args.session or f"{info.session or run.session}-replay"
     args.overrides += own_endpoints.choose(args.config, args.overrides, session)
     run = load(args.config, RunConfig, None, args.overrides)
@@ -103,7 +104,7 @@ def viewing(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
     """Show the replay with `teleop view` while this context lasts."""
     words = ["--view", str(args.view), *(f"--set={text}" for text in args.overrides)]
     words += ["--config", str(args.config)] if args.config else []
-    process = subprocess.Popen([sys.executable, "-m", "teleop", "view", *words])
+    process = subprocess.Popen([*module_command("teleop"), "view", *words])
     try:
         yield process
     finally:
@@ -112,9 +113,9 @@ def viewing(args: argparse.Namespace) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def wait_for_view(process: "subprocess.Popen[bytes]", link: Link) -> None:
-    """Wait until the view listens; `TeleopError` if it ends before or takes too long."""
+    """Wait until the view listens to the master; `TeleopError` if it ends or takes too long."""
     end = time.monotonic() + _VIEW_S
-    while not link.present(Role.VIEWER):
+    while not link.has_listener(HAND):  # for listeners only
         if process.poll() is not None:
             raise TeleopError(f"the view ended with exit code {process.returncode}")
         if time.monotonic() > end:
@@ -174,6 +175,21 @@ class Player:
         again = f", pass {number + 1}" if number else ""
         late = f", {late_s:.1f} s late" if late_s > _LOOK_S else ""
         show(f"{at_s:.1f} of {self._info.seconds:.1f} s{again}{late}")
+
+
+def adopt_config(args: argparse.Namespace, file: Path) -> None:
+    """Take the config of a recording, unless the command line names one, or it cannot be read."""
+    if args.config is not None:
+        return
+    try:
+        load(file, RunConfig, None)
+        load(file, ViewConfig, "view")
+    except RecordingError:
+        return  # who opens it says so
+    except UsageError as error:  # of another version
+        print_warning(f"{error}; without the recording's config")
+    else:
+        args.config = file
 
 
 def print_doubts(info: RecordingInfo) -> None:

@@ -1,7 +1,8 @@
 """One checked pass through an MCAP file, complete or truncated.
 
-The `mcap` package's readers raise at the end of a truncated file and build an object for every
-message; this pass just ends there and yields whole chunks.
+The `mcap` package's readers raise at the end of a truncated file, build an object for every
+message, and allocate whatever a compressed chunk unpacks to; this pass just ends at the end, yields
+whole chunks, and unpacks no more than a chunk says and `CHUNK_MAX` allows.
 """
 
 import struct
@@ -12,17 +13,27 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO
 
+import lz4.frame
+import zstandard
 from mcap import records
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from teleop.errors import UsageError
+from teleop.recording.names import CONFIG_ATTACHMENT
+
+CHUNK_MAX = 1 << 26
+"""Bytes of a chunk, unpacked; recorders write 1 MB."""
+
+RECORD_MAX = 1 << 28
+"""Bytes of a record of the file; the largest are attachments."""
 
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _FRAME = struct.Struct("<BQ")  # opcode, length of what follows
 _CHANNEL = struct.Struct("<H")
+_WINDOW_MAX = 1 << 27  # [bytes] that a zstd frame may refer back to
 
 
 class RecordingError(UsageError):
@@ -45,6 +56,7 @@ class Scan:
     """The pass; records other than messages are collected in its fields."""
 
     path: Path
+    loose: bool = False  # messages may be outside chunks, as bags may have them
     complete: bool = False  # the end of the file was read; False = truncated or damaged
     damage: str = ""  # where and what; nothing behind it was read
     schemas: dict[int, records.Schema] = field(default_factory=dict)
@@ -54,6 +66,8 @@ class Scan:
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks in the order of the file, up to its end, truncation or damage."""
+        if self.path.exists() and not self.path.is_file():
+            raise RecordingError(f"{self.path}: is not a file")
         try:
             with self.path.open("rb") as file:
                 yield from self._blocks(file, self.path.stat().st_size)
@@ -89,6 +103,11 @@ class Scan:
             at += _FRAME.size + length
             if at > size:
                 return
+            if length > RECORD_MAX:
+                self.damage = (
+                    f"before byte {at}: a record of {length} bytes, at most {RECORD_MAX} are read"
+                )
+                return
             body = file.read(length)
             if opcode == Opcode.DATA_END:
                 stated = int.from_bytes(body[:4], "little")
@@ -103,8 +122,11 @@ class Scan:
             checksum = zlib.crc32(body, zlib.crc32(frame, checksum))
             try:
                 block = self._take(opcode, body)
+            except (EndOfFile, struct.error):
+                self.damage = f"before byte {at}: a record is shorter than it says"
+                return
             except Exception as error:  # each decompressor has its own exceptions
-                self.damage = f"before byte {at}: {error}"
+                self.damage = f"before byte {at}: {error or type(error).__name__}"
                 return
             if block.messages:
                 yield block
@@ -113,14 +135,16 @@ class Scan:
         """Process one record of the file; return the messages in it, if any."""
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.CHUNK:
-            stream, length = get_chunk_data_stream(records.Chunk.read(stream), validate_crc=True)
-            return self._opened(stream.read(length))
+            return self._opened(_unpack(records.Chunk.read(stream)))
         if opcode == Opcode.METADATA:
             metadata = records.Metadata.read(stream)
             self.metadata[metadata.name] = metadata.metadata
         elif opcode == Opcode.ATTACHMENT:
             attachment = records.Attachment.read(stream)
-            self.attachments[attachment.name] = attachment.data
+            if attachment.name == CONFIG_ATTACHMENT:
+                self.attachments[attachment.name] = attachment.data
+        elif opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL) and self.loose:
+            return self._opened(_FRAME.pack(opcode, len(body)) + body)
         elif opcode == Opcode.MESSAGE:
             raise ValueError("a message outside a chunk")
         return Block(b"", [])
@@ -144,3 +168,29 @@ class Scan:
         if at > len(content):
             raise ValueError("a chunk ends inside a record")
         return Block(content, messages)
+
+
+def _unpack(chunk: records.Chunk) -> bytes:
+    """Return the content of a chunk; `ValueError` if it is not what the chunk says."""
+    size = chunk.uncompressed_size
+    if size > CHUNK_MAX:
+        raise ValueError(
+            f"a chunk unpacks to {size} bytes, at most {CHUNK_MAX} are read; "
+            "`mcap recover --chunk-size 1000000` makes smaller ones"
+        )
+    if chunk.compression == "zstd":
+        packed = zstandard.ZstdDecompressor(max_window_size=_WINDOW_MAX)
+        with packed.stream_reader(chunk.data) as reader:
+            content = reader.read(size + 1)
+    elif chunk.compression == "lz4":
+        content = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif not chunk.compression:
+        content = chunk.data
+    else:
+        raise ValueError(f"unknown compression {chunk.compression!r}")
+    if len(content) != size:
+        than = "more" if len(content) > size else "less"
+        raise ValueError(f"a chunk unpacks to {than} than the {size} bytes that it says")
+    if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
+        raise ValueError("the checksum of a chunk is wrong")
+    return bytes(content)

@@ -179,6 +179,7 @@ class RecordingWriter:
                     "unfinished": " ".join(self.unfinished),
                 },
             )
+            self._commit()  # all that was received, before the index, which may be long
             self._mcap.finish()
             self._commit()
         finally:

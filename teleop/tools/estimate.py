@@ -25,23 +25,26 @@ from estimator.measured_data import Samples
 from estimator.online import online
 from estimator.online.estimator import Estimator
 from estimator.online.score import PULLED, Score
-from estimator.plausibility import contradiction, doubts, stretch_slip, unit_slip
+from estimator.plausibility import contradiction, doubts, stretch_slip
 from estimator.spikes import without_spikes
 from estimator.units import LINEAR
 from slave import model_files
 from slave.calibration import file
 from slave.calibration.file import Calibration, JointTendons
 from slave.config import SlaveConfig, tendon_configs
+from slave.rigs.hardware import HardwareRigConfig
 from slave.rigs.joint_layout import joint_tendons
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.tendon_config import TendonConfig
-from teleop.config import as_tree, load
+from teleop.config import RECORDING, as_tree, load
+from teleop.data.channel_names import numbered
 from teleop.data.table import Columns, MeasuredTable, read_table, write_table
 from teleop.errors import UsageError
 from teleop.messages import MAX_TENDONS, PHASE_NAMES
 from teleop.options import add_option, add_options
 from teleop.output_file import TABLES, OutputFile
 from teleop.process import write_summary
+from teleop.ros.bag_table import is_bag
 from teleop.summary import force_line
 
 
@@ -80,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "with it (default 1)"
         ),
     )
-    add_options(parser, "--set", "--column", "--drop-nonfinite", "--json")
+    add_options(parser, "--set", "--allow-imports", "--column", "--drop-nonfinite", "--json")
     parser.add_argument(
         "--tendon",
         metavar="TENDON",
@@ -100,6 +103,7 @@ def main(args: argparse.Namespace) -> int:
     check_words(args)
     files = model_files.parse(args.model)
     known, joints = ((), ()) if args.fit else load_models(args)
+    joints = joints or recorded_joints(args.data)
     k = select_tendon(args.tendon, joints, len(known))
     table = read_table(
         args.data,
@@ -137,7 +141,7 @@ def main(args: argparse.Namespace) -> int:
     summary["spikes"] = list_spikes(clean, table)
     summary["force_error"] = compare_with_bench(estimates, clean, tendon)
     summary["travel_contradicts"] = travel_contradicts(tendon, clean, summary["force_error"])
-    summary["doubts"] = list_doubts(table, clean, tendon, summary)
+    summary["doubts"] = list_doubts(clean, tendon, summary)
     summary["status"] = {
         str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
         for flag in online.Status
@@ -147,14 +151,16 @@ def main(args: argparse.Namespace) -> int:
         name: float(np.mean(estimates.phase == k)) for k, name in enumerate(PHASE_NAMES)
     }
     if args.out is not None:
-        write_table(args.out, table.columns() | columns(estimates))
+        write_table(args.out, table.columns(k + 1) | columns(estimates, k + 1))
     write_summary(args.json, summary)
     print("\n".join(format_report(summary)))
     return 0
 
 
 def check_words(args: argparse.Namespace) -> None:
-    """Raise `UsageError` for conflicting options, before anything is read."""
+    """Raise `UsageError` for conflicting options; a recording has its own config, if no other."""
+    if not (args.config or args.fit or args.calibration or args.model) and is_recording(args.data):
+        args.config = args.data
     load_models = args.config is not None or bool(args.overrides)
     ways = [args.fit, args.calibration is not None, load_models]
     if args.fit and args.model:
@@ -219,17 +225,14 @@ def travel_contradicts(tendon: TendonConfig, table: Samples, error: dict[str, An
     )
 
 
-def list_doubts(
-    table: MeasuredTable, clean: Samples, tendon: TendonConfig, summary: dict[str, Any]
-) -> list[str]:
+def list_doubts(clean: Samples, tendon: TendonConfig, summary: dict[str, Any]) -> list[str]:
     """Return what is wrong with the data, or contradicts the model; one line each."""
-    out = list(doubts(table))
+    out = list(doubts(clean))
     error = summary["force_error"]
     pulled = float(np.nanmax(clean.proximal_tension)) >= PULLED * tendon.tension_noise
     if error is not None and pulled and "fit" not in summary:
         said = contradiction(error["rmse_percent"] / 100.0, error["inside_interval"])
-        slip = unit_slip_of(clean) if said else ""
-        remedy = slip or (
+        remedy = (
             "check that the model is of this tendon and that it is calibrated anew since it was "
             "moved, or see what `teleop diagnose` finds"
         )
@@ -239,15 +242,6 @@ def list_doubts(
         alone = Estimator(tendon.model()).run(clean._replace(proximal_displacement=None))
         out += [said] if (said := stretch_slip(stretch, alone.elongation)) else []
     return out
-
-
-def unit_slip_of(clean: Samples) -> str:
-    """Return which tension of a record is in another unit, as `plausibility.unit_slip` says."""
-    tensions = clean.proximal_tension, clean.distal_tension
-    if tensions[1] is None:
-        return ""
-    known = np.isfinite(tensions[0]) & np.isfinite(tensions[1])
-    return unit_slip(tensions[0][known], tensions[1][known])
 
 
 def list_spikes(clean: Samples, table: MeasuredTable) -> dict[str, dict[str, float]]:
@@ -278,14 +272,43 @@ def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], Joi
     if args.config is None and not args.overrides:
         return (), ()
     config = load(args.config, SlaveConfig, "slave", args.overrides)
+    if is_recording(args.config) and config.initialise.at_start:
+        raise UsageError(
+            f"{args.config}: the session calibrated its rig at its start, and the recording has "
+            "not got the result; give --calibration FILE or --fit"
+        )
     if isinstance(config.calibration, Path):
-        calibration = file.load(config.calibration)
+        try:
+            calibration = file.load(config.calibration)
+        except UsageError as error:
+            where = f"; {args.config} was recorded with it" if is_recording(args.config) else ""
+            raise UsageError(f"{error}{where}; --calibration FILE names another") from error
         return calibration.tendons, calibration.joints
-    joints: JointTendons = ()
-    if isinstance(config.rig, SimulatedRigConfig):
-        joints = joint_tendons([len(joint.tendons) for joint in config.rig.joints])
+    joints = joints_of(config)
     count = sum(map(len, joints)) or max(len(config.tendons), 1)
     return tendon_configs(config, count), joints
+
+
+def is_recording(path: Path | None) -> bool:
+    """Return whether this is a recording of a session, which has its config."""
+    return path is not None and path.suffix == RECORDING and path.is_file() and not is_bag(path)
+
+
+def recorded_joints(path: Path) -> JointTendons:
+    """Return the tendons of the joints in a recording; empty if its config does not tell."""
+    if not is_recording(path):
+        return ()
+    try:
+        return joints_of(load(path, SlaveConfig, "slave"))
+    except UsageError:  # of another version
+        return ()
+
+
+def joints_of(config: SlaveConfig) -> JointTendons:
+    """Return the tendons of the joints of a configured rig; empty if its config does not tell."""
+    if not isinstance(config.rig, SimulatedRigConfig | HardwareRigConfig):
+        return ()
+    return joint_tendons([len(joint.tendons) for joint in config.rig.joints])
 
 
 def select_tendon(word: str | None, joints: JointTendons, count: int) -> int:
@@ -321,17 +344,20 @@ def compare_with_bench(
     return score.summary()
 
 
-def columns(estimates: online.Estimates) -> dict[str, Any]:
-    """Return the estimates as columns of a table."""
-    return {
+def columns(estimates: online.Estimates, number: int = 1) -> dict[str, Any]:
+    """Return the estimates of tendon 1, 2, ... as columns of a table."""
+    named = {
         "distal_tension_estimate_N": estimates.distal_tension,
         "distal_tension_low_N": estimates.low,
         "distal_tension_high_N": estimates.high,
         "elongation_estimate_m": estimates.elongation,
         "distal_displacement_estimate_m": estimates.distal_displacement,
         "front_m": estimates.front,
-        "phase": estimates.phase,
-        "status": estimates.status,
+    }
+    codes = {"phase": estimates.phase, "status": estimates.status}
+    suffix = f"_{number}" if number > 1 else ""
+    return {numbered(name, number): column for name, column in named.items()} | {
+        name + suffix: column for name, column in codes.items()
     }
 
 

@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="a",
         help="which tendon of a pair makes the motion (default a)",
     )
-    add_options(parser, "--set")
+    add_options(parser, "--set", "--allow-imports")
 
 
 def main(args: argparse.Namespace) -> int:

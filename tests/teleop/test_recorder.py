@@ -204,7 +204,7 @@ def test_missing_messages_are_told_and_end_the_command_with_exit_code_1(tmp_path
     assert process.stdout.readline().startswith("recording session")
     with Link(config, "bench", Role.SLAVE) as slave:
         end = time.monotonic() + 10.0
-        while not slave.present(Role.RECORDER) and time.monotonic() < end:
+        while not slave.has_listener(STATE) and time.monotonic() < end:
             time.sleep(0.01)
         time.sleep(0.2)
         for k in (1, 2, 5):

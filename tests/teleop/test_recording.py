@@ -1,4 +1,5 @@
 import dataclasses
+import os
 import re
 import resource
 import signal
@@ -8,11 +9,16 @@ import textwrap
 import tracemalloc
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
@@ -20,6 +26,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages import LAYOUT, MESSAGES
 from teleop.process import SUPERVISED
+from teleop.recording import reader
 from teleop.recording.config import RecordConfig
 from teleop.recording.definition import dtype_of
 from teleop.recording.gaps import SENDERS, Gaps
@@ -239,8 +246,49 @@ def test_what_is_no_recording_gets_one_line(tmp_path, content, what):
             read(path)
         assert str(path) in str(caught.value)
         assert "\n" not in str(caught.value)
-    with pytest.raises(UsageError, match="Is a directory"):
+    with pytest.raises(UsageError, match="is not a file"):
         open_recording(tmp_path)
+
+
+PACK = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "": bytes}
+
+
+def with_chunk(path, content, claimed, compression):
+    """Write a file of one chunk that claims a size."""
+    records = RecordBuilder()
+    Chunk(compression, PACK[compression](content), 0, 0, 0, claimed).write(records)
+    path.write_bytes(MCAP0_MAGIC + records.end())
+    return path
+
+
+@pytest.mark.parametrize("compression", PACK)
+@pytest.mark.parametrize(
+    ("size", "claimed", "said"),
+    [
+        (1 << 26, 100, "unpacks to more than the 100 bytes that it says"),
+        (50, 100, "unpacks to less than the 100 bytes that it says"),
+        (50, (1 << 26) + 1, "at most 67108864 are read"),
+        (50, (1 << 64) - 1, "at most 67108864 are read"),
+    ],
+)
+def test_a_chunk_unpacks_to_no_more_than_it_says(tmp_path, compression, size, claimed, said):
+    path = with_chunk(tmp_path / "a.mcap", bytes(size), claimed, compression)
+    with pytest.raises(RecordingError, match=said):
+        open_recording(path)
+    with pytest.raises(RecordingError, match=said):
+        read_columns(path, "tendons")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.mcap")
+    with pytest.raises(UsageError, match="is not a file"):
+        open_recording(tmp_path / "a.mcap")
+
+
+def test_more_of_a_topic_than_memory_has_room_for_is_refused(all_topics, monkeypatch):
+    monkeypatch.setattr(reader, "ROWS_MAX", 1000)
+    with pytest.raises(RecordingError, match="mcap filter"):
+        read_columns(all_topics[0], "tendons")
 
 
 def test_a_missing_topic_is_named_with_those_present(three_chunks, tmp_path):
@@ -450,6 +498,32 @@ def test_a_killed_recorder_loses_at_most_a_quarter_of_a_second(tmp_path, lines):
     assert len(written) > 0
     np.testing.assert_array_equal(written, stamps[: len(written)])
     assert stamps[-1] - written[-1] <= 250_000_000
+
+
+KILLED_AT_THE_INDEX = (
+    KILLED.replace(
+        "while True:",
+        """
+    def die():
+        import os
+        os.kill(os.getpid(), 9)
+
+    writer._mcap.finish = die
+    for _ in range(int(sys.argv[2])):
+    """.replace("\n    ", "\n").strip(),
+    )
+    + "writer.close()\n"
+)
+
+
+def test_a_recorder_killed_while_it_writes_the_index_loses_no_message(tmp_path):
+    words = [sys.executable, "-c", KILLED_AT_THE_INDEX, str(tmp_path), "17"]
+    ended = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == -signal.SIGKILL
+    (path,) = tmp_path.iterdir()
+    stamps = [int(line) for line in ended.stdout.splitlines()]
+    assert len(stamps) == 17
+    assert list(read_columns(path, "state")["stamp_ns"]) == stamps
 
 
 @pytest.mark.parametrize(

@@ -41,8 +41,8 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 
 def meet(*links: Link) -> None:
-    """Wait until all hear each other; subscriptions may follow presence by a moment."""
-    wait_for(lambda: all(a.present(b.role) for a in links for b in links if a is not b))
+    """Wait until all see the sides; subscriptions may follow presence by a moment."""
+    wait_for(lambda: all(a.present(b.role) for a in links for b in links[:2] if a is not b))
     time.sleep(0.2)
 
 
@@ -200,7 +200,7 @@ def test_the_recorder_hears_a_whole_session_and_says_so(tmp_path):
     )  # fmt: skip
     assert "'bench'" in recorder.stdout.readline()
     with Link(config, "bench", Role.SLAVE) as slave, Link(config, "bench", Role.MASTER) as master:
-        wait_for(lambda: slave.present(Role.RECORDER) and master.present(Role.RECORDER))
+        wait_for(lambda: slave.has_listener(STATE) and master.has_listener(COMMAND))
         meet(slave, master)
         stamps = []
         for _ in range(50):

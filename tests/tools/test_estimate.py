@@ -143,7 +143,7 @@ def test_a_record_that_decides_nothing_is_refused(tmp_path, capsys):
 def test_too_few_rows_are_refused(tmp_path, capsys):
     path = tmp_path / "short.csv"
     columns = ("time_s", "proximal_tension_N", "distal_tension_N")
-    write_table(path, {name: np.arange(5.0) for name in columns})
+    write_table(path, {name: np.arange(5) / 10 for name in columns})
     assert "5 samples" in one_line([path, "--fit"], capsys)
 
 

@@ -8,8 +8,14 @@ import time
 from typing import Any
 
 from teleop.clock import Grid, now_ns, quiet_garbage
-from teleop.process import SUPERVISED, Stop, die_with_launcher
-from teleop.realtime import RealtimeConfig, enter_loop, go_realtime, limit_numeric_threads
+from teleop.process import (
+    SUPERVISED,
+    Stop,
+    die_with_launcher,
+    limit_numeric_threads,
+    module_command,
+)
+from teleop.realtime import RealtimeConfig, enter_loop, go_realtime
 from teleop.timing import Durations
 
 PHASES = (0.0, 0.5)  # of two alternating loops
@@ -20,7 +26,8 @@ def run_bare(rate_hz: float, seconds: float, realtime: RealtimeConfig) -> list[d
     processes = [
         subprocess.Popen(
             [
-                *(sys.executable, "-m", "teleop.tools.bench.bare_grid", str(rate_hz), str(seconds)),
+                *module_command("teleop.tools.bench.bare_grid"),
+                *(str(rate_hz), str(seconds)),
                 *(str(phase), str(realtime.priority), json.dumps(realtime.cores)),
             ],
             stdin=subprocess.DEVNULL,

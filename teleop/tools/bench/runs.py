@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from teleop import strict_yaml
 from teleop.config import load
 from teleop.errors import UsageError
 from teleop.options import add_option
@@ -102,7 +103,7 @@ def repeat(
         )
         shared = load(config, RunConfig, None, ())
         work = Path(folder) / "run.yaml"
-        work.write_text(Path(config).read_text())
+        work.write_text(strict_yaml.read_text(Path(config)))
         repeated.warm_up(work)
         rows = []
         for k in range(repeated.runs):

@@ -5,7 +5,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from contextlib import ExitStack
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple
 
 from teleop.app.launch.supervisor import COMPLAINT
 from teleop.errors import TeleopError
+from teleop.process import module_command
 from teleop.tools.bench import cpu
 
 SIDES = ("slave", "master")
@@ -42,7 +42,7 @@ def run_session(config: Path, seconds: float) -> Measured:
         ]
         process = stack.enter_context(
             subprocess.Popen(
-                [sys.executable, "-m", "teleop", "run", *words],
+                [*module_command("teleop"), "run", *words],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,

@@ -83,6 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_option(parser, "--calibration", "compared with the result")
     add_options(parser, "--column", "--drop-nonfinite", "--validate", "--out", "--json")
+    add_options(parser, "--allow-imports")
     parser.add_argument(
         "--cause",
         default="",
@@ -132,7 +133,7 @@ def main(args: argparse.Namespace) -> int:
         make_folder(args.out, "report.html")
     if args.supplement is not None:
         make_folder(args.supplement, "supplement.html")
-    tendon = estimate.select_tendon(args.tendon, (), 1)
+    tendon = estimate.select_tendon(args.tendon, estimate.recorded_joints(args.data[0]), 1)
     sheath = None if args.calibration is None else acceptance.load(args.calibration, tendon)
     columns = channel_columns(args.column, tendon)
     noise = parse_noise(args.noise)

@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.array_types import Array
 from estimator.pair.pair import PairRecord
+from teleop.data.table import check_effort, check_time
 from teleop.data.table_files import RawTable, read_columns
 from teleop.errors import UsageError
 from teleop.tools.pair.config import PairColumns, PairConfig
@@ -32,11 +33,11 @@ def _record(path: Path, config: PairConfig) -> PairRecord:
     raw = read_columns(path)
     columns = {f.name: _column(path, raw, config, f.name) for f in fields(PairColumns)}
     time = columns["time"]
-    if (late := np.flatnonzero(np.diff(time) <= 0.0)).size:
-        place = raw.place(int(late[0]) + 1)
-        raise UsageError(
-            f"{path}: column {config.columns.time!r}, {place}: time must increase from row to row"
-        )
+    if not len(time):
+        raise UsageError(f"{path}: has a header but no rows")
+    check_time(path, raw, config.columns.time, time, "convert it to seconds")
+    for item in ("tension_a", "tension_b"):
+        check_effort(path, raw, getattr(config.columns, item), columns[item], may_err=True)
     _require_moving(path, columns, config)
     return PairRecord(
         bend,

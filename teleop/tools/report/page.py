@@ -11,16 +11,27 @@ from estimator.text_table import Table
 STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff;
-  max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+  max-width: 78rem; margin: 2rem auto; padding: 0 1rem; }
+p, ul { max-width: 60rem; }
 h1 { line-height: 1.2; } h2 { margin-top: 2.5rem; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums; }
 th, td { padding: 0.25rem 0.6rem; text-align: left; border-bottom: 1px solid #ddd;
-  white-space: nowrap; }
+  vertical-align: top; }
 th { background: #f4f7fa; }
 tr.ours td { background: #eaf3f9; }
 figure { margin: 1.5rem 0; } img, svg { max-width: 100%; height: auto; }
 figcaption { font-size: 0.9rem; color: #444; max-width: 48rem; }
+@page { margin: 14mm; }
+@media print {
+  body { font-size: 10pt; max-width: none; margin: 0; padding: 0; }
+  .scroll { overflow: visible; }
+  table { font-size: 7.5pt; }
+  th, td { padding: 0.15rem 0.25rem; }
+  th { background: none; }
+  tr, figure { break-inside: avoid; }
+  h1, h2 { break-after: avoid; }
+}
 """
 
 

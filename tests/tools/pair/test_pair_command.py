@@ -73,7 +73,7 @@ def test_the_page_needs_nothing_else(done):
 
 
 def test_files_are_read_in_the_order_of_their_bends_whatever_their_unit(tmp_path):
-    rows = bench.record(1.5, samples=30)
+    rows = bench.record(1.5, samples=60)
     names = [tmp_path / "x_1.5_.csv", tmp_path / "x_0.5_.csv"]
     for path in names:
         np.savetxt(
@@ -131,8 +131,9 @@ def test_what_cannot_be_right_is_said(files, tmp_path, rows, message, capsys):
     ],
 )
 def test_a_dead_sensor_and_degrees_are_named(tmp_path, changed, unit, message):
-    time = np.arange(30.0)
-    rows = np.column_stack([time, *(60.0 * np.sin(time + k) for k in range(2)), *[5.0 + time] * 2])
+    time = 0.1 * np.arange(30.0)
+    angles = (60.0 * np.sin(10.0 * time + k) for k in range(2))
+    rows = np.column_stack([time, *angles, *[5.0 + time] * 2])
     if changed is not None:
         rows[:, changed - 1] = 5.0
     path, config = tmp_path / "bend10.csv", tmp_path / "columns.yaml"
