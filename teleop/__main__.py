@@ -7,23 +7,48 @@ in a callback. Nothing is open yet, so the signal just ends the process here.
 import os
 import signal
 import sys
+from contextlib import suppress
 
-_INTERRUPTED = 128 + signal.SIGINT
+STOP_PRIORITY = 2  # SCHED_FIFO: below the loops, above the recorder and ordinary processes
 
 
 def main() -> int:
     """Run `teleop`; returns the exit code."""
     signal.signal(signal.SIGINT, _end)
+    _exclude_current_folder()
+    if sys.argv[1:2] == ["stop"]:
+        _precede_ordinary_processes()
     from teleop.app import cli
 
     try:
         return cli.main(begin=_interruptible)
     except KeyboardInterrupt:  # even while another error is printed
-        return _INTERRUPTED
+        from teleop.process import interruption
+
+        return interruption.exit_code
     finally:  # the exit code is known; ignore later signals
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _exclude_current_folder() -> None:
+    """Forget the folder of the script, or with `-m` the current one, here and in child processes.
+
+    A file in it may have the name of any module.
+    """
+    if not sys.flags.safe_path:
+        del sys.path[0]
+    os.environ["PYTHONSAFEPATH"] = "1"  # of processes that `multiprocessing` starts
+
+
+def _precede_ordinary_processes() -> None:
+    """Compute at real-time priority, where this user may: an emergency stop waits for no program.
+
+    The loops, which have a higher one, wait for nothing either. Imports need a processor for 50 ms.
+    """
+    with suppress(AttributeError, OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(STOP_PRIORITY))
 
 
 def _interruptible() -> None:
@@ -31,11 +56,12 @@ def _interruptible() -> None:
     from teleop.process import interruption, on_ending
 
     on_ending(interruption)
+    sys.unraisablehook = interruption.deliver_again
 
 
 def _end(*_: object) -> None:
     os.write(2, b"teleop: interrupted\n")
-    os._exit(_INTERRUPTED)
+    os._exit(128 + signal.SIGINT)
 
 
 if __name__ == "__main__":

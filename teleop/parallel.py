@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_context
 from typing import TypeVar
 
+from teleop.process import die_with_parent
+
 Task = TypeVar("Task")
 Done = TypeVar("Done")
 
@@ -21,10 +23,11 @@ def parallel_map(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int)
         yield from map(work, tasks)
         return
     # spawned, as numba's and the BLAS's threads do not survive a fork
-    with get_context("spawn").Pool(min(jobs, len(tasks)), _quiet) as pool:
+    with get_context("spawn").Pool(min(jobs, len(tasks)), _leave_ending_to, (os.getpid(),)) as pool:
         yield from pool.imap(work, tasks)
 
 
-def _quiet() -> None:
-    """Ignore Ctrl-C in the children; the parent ends the pool."""
+def _leave_ending_to(parent: int) -> None:
+    """Ignore Ctrl-C in a child, which its parent ends, and the end of the parent itself."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with_parent(parent)

@@ -23,7 +23,13 @@ from slave.calibration import file
 from slave.calibration.file import Calibration, Direction, Value
 from slave.calibration.initialise import InitialiseResult, initialise
 from slave.calibration.refusals import tendon_name
-from slave.calibration.run import ProcedureData, Progress, fast_ticks, warm_up
+from slave.calibration.run import (
+    CalibrationInterrupted,
+    ProcedureData,
+    Progress,
+    fast_ticks,
+    warm_up,
+)
 from slave.config import SlaveConfig
 from slave.rig import Rig
 from slave.rigs import open_rig
@@ -47,7 +53,7 @@ NOTED_EVERY_S = 10.0  # [s] likewise, if the output is not a terminal
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `teleop calibrate`."""
-    add_options(parser, "--config", "--set")
+    add_options(parser, "--config", "--set", "--allow-imports")
     add_option(parser, "--quick", "one loop in place of three, under 20 s a joint")
     parser.add_argument(
         "--joint",
@@ -86,7 +92,6 @@ def main(args: argparse.Namespace) -> int:
             "estimate DATA --fit --save FILE"
         )
     figure = None if args.figure is None else drawing()
-    stop = Stop()
     is_real = not isinstance(config.rig, SimulatedRigConfig)
     if is_real:
         with announced("the calibration", COMPILE_S):
@@ -95,24 +100,30 @@ def main(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         rig = open_rig(config.rig)
         stack.callback(rig.close)
+        stop = Stop()
         out = args.out or parse(UpdatedFile(), "--out", f"{rig.name}-calibration.yaml")
         joints = selected_joints(args.joint, len(rig.joints))
         replaced = replaceable(out, args.config, args.force)
         require_other(args.figure, out)
         earlier = replaced or earlier_file(config, needed=bool(joints))
         start_ns, ticks = pace(shared.rate_hz, is_real)
-        found = initialise(
-            rig,
-            config,
-            ticks,
-            start_ns,
-            quick=args.quick,
-            joints=joints,
-            together=args.together,
-            earlier=earlier,
-            stopped=lambda: f"{stop.reason}: stopped, no file written" if stop() else "",
-            progress=show_bar(rig) if sys.stderr.isatty() else print_lines(rig),
-        )
+        try:
+            found = initialise(
+                rig,
+                config,
+                ticks,
+                start_ns,
+                quick=args.quick,
+                joints=joints,
+                together=args.together,
+                earlier=earlier,
+                stopped=lambda: f"{stop.reason}: stopped, no file written" if stop() else "",
+                progress=show_bar(rig) if sys.stderr.isatty() else print_lines(rig),
+                analysing=stop.interrupting,
+            )
+        except CalibrationInterrupted as error:
+            error.exit_code = stop.exit_code or error.exit_code
+            raise
         if sys.stderr.isatty():
             print(file=sys.stderr)
     file.save(out, found.calibration)

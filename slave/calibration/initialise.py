@@ -1,6 +1,7 @@
 """Calibrate a rig: run the procedure, evaluate it, assemble the calibration file."""
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -37,6 +38,7 @@ def initialise(
     earlier: Calibration | None = None,
     stopped: Callable[[], str] = lambda: "",
     progress: Callable[[Progress], None] = lambda _: None,
+    analysing: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> InitialiseResult:
     """Calibrate a rig; the joints end in mid-range, their tendons just taut.
 
@@ -54,6 +56,8 @@ def initialise(
         Joints to calibrate, counted from 0; empty = all.
     earlier : Calibration, optional
         Of this rig, for the joints that are not calibrated now and the ranges of the others.
+    analysing : callable
+        Returns a context for the analysis, which takes seconds and asks nobody whether to go on.
 
     Raises
     ------
@@ -69,7 +73,7 @@ def initialise(
     limits = Limits(procedure, config.gate)
     driven = drive(rig, limits, ticks, start_ns, chosen, together, stopped, progress)
     ranges = earlier.ranges if earlier is not None and fits(earlier, rig) is None else ()
-    with ordinary_scheduling():  # it computes for seconds, while the motors hold
+    with analysing(), ordinary_scheduling():  # it computes for seconds, while the motors hold
         results = analyse(driven.record, procedure, ranges)
     method = f"pulls and releases against the stops, {'quick' if quick else 'full'} form"
     now = datetime.now(UTC).isoformat(timespec="seconds")

@@ -4,6 +4,7 @@ Every position written has passed `slave.gate`, with the limits of the slave's c
 unless the rig failed, the tensions are low and the motors hold.
 """
 
+import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count, islice
@@ -23,7 +24,6 @@ from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample, motors_follow
 from teleop.clock import Tick, quiet_garbage
 from teleop.errors import TeleopError, UsageError
-from teleop.process import INTERRUPTED
 
 Codes = NDArray[np.int64]
 
@@ -42,7 +42,7 @@ class CalibrationRefused(TeleopError):
 class CalibrationInterrupted(CalibrationRefused):
     """The operator ended the procedure."""
 
-    exit_code = INTERRUPTED
+    exit_code = 128 + signal.SIGINT
 
 
 class Limits(NamedTuple):
@@ -334,7 +334,7 @@ class _Drive:
         return passed, GateFlags(verdict)
 
 
-class _StillRig:
+class StillRig:
     """A joint of one tendon at rest, on which nothing moves."""
 
     name = "still"
@@ -343,21 +343,26 @@ class _StillRig:
     starts_at_zero = True
 
     def read(self, time_s: float) -> tuple[RigSample, ...]:
+        """Return one sample."""
         return (RigSample(time_s, np.ones(1), np.zeros(1)),)
 
-    def write(self, proximal_displacement: Array) -> None: ...
+    def write(self, proximal_displacement: Array) -> None:
+        """Do nothing."""
 
-    def advance(self) -> None: ...
+    def advance(self) -> None:
+        """Do nothing."""
 
     def summary(self) -> dict[str, int | float | str]:
+        """Return nothing."""
         return {}
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Do nothing."""
 
 
 def warm_up() -> None:
     """Compile what a tick of the procedure calls, before it has to be on time."""
-    driven = _Drive(_StillRig(), Limits(InitialiseConfig(), GateConfig()), (0,), together=False)
+    driven = _Drive(StillRig(), Limits(InitialiseConfig(), GateConfig()), (0,), together=False)
     for tick in islice(fast_ticks(WARM_UP_HZ), WARM_UP_TICKS):
         driven.tick(tick.stamp_ns * 1e-9, tick.dt, "")
 

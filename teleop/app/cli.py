@@ -1,17 +1,21 @@
 """The `teleop` program: finds the command, imports it, and turns our errors into one line."""
 
 import argparse
+import errno
 import importlib
+import io
 import os
+import select
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from typing import NoReturn
+from pathlib import Path
+from typing import Any, NoReturn, TextIO
 
 from teleop import output_file
 from teleop.errors import TeleopError, UsageError
-from teleop.process import INTERRUPTED, die_with_launcher, interruption
-from teleop.realtime import limit_numeric_threads
+from teleop.process import die_with_launcher, interruption, limit_numeric_threads
+from teleop.suggestions import did_you_mean
 
 # name -> (module with add_arguments and main, what it does); only the one that runs is imported
 COMMANDS = {
@@ -59,15 +63,48 @@ COMMANDS = {
 }
 
 
-# commands that import the estimator
-
-
 class Parser(argparse.ArgumentParser):
-    """A parser whose complaints are one line, like all our others."""
+    """A parser whose complaints are one line, like all our others; no path is empty."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.register("type", Path, _named_path)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            allowed = [str(choice) for choice in action.choices]
+            hint = did_you_mean(str(value), allowed) or f" (allowed: {', '.join(allowed)})"
+            raise argparse.ArgumentError(action, f"{value!r} is unknown{hint}")
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong with the words given, and where to read on."""
         raise UsageError(f"{message} (see `{self.prog} --help`)")
+
+
+def _named_path(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("the name is empty")
+    return Path(text)
+
+
+def _refuse_unknown(
+    parser: argparse.ArgumentParser, words: Sequence[str], unknown: Sequence[str]
+) -> NoReturn:
+    """Raise `UsageError` about words that no argument takes, with what they may have meant."""
+    word = unknown[0]
+    (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    options = commands.choices[words[0]]._option_string_actions
+    before = words[: words.index(word)]
+    hint = ""
+    if word.startswith("-"):
+        hint = did_you_mean(word.partition("=")[0], options, cutoff=0.7)
+    elif before[-2:-1] == ["--set"]:
+        hint = f"; did you mean --set {before[-1]}={word}?"
+    elif word.endswith((".yaml", ".yml")) and "--config" in options:
+        hint = f"; did you mean --config {word}?"
+    raise UsageError(
+        f"unrecognized arguments: {' '.join(unknown)}{hint} (see `teleop {words[0]} --help`)"
+    )
 
 
 class _Version(argparse.Action):
@@ -81,15 +118,18 @@ class _Version(argparse.Action):
 
 
 def build_parser(command: str | None) -> argparse.ArgumentParser:
-    """Return the parser; the sub-parser of `command` is complete, the others are names only."""
+    """Return the parser with the sub-parser of `command`; without one the names of all."""
     parser = Parser(
         prog="teleop",
         description="Haptic teleoperation for robots driven through tendon sheaths.",
         epilog="Start with: teleop run --config configs/demo.yaml",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, (module, summary) in COMMANDS.items():
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, prog="teleop"
+    )
+    for name in COMMANDS if command is None else (command,):
+        module, summary = COMMANDS[name]
         sub = commands.add_parser(
             name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
@@ -107,47 +147,101 @@ def main(argv: Sequence[str] | None = None, begin: Callable[[], object] = lambda
 
     `begin` is called when all is imported and understood, and the command is about to run.
     """
-    open_missing_streams()
+    prepare_streams()
     limit_numeric_threads()
     words = list(sys.argv[1:] if argv is None else argv)
     command = words[0] if words and words[0] in COMMANDS else None
     try:
         die_with_launcher()
         parser = build_parser(command)
-        args = parser.parse_args(words)
+        args, unknown = parser.parse_known_args(words)
+        if unknown:
+            _refuse_unknown(parser, words, unknown)
         output_file.check(parser, args)
+        if getattr(args, "allow_imports", False):
+            from teleop.extensions import allow_imports
+
+            allow_imports()
         args.command_line = shlex.join(["teleop", *words])
         begin()
-        return int(args.main(args))
+        code = int(args.main(args))
     except TeleopError as error:
-        print(f"teleop: {_quoted(str(error), words)}", file=sys.stderr)
-        return error.exit_code
+        code = complain(str(error), error.exit_code)
     except KeyboardInterrupt:  # before there was a loop to stop
-        return interrupted()
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output left; nothing more to say
-        return 0
-    except Exception:
-        if not interruption.came:
+        code = interrupted()
+    except Exception as error:
+        if interruption.number:  # a compiler makes an error of its own of what a signal raised
+            code = interrupted()
+        elif isinstance(error, OSError) and output_error() is not None:
+            code = 0
+        elif complaint := _environment_error(error):
+            code = complain(complaint, TeleopError.exit_code)
+        else:
             raise
-        return interrupted()  # a compiler makes an error of its own of what a signal raised
+    return finish_output(code)
 
 
-def _quoted(text: str, words: Sequence[str]) -> str:
-    """Return a message with the words in it quoted that would break its line."""
-    for word in words:
-        if not word.isprintable() and word.strip():
-            text = text.replace(word, repr(word))
-    return text
+def complain(text: str, code: int) -> int:
+    """Print the line of an error, control characters escaped; return the exit code."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    try:
+        print(f"teleop: {line}", file=sys.stderr)
+    except OSError:  # nobody can be told
+        _discard(sys.stderr)
+    return code
+
+
+def _discard(stream: TextIO) -> None:
+    """Let the rest of a stream go nowhere, or the flush at the exit would fail."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _environment_error(error: Exception) -> str:
+    """Return what a system refuses to any program, in a line; empty for a defect of ours."""
+    if isinstance(error, OSError):
+        place = f"{error.filename}: " if error.filename is not None else ""
+        remedy = "; raise the limit (ulimit -n)" if error.errno == errno.EMFILE else ""
+        return f"{place}{error.strerror or error}{remedy}"
+    if isinstance(error, MemoryError):
+        detail = f" ({error})" if str(error) else ""
+        return f"not enough memory{detail}: close other programs, or give fewer data at once"
+    if isinstance(error, EOFError):
+        return "the input ended before a question was answered; start it in a terminal"
+    return ""
+
+
+def output_error() -> OSError | None:
+    """Return why standard output cannot be written, None if it can."""
+    poll = select.poll()
+    try:
+        sys.stdout.flush()
+        poll.register(sys.stdout, 0)  # unbuffered, nothing is left to be flushed
+    except OSError as error:  # also of a stream that is no file
+        return None if isinstance(error, io.UnsupportedOperation) else error
+    broken = any(event & select.POLLERR for _, event in poll.poll(0))
+    return BrokenPipeError() if broken else None
+
+
+def finish_output(code: int) -> int:
+    """Write what is left of the output; return the exit code, 1 if it cannot be written.
+
+    A reader that left (`| head`) has what it wanted.
+    """
+    error = output_error()
+    if error is None:
+        return code
+    _discard(sys.stdout)
+    if isinstance(error, BrokenPipeError):
+        return code
+    return complain(f"standard output: {error.strerror}", code or TeleopError.exit_code)
 
 
 def interrupted() -> int:
-    """Say that the user ended it; return the exit code."""
-    print("teleop: interrupted", file=sys.stderr)
-    return INTERRUPTED
+    """Say that a signal ended it; return the exit code."""
+    return complain("interrupted", interruption.exit_code)
 
 
-def open_missing_streams() -> None:
+def prepare_streams() -> None:
     """Replace standard streams that were closed at the start, which Python gives as None.
 
     In the order of their numbers: a file takes the lowest number that is free, and a socket or a
@@ -156,6 +250,8 @@ def open_missing_streams() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - open until the end
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="replace")  # ASCII, and names of files that are not text
 
 
 if __name__ == "__main__":

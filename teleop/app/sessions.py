@@ -9,7 +9,6 @@ other machines is not listed: its config file names it.
 """
 
 import argparse
-from dataclasses import asdict
 
 from teleop.options import add_options
 from teleop.process import write_summary
@@ -24,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Print the running sessions; returns the exit code."""
     entries = running()
-    write_summary(args.json, {"sessions": [asdict(entry) for entry in entries]})
+    write_summary(args.json, {"sessions": [entry._asdict() for entry in entries]})
     print("\n".join(map(line, entries)) if entries else "no sessions running")
     return 0
 

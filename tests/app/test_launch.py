@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from teleop import process
+from teleop import extensions, process
 from teleop import summary as summaries
 from teleop.app import cli
 from teleop.app.launch import command, watch
@@ -275,9 +275,9 @@ def family(tmp_path, monkeypatch):
     family = Supervisor(tmp_path, lambda name, line: said.append((name, line)))
     family.said = said
     program = tmp_path / "python"
-    program.write_text(f'#!/bin/sh\nshift 3\nexec {sys.executable} -c "$@"\n')
+    program.write_text(f'#!/bin/sh\nshift 4\nexec {sys.executable} -c "$@"\n')
     program.chmod(0o755)
-    monkeypatch.setattr("teleop.app.launch.supervisor.sys.executable", str(program))
+    monkeypatch.setattr("teleop.process.sys.executable", str(program))
     yield family
     family.stop(list(family.children))
 
@@ -505,6 +505,7 @@ class Scene:
         self.log, self.children = [], {}
         self.there, self.casualties = set(), []
         self.session = "demo"
+        self.arguments = {}
 
     def __enter__(self):
         self.log.append("link")
@@ -519,8 +520,9 @@ class Scene:
     def listen(self, _topics):
         self.log.append("listen")
 
-    def start(self, name, _arguments):
+    def start(self, name, arguments, *_held):
         self.log.append(name)
+        self.arguments[name] = arguments
 
     def stop(self, _order):
         self.log.append("stop")
@@ -549,6 +551,15 @@ def test_the_master_starts_last_and_all_is_heard_from_the_beginning(scene):
     assert cli.main(["run", "--record", "somewhere", "--view", "web"]) == 0
     assert scene.log[:8] == ["link", "listen", "record", "slave", "view", "wait", "master", "watch"]
     assert scene.log[-2:] == ["unlink", "stop"]
+
+
+def test_both_sides_may_import_only_if_the_session_may(scene, monkeypatch):
+    monkeypatch.setattr(extensions, "policy", extensions.ImportPolicy())
+    for words, handed_on in ((["run"], False), (["run", "--allow-imports"], True)):
+        assert cli.main([*words, "--view", "none"]) == 0
+        assert {"slave", "master"} <= scene.arguments.keys()
+        for side in ("slave", "master"):
+            assert ("--allow-imports" in scene.arguments[side]) == handed_on
 
 
 @pytest.mark.parametrize("role", [Role.SLAVE, Role.MASTER])

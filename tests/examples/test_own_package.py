@@ -105,7 +105,7 @@ def test_its_effect_is_chosen_saved_and_loaded(installed, tmp_path, name):
 def test_a_mistake_is_one_line_that_names_the_place(installed, tmp_path, rig, said):
     code = f"""
 from teleop.app import cli
-assert cli.main(["slave", "--set", "slave.rig={rig}"]) == 2
+assert cli.main(["slave", "--allow-imports", "--set", "slave.rig={rig}"]) == 2
 """
     ended = subprocess.run(
         [sys.executable, "-c", code],

@@ -17,7 +17,6 @@ own machine: see `teleop slave --help` etc.
 import argparse
 import json
 import signal
-import tempfile
 from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
@@ -38,15 +37,22 @@ from teleop.link.ping_pong import ping_pong
 from teleop.messages import Command, SlaveState
 from teleop.options import add_option, add_options
 from teleop.output_file import SharedFolder
-from teleop.process import INTERRUPTED, Stop, has_display, write_summary
+from teleop.process import (
+    ENDINGS,
+    Stop,
+    exit_code_of,
+    has_display,
+    write_summary,
+)
 from teleop.realtime import RealtimeConfig
 from teleop.ros.config import RosConfig, check_ports
 from teleop.run_config import RateChecked, RunConfig
 from teleop.running_sessions import registered
+from teleop.scratch_folder import ScratchFolder
 from teleop.status_line import StatusLine
 from teleop.topics import EVENT, LATENCY, LINK, REPORT, Role
 from teleop.view.config import ViewConfig
-from teleop.view.ports import free_port
+from teleop.view.ports import hold_port
 
 # the sections of a config file and who checks them; imported by name, as the command line does
 SECTIONS = {
@@ -66,7 +72,8 @@ ENDING = (
     "view",
     "record",
 )  # the recorder stops last, to capture the final messages
-_NEVER_BEGAN = (INTERRUPTED, -signal.SIGTERM)  # exit codes of a child told to end while it started
+# exit codes of a child told to end while it started
+_NEVER_BEGAN = (*(128 + number for number in ENDINGS), -signal.SIGTERM)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,6 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "--config",
         "--set",
+        "--allow-imports",
         "--insecure",
         "--duration",
         "--view",
@@ -107,6 +115,7 @@ def main(args: argparse.Namespace) -> int:
     shared = [f"--set={text}" for text in overrides]
     if args.config:
         shared = ["--config", str(args.config), *shared]
+    sides = [*shared, *["--allow-imports"] * args.allow_imports]
     impair = wanted(args.config, overrides)
     if impair is not None:
         impair.require_direct(config.link)
@@ -115,7 +124,7 @@ def main(args: argparse.Namespace) -> int:
 
     console = Console(StatusLine())
     with ExitStack() as stack:
-        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="teleop-")))
+        scratch = Path(stack.enter_context(ScratchFolder()))
         family = Supervisor(scratch, console.say)
         stack.callback(family.stop, ENDING)
         link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
@@ -127,11 +136,13 @@ def main(args: argparse.Namespace) -> int:
             family.start("record", [*shared, "--out", str(args.record)])
         if impair is not None:
             family.start("impair", shared)
-        family.start("slave", [*shared, *(f"--model={word}" for word in args.model)])
+        family.start("slave", [*sides, *(f"--model={word}" for word in args.model)])
         if ros.start:
             family.start("ros", shared)
         if view != "none":
-            family.start("view", [*shared, *_view_ports(args, overrides), "--view", str(view)])
+            held, told = hold_port(load(args.config, ViewConfig, "view", overrides).web_port)
+            stack.enter_context(held)
+            family.start("view", [*shared, "--view", str(view)], told, (held.fileno(),))
         stack.enter_context(compiling_beside(_compile_master))
         keys = stack.enter_context(Keys())
         keyboard = watch.Keyboard(keys, link)
@@ -140,7 +151,7 @@ def main(args: argparse.Namespace) -> int:
         try:
             ended = watch.wait_for_slave(link, listener, hearing, family, console, stop, keyboard)
             if not ended and not stop():
-                family.start("master", [*shared, *to_slave])
+                family.start("master", [*sides, *to_slave])
                 ended = watch.watch(
                     link, listener, hearing, family, console, stop, args.duration, keyboard
                 )
@@ -157,13 +168,6 @@ def _how_to_join(session: str) -> str:
         f"Session {session}. In another terminal: teleop view --session {session} (or stop, "
         "record, set KEY VALUE)"
     )
-
-
-def _view_ports(args: argparse.Namespace, overrides: list[str]) -> list[str]:
-    """Choose the view's ports, so that it comes back on the same ones if it is started again."""
-    view = load(args.config, ViewConfig, "view", overrides)
-    chosen = {"web_port": free_port(view.web_port), "grpc_port": free_port(view.grpc_port)}
-    return [f"--set=view.{key}={port}" for key, port in chosen.items()]
 
 
 def _compile_master() -> None:
@@ -185,9 +189,7 @@ def _conclude(
     (console or Console(StatusLine())).summarise(summary)
     if summary["exit_code"]:
         raise TeleopError(summary["reason"])
-    if not began and summary["reason"] in signal.Signals.__members__:
-        return 128 + signal.Signals[summary["reason"]]
-    return 0
+    return 0 if began else exit_code_of(summary["reason"])
 
 
 def _rig_overrides(args: argparse.Namespace) -> list[str]:

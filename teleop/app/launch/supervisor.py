@@ -5,16 +5,16 @@ import os
 import shlex
 import signal
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from teleop.errors import UsageError
 from teleop.output_file import FORCE
-from teleop.process import HEARTBEAT, STANDBY, STATUS, SUPERVISED
+from teleop.process import HEARTBEAT, STANDBY, STATUS, SUPERVISED, module_command
 from teleop.view.ports import WEB_VIEW
 
 VITAL = ("master", "slave", "impair")  # the session continues without the others
@@ -40,6 +40,8 @@ class Child:
     process: subprocess.Popen[str]
     summary: Path
     arguments: tuple[str, ...] = ()
+    told: Mapping[str, str] = field(default_factory=dict)  # added to its environment
+    descriptors: tuple[int, ...] = ()  # that it has too
     status: str = ""  # of its own, for the status line
     complaint: str = ""  # its error line, which the launcher repeats at the end
     threads: list[threading.Thread] = field(default_factory=list)
@@ -109,26 +111,46 @@ class Supervisor:
         self._missed: set[str] = set()
         self._spares: dict[str, Child] = {}  # of RESTARTED ones: all imported, waiting for a call
 
-    def start(self, name: str, arguments: Sequence[str]) -> Child:
-        """Start `teleop NAME ARGUMENTS --json ...`."""
-        child = self.children[name] = self._spawn(name, tuple(arguments))
+    def start(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        told: Mapping[str, str] | None = None,
+        descriptors: tuple[int, ...] = (),
+    ) -> Child:
+        """Start `teleop NAME ARGUMENTS --json ...`.
+
+        `told` is added to its environment, and `descriptors` are those that it has too.
+        """
+        child = self.children[name] = self._spawn(name, tuple(arguments), told or {}, descriptors)
         self._listen(child)
         return child
 
-    def _spawn(self, name: str, arguments: tuple[str, ...], standby: bool = False) -> Child:
+    def _spawn(
+        self,
+        name: str,
+        arguments: tuple[str, ...],
+        told: Mapping[str, str],
+        descriptors: tuple[int, ...],
+        standby: bool = False,
+    ) -> Child:
         summary = self._scratch / f"{name}.json"
         process = subprocess.Popen(
-            [sys.executable, "-m", "teleop", name, *arguments, "--json", str(summary), FORCE],
+            [*module_command("teleop"), name, *arguments, "--json", str(summary), FORCE],
             stdin=subprocess.PIPE if standby else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             env=os.environ
-            | {SUPERVISED: str(os.getpid()), "NO_COLOR": "1"}
+            | {SUPERVISED: str(os.getpid()), "NO_COLOR": "1", **told}
             | ({STANDBY: "1"} if standby else {}),
             start_new_session=True,
+            pass_fds=descriptors,
         )
-        return Child(name, process, summary, arguments)
+        return Child(name, process, summary, arguments, told, descriptors)
+
+    def _spawn_like(self, child: Child, standby: bool = False) -> Child:
+        return self._spawn(child.name, child.arguments, child.told, child.descriptors, standby)
 
     def _listen(self, child: Child) -> None:
         reader = threading.Thread(target=self._relay, args=(child,), daemon=True)
@@ -147,7 +169,7 @@ class Supervisor:
                 child.process.kill()
                 child.process.wait()
             if child.exit_code is None and child.worked and child.name not in self._spares:
-                self._spares[child.name] = self._spawn(child.name, child.arguments, standby=True)
+                self._spares[child.name] = self._spawn_like(child, standby=True)
             if child.exit_code is None or child.name in self._missed:
                 continue
             if child.restarts:
@@ -166,7 +188,7 @@ class Supervisor:
         if time.monotonic() < child.heard_s + child.pause_s:
             return
         child.hear_out()
-        new = self._called(child.name) or self._spawn(child.name, child.arguments)
+        new = self._called(child.name) or self._spawn_like(child)
         new.worked = new.reborn = True
         new.again = child.complaint or f"ended {child.how()}"
         if child.reborn and time.monotonic() - child.began_s < _SHORT_LIFE_S:
@@ -227,20 +249,24 @@ class Supervisor:
                     child.status = line.removeprefix(STATUS)
                 elif line.startswith(COMPLAINT):
                     child.complaint = line.removeprefix(COMPLAINT)
-                elif child.again:
-                    self._say(child.name, f"started again ({child.again}); {opening(line)}")
-                    child.again = ""
                 else:
-                    self._say(child.name, line)
+                    if child.again:
+                        line = f"started again ({child.again}); {opening(line)}"  # noqa: PLW2901
+                        child.again = ""
+                    with suppress(OSError):  # the main thread ends for it; the pipe must not fill
+                        self._say(child.name, line)
 
 
 def computes(pid: int) -> bool:
-    """Return whether a process runs or would run if it had a processor (Linux; else False)."""
+    """Return whether a thread of a process runs or would if it had a processor (Linux; else False).
+
+    Any thread: the first one may wait for another that is not given a processor.
+    """
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
+        stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
     except OSError:
         return False
-    return stat.rpartition(")")[2].split()[0] in ("R", "D")
+    return any(stat.rpartition(")")[2].split()[0] in ("R", "D") for stat in stats)
 
 
 def opening(line: str) -> str:

@@ -11,7 +11,7 @@ from teleop.link import Link, Listener, ReceivedMessage
 from teleop.messages import Event, Latency, LinkReport, LoopReport, text_of
 from teleop.process import Stop
 from teleop.remote.requests import call_reset, call_stop
-from teleop.remote.stop import SIDES, state_of, stops_of
+from teleop.remote.stop_over_link import SIDES, state_of, stops_of
 from teleop.session import State
 from teleop.topics import LATENCY, LINK, REPORT, STATE, Role, role_name
 

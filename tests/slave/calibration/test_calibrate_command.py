@@ -4,19 +4,22 @@ import dataclasses
 import re
 import signal
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 import yaml
 
 from slave.calibration import command, file, run
+from slave.calibration import initialise as initialisation
+from slave.calibration.analysis import analyse
 from slave.calibration.config import InitialiseConfig
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs import open_rig
 from teleop.app import cli
 from teleop.config import as_tree
-from teleop.process import ENDINGS
+from teleop.process import ENDINGS, interruption
 from tests.slave.calibration.calibration_bench import (
     EA,
     GATE,
@@ -146,7 +149,17 @@ def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.fixture
+def handlers_kept(monkeypatch):
+    monkeypatch.setattr(interruption, "number", 0)
+    handlers = [signal.getsignal(ending) for ending in ENDINGS]
+    yield
+    for ending, handler in zip(ENDINGS, handlers, strict=True):
+        signal.signal(ending, handler)
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.usefixtures("handlers_kept")
 def test_a_signal_ends_it_without_a_file(tmp_path, capsys, monkeypatch, number):
     path = config_file(tmp_path, rig_config(SHORT))
 
@@ -157,14 +170,34 @@ def test_a_signal_ends_it_without_a_file(tmp_path, capsys, monkeypatch, number):
             yield tick
 
     monkeypatch.setattr(command, "fast_ticks", ticks)
-    handlers = [signal.getsignal(ending) for ending in ENDINGS]
-    try:
-        code = teleop("--config", path, "--out", tmp_path / "new.yaml")
-    finally:
-        for ending, handler in zip(ENDINGS, handlers, strict=True):
-            signal.signal(ending, handler)
-    assert code == 130
+    assert teleop("--config", path, "--out", tmp_path / "new.yaml") == 128 + number
     assert f"{number.name}: stopped, no file written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize("when", ["before", "meanwhile"])
+@pytest.mark.usefixtures("handlers_kept")
+def test_a_signal_ends_its_analysis_at_once(tmp_path, capsys, monkeypatch, number, when):
+    path = config_file(tmp_path, rig_config(SHORT))
+
+    def signalled(driven, config, ranges):
+        signal.raise_signal(number)
+        return analyse(driven, config, ranges)
+
+    class Driven(NamedTuple):
+        record = None
+
+    def last_moment(*_):
+        signal.raise_signal(number)
+        return Driven()
+
+    monkeypatch.setattr(initialisation, "analyse", signalled)
+    if when == "before":
+        monkeypatch.setattr(initialisation, "drive", last_moment)
+    words = ["--config", path, "--quick", "--out", tmp_path / "new.yaml"]
+    assert teleop(*words) == 128 + number
+    assert capsys.readouterr().err.endswith("teleop: interrupted\n")
     assert list(tmp_path.iterdir()) == [path]
 
 

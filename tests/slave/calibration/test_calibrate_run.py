@@ -11,7 +11,6 @@ from slave.calibration.run import CalibrationInterrupted, CalibrationRefused
 from slave.gate import GateConfig
 from slave.rig import RigFault, RigSample
 from teleop.errors import TeleopError, UsageError
-from teleop.process import INTERRUPTED
 from tests.slave.calibration.calibration_bench import (
     GATE,
     QUICK,
@@ -134,7 +133,7 @@ def test_the_operator_ends_it_and_the_tensions_are_let_down():
 
     with pytest.raises(CalibrationInterrupted, match="SIGINT") as error:
         calibrated(rig, rate_hz=500.0, stopped=stopped)
-    assert error.value.exit_code == INTERRUPTED
+    assert error.value.exit_code == 130
     assert resting(rig)
     end = int(np.argmax(np.array(tension) > 15.0))
     written = np.array(rig.written)
