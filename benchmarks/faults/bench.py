@@ -1,16 +1,19 @@
 """Session to inject faults into: remote-controlled recorder, proxy, slave and master processes."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from teleop.app.launch.supervisor import wait_for
 from teleop.errors import TeleopError
 from teleop.link import Link
 from teleop.link.bridge import send_request
+from teleop.topics import HAND, STATE
 from tests.system.processes import OURS, START_S, Processes, free_ports
 
 HELD = (0.3, 2.6)  # [s] the scripted hand holds the engage switch, of every
@@ -21,12 +24,20 @@ MOTION = (
     "master.device.reference={type: sine, amplitude: 0.02, frequency: 0.5, offset: 0.03}",
 )
 NAMES = ("record", "impair", "slave", "master")
+WALL_CLOCK = Path(__file__).with_name("wall_clock.c")
 
 
 class FaultSession(Processes):
-    """A session whose hand is always in motion and engages every `PERIOD`."""
+    """A session whose hand is always in motion and engages every `PERIOD`.
 
-    def __init__(self, folder: Path, config: Path, *overrides: str) -> None:
+    `extra` are further processes of it: `view`.
+    """
+
+    def __init__(
+        self, folder: Path, config: Path, *overrides: str, extra: Sequence[str] = ()
+    ) -> None:
+        self._names = (*NAMES, *extra)
+        self._environment = OURS | steppable_wall_clock(folder)
         (port,) = free_ports(1)
         self.proxy = f"127.0.0.1:{port}"
         super().__init__(folder, config, f"impair.endpoint={self.proxy}", *MOTION, *overrides)
@@ -35,7 +46,7 @@ class FaultSession(Processes):
 
     def __enter__(self) -> "FaultSession":
         try:
-            for name in NAMES:
+            for name in self._names:
                 self.begin(name)
             self.link = self.look()
             self.link.__enter__()
@@ -59,6 +70,8 @@ class FaultSession(Processes):
         words = ["--json", str(self.folder / f"{name}-{number}.json")]
         if name == "record":
             words = ["--out", str(self.folder)]
+        if name == "view":
+            words += ["--view", str(self.folder / f"view-{number}.rrd")]
         if name == "master":
             words += ["--set", f"link.slave={self.proxy}"]
         self.running[name] = process = subprocess.Popen(
@@ -66,7 +79,7 @@ class FaultSession(Processes):
             stdin=subprocess.PIPE,
             stdout=self._log(name),
             stderr=subprocess.STDOUT,
-            env=OURS,
+            env=self._environment,
         )
         self._all.append(process)
 
@@ -90,7 +103,7 @@ class FaultSession(Processes):
 
     def tell(self, *words: str) -> dict:
         """Tell the proxy something; it may be coming up."""
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + START_S
         while True:
             try:
                 return send_request(self.link_config, self.session, self.proxy, "\n".join(words))
@@ -100,8 +113,22 @@ class FaultSession(Processes):
 
     def end(self) -> None:
         """End everything in order."""
-        for name in ("master", "slave", "impair", "record"):
+        for name in reversed(self._names):
             self.stop(name)
+
+    def last_stamp_ns(self, name: str) -> int:
+        """Return when the newest message of a side that reached us was sent."""
+        return self.link.latest(HAND if name == "master" else STATE).stamp_ns
 
     def recordings(self) -> list[Path]:
         return sorted(self.folder.glob("*.mcap"), key=lambda path: path.stat().st_ctime)
+
+
+def steppable_wall_clock(folder: Path) -> dict[str, str]:
+    """Return the environment of processes whose wall clock can be set; empty without a compiler."""
+    library = folder.absolute() / "wall_clock.so"
+    compiler = shutil.which("cc")
+    if compiler is None:
+        return {}
+    subprocess.run([compiler, "-shared", "-fPIC", "-O2", "-o", library, WALL_CLOCK], check=True)
+    return {"LD_PRELOAD": str(library)}

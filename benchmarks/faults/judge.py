@@ -19,7 +19,6 @@ from teleop.topics import COMMAND, HAND, STATE, TENDONS
 FRESH_NS = 30_000_000
 SLACK_S = 0.2  # [s] between a process's start and its first message
 HEAD = ("sender", "sequence", "stamp_ns")
-TICK_NS = 1_000_000
 FOLLOWS_NS = 200_000_000  # within which a slave engages that its master waits for
 GAP_NS = 20_000_000  # between two ticks: the process stood still
 ENGAGED = State.ENGAGED
@@ -37,6 +36,7 @@ class Ticks(NamedTuple):
     state: np.ndarray
     silence_ns: np.ndarray
     acts: np.ndarray  # whether it moved the motors, or pushed the hand
+    tick_ns: int  # period of the loop
 
 
 def columns(paths: list[Path], topic: str, names: list[str]) -> np.ndarray:
@@ -135,6 +135,7 @@ class CampaignResult(NamedTuple):
     pulled_in: float  # [m] by motors of a slave that was not engaged
     let_out: float  # [m] by motors that had not even to give way
     engagements: int
+    broken_off: list[str]  # faults that need not end an engagement, and did
 
 
 def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> CampaignResult:
@@ -166,7 +167,7 @@ def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> C
             if fault.concerns(name) and was_acting(side, fault)
         ],
         {
-            name: (side.silence_ns[side.acts & ~late[name]].max() + TICK_NS) * 1e-9
+            name: (side.silence_ns[side.acts & ~late[name]].max() + side.tick_ns) * 1e-9
             for name, side in sides.items()
         },
         {name: int(late[name].sum()) for name in sides},
@@ -175,6 +176,7 @@ def judge(paths: list[Path], faults: list[Fault], fresh_ns: int = FRESH_NS) -> C
         pulled_in,
         let_out,
         len(starts),
+        broken_off(master, faults),
     )
 
 
@@ -189,11 +191,13 @@ def ticks(
     """Return a side as its messages tell of it; `peer_messages` and `sent` as in `silences`."""
     silence = silences(rows, stamps, peer_messages, sent, fresh_ns)
     # the first may be missing; skipped ticks make the start seem later, so the least counts
-    start = rows["stamp_ns"] - rows["sequence"].astype("i8") * TICK_NS
     sequence = rows["sequence"].astype("i8")
+    tick_ns = round(float(np.median(np.diff(rows["stamp_ns"]))))
+    start = rows["stamp_ns"] - sequence * tick_ns
     return Ticks(
-        rows["sender"], sequence, rows["stamp_ns"], start, stamps, rows["state"], silence, acts
-    )
+        rows["sender"], sequence, rows["stamp_ns"], start, stamps, rows["state"], silence, acts,
+        tick_ns,
+    )  # fmt: skip
 
 
 def finished_late(side: Ticks) -> np.ndarray:
@@ -219,7 +223,7 @@ def reaction(side: Ticks, fault: Fault) -> float:
         side.stamp_ns < fault.begin_ns + max(span, 200_000_000)
     )
     silence = side.silence_ns[within & side.acts & ~finished_late(side)]
-    return float((silence.max(initial=0) + TICK_NS) * 1e-9)
+    return float((silence.max(initial=0) + side.tick_ns) * 1e-9)
 
 
 def onsets(side: Ticks) -> np.ndarray:
@@ -227,6 +231,23 @@ def onsets(side: Ticks) -> np.ndarray:
     engaged = side.state == ENGAGED
     same = (side.sender[1:] == side.sender[:-1]) & (np.diff(side.sequence) == 1)
     return 1 + np.flatnonzero(engaged[1:] & ~engaged[:-1] & same)
+
+
+def broken_off(master: Ticks, faults: list[Fault]) -> list[str]:
+    """Return the faults of bystanders in which an engagement ended though the switch was held."""
+    engaged = master.state == ENGAGED
+    same = (master.sender[1:] == master.sender[:-1]) & (np.diff(master.sequence) == 1)
+    ends = 1 + np.flatnonzero(engaged[:-1] & ~engaged[1:] & same)
+    starts = {s: master.start_ns[master.sender == s].min() for s in set(master.sender[ends])}
+    began = np.array([starts[s] for s in master.sender[ends]], dtype="i8")
+    pressed_s = ((master.raw_ns[ends] - began) * 1e-9 - HELD[0]) % PERIOD
+    early = master.stamp_ns[ends[pressed_s < HELD[1] - HELD[0] - SLACK_S]]
+    return [
+        fault.name
+        for fault in faults
+        if not fault.disturbs
+        and ((early >= fault.begin_ns) & (early <= fault.end_ns + FOLLOWS_NS)).any()
+    ]
 
 
 def recorded(side: Ticks, times_ns: np.ndarray) -> np.ndarray:

@@ -3,9 +3,14 @@
     python -m benchmarks.faults.puppet COMMAND ARGUMENTS ...      as `teleop COMMAND ARGUMENTS ...`
 
 Words on standard input, one a line: `unplug`, `plug` (the haptic device), `clock S` (the machine's
-monotonic clock jumps by S seconds for this process).
+monotonic clock jumps by S seconds for this process), `wall S` (its wall clock; see wall_clock.c),
+`hog` (allocate memory without end), `descriptors` and `free` (take all file descriptors, and give
+them back).
 """
 
+import ctypes
+import os
+import resource
 import sys
 import threading
 import time
@@ -17,6 +22,8 @@ class Strings:
     def __init__(self):
         self.away = False
         self.offset_ns = 0
+        self._taken = []
+        self._limit = resource.getrlimit(resource.RLIMIT_NOFILE)
 
     def obey(self, lines):
         for line in lines:
@@ -25,6 +32,29 @@ class Strings:
                 self.away = word == "unplug"
             elif word == "clock":
                 self.offset_ns += round(float(numbers[0]) * 1e9)
+            elif word == "wall":
+                step = round(float(numbers[0]) * 1e9)
+                ctypes.CDLL(None).step_wall_clock(ctypes.c_longlong(step))
+            elif word == "hog":
+                memory = bytearray()
+                while True:
+                    memory.extend(bytes(1 << 20))
+                    time.sleep(0.001)  # the loop goes on until it is killed
+            elif word == "descriptors":
+                self._take_descriptors()
+            elif word == "free":
+                while self._taken:
+                    os.close(self._taken.pop())
+                resource.setrlimit(resource.RLIMIT_NOFILE, self._limit)
+
+    def _take_descriptors(self):
+        highest = max(map(int, os.listdir("/proc/self/fd")))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 1, self._limit[1]))
+        try:
+            while True:
+                self._taken.append(os.dup(0))
+        except OSError:
+            return
 
 
 def unpluggable(open_device, strings):

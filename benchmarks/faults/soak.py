@@ -53,6 +53,7 @@ def live(bench: FaultSession, seconds: float, rng: np.random.Generator, kinds: l
         pause(float(rng.uniform(0.2, 1.5)))
         sizes.append(memory_mb(bench))
         faults.append(inject(bench, *plan[rng.integers(len(plan))], rng))
+        print({name: round(mb, 1) for name, mb in sizes[-1].items()}, faults[-1].name, flush=True)
     bench.await_engaged()
     pause(0.5)
     return faults, sizes
@@ -107,6 +108,10 @@ def main():
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--kinds", nargs="+", default=["stop", "cut", "unplug"])
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE",
+        help="of the config, e.g. rate_hz=500 on a busy machine",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, help="folder for recordings and logs")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     args = parser.parse_args()
@@ -116,7 +121,7 @@ def main():
     with tempfile.TemporaryDirectory() as scratch:
         folder = args.out or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
-        with FaultSession(folder, ROOT / "configs" / "demo.yaml", *words) as bench:
+        with FaultSession(folder, ROOT / "configs" / "demo.yaml", *words, *args.overrides) as bench:
             faults, sizes = live(bench, args.seconds, np.random.default_rng(args.seed), args.kinds)
             bench.end()
         ends = {name: json.loads((folder / f"{name}-0.json").read_text()) for name in NAMES[1:]}
@@ -139,6 +144,8 @@ def main():
         "seconds": args.seconds,
         "faults": Counter(fault.name for fault in faults),
         "memory_growth_mb": grown,
+        "memory_at_start_mb": {name: round(mb, 1) for name, mb in sizes[0].items()},
+        "memory_at_end_mb": {name: round(mb, 1) for name, mb in sizes[-1].items()},
         "memory_mb": {
             name: [round(s[name], 1) for s in sizes[:: max(len(sizes) // 20, 1)]] for name in NAMES
         },

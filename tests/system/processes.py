@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import uuid
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
@@ -72,11 +73,14 @@ class Processes:
         self.shared += ["--set", f"session={session}"]
 
     def start(
-        self, command: str, *arguments: str, talkative: bool = False
+        self, command: str, *arguments: str, talkative: bool = False, prefix: Sequence[str] = ()
     ) -> subprocess.Popen[bytes]:
-        """Start a command; a talkative one prints its events, as without a launcher."""
+        """Start a command; a talkative one prints its events, as without a launcher.
+
+        `prefix` are words before it that run it.
+        """
         process = subprocess.Popen(
-            [sys.executable, "-m", "teleop", command, *self.shared, *arguments],
+            [*prefix, sys.executable, "-m", "teleop", command, *self.shared, *arguments],
             stdout=self._log(command),
             stderr=subprocess.STDOUT,
             env=os.environ if talkative else OURS,
@@ -85,11 +89,11 @@ class Processes:
         self._all.append(process)
         return process
 
-    def start_all(self) -> None:
+    def start_all(self, prefix: Sequence[str] = ()) -> None:
         """Start recorder, slave and master, and wait until a force is felt."""
-        self.start("record", "--out", str(self.folder))
-        self.start("slave", "--json", str(self.folder / "slave.json"))
-        self.start("master", "--json", str(self.folder / "master.json"))
+        self.start("record", "--out", str(self.folder), prefix=prefix)
+        self.start("slave", "--json", str(self.folder / "slave.json"), prefix=prefix)
+        self.start("master", "--json", str(self.folder / "master.json"), prefix=prefix)
         with self.look() as link:
             assert wait_for(lambda: self.engaged(link), START_S), self.outputs()
 

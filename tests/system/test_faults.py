@@ -1,5 +1,8 @@
 """A few faults of each kind in one session, judged from its recording; see `campaign` for many."""
 
+import os
+import shutil
+
 import numpy as np
 
 from benchmarks.faults.bench import HELD, PERIOD, FaultSession
@@ -16,18 +19,23 @@ from benchmarks.faults.judge import (
 from benchmarks.faults.kinds import Fault
 
 LIMIT_S = 0.050  # what a side has, counted from the last fresh message it heard
+RATE = "rate_hz=250"  # five processes with a 1 kHz loop each are more than two slow cores carry
 PLAN = (
     ("stop", "slave"),
     ("stop", "master"),
     ("cut", "both"),
     ("unplug", "master"),
     ("kill", "impair"),
+    ("descriptors", "slave"),
+    ("descriptors", "master"),
+    *([("wall", "slave"), ("wall", "master")] if shutil.which("cc") else []),
+    *([("oom", "record"), ("oom", "master")] if os.geteuid() == 0 else []),
 )
 MS = 1_000_000
 
 
 def test_faults_are_taken_in_time_and_nothing_moves_again_unasked(tmp_path, demo_config):
-    with FaultSession(tmp_path, demo_config) as bench:
+    with FaultSession(tmp_path, demo_config, RATE) as bench:
         faults = harm(bench, PLAN, np.random.default_rng(1))
         bench.end()
     verdict = judge(bench.recordings(), faults)
@@ -40,11 +48,12 @@ def test_faults_are_taken_in_time_and_nothing_moves_again_unasked(tmp_path, demo
     assert verdict.followed_nobody == 0
     assert verdict.pulled_in == 0.0
     assert verdict.let_out == 0.0
+    assert verdict.broken_off == []
 
 
 def test_a_campaign_in_which_nothing_was_seen_has_failed():
     faults = [Fault("cut", "both", 0.2, 0, MS)] * 4
-    nothing = CampaignResult([], {"master": 0.0, "slave": 0.0}, {}, 0, 0, 0.0, 0.0, 0)
+    nothing = CampaignResult([], {"master": 0.0, "slave": 0.0}, {}, 0, 0, 0.0, 0.0, 0, [])
     assert len(failures(nothing, faults)) == 2
     seen = [(fault, side, 0.028) for fault in faults for side in ("master", "slave")]
     assert failures(nothing._replace(reactions=seen, engagements=4), faults) == []
@@ -89,7 +98,7 @@ def session(engaged_s, seconds=20.0):
     stamps = (times * 1e9).astype("i8")
     nothing = np.zeros(len(times), int)
     sequence = np.arange(len(times))
-    return Ticks(nothing, sequence, stamps, nothing, stamps, state, nothing, state == 2)
+    return Ticks(nothing, sequence, stamps, nothing, stamps, state, nothing, state == 2, 10 * MS)
 
 
 def count_unasked(*engaged_s):

@@ -1,12 +1,15 @@
 """One side is killed in the middle of a session; a recording tells what the other side did."""
 
+import os
+
 import numpy as np
 import pytest
 
+from teleop.app.launch.supervisor import wait_for
 from teleop.recording.reader import read_columns
 from teleop.session import State
 from teleop.topics import COMMAND, HAND, STATE, TENDONS
-from tests.system.processes import Processes, pause
+from tests.system.processes import START_S, Processes, pause
 
 LIMIT_NS = 50_000_000  # what the other side has to be safe, counted from the last message sent
 
@@ -49,6 +52,35 @@ def test_the_slave_holds_when_the_master_is_killed(session):
     assert np.ptp(asked[before]) > 1e-4  # it moved until then
     assert after.sum() > 500
     assert np.ptp(asked[after]) == 0.0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root has time namespaces")
+def test_machines_started_at_other_times_make_a_session_and_the_hand_is_freed(
+    tmp_path, demo_config
+):
+    """The master's monotonic clock is 11 days ahead, as of another machine."""
+    ahead = ("unshare", "-T", "--monotonic", "1000000", "--boottime", "1000000", "--")
+    with Processes(tmp_path, demo_config) as session:
+        session.start("record", "--out", str(tmp_path))
+        session.start("slave")
+        master = session.start("master", prefix=ahead)
+        with session.look() as link:
+            assert wait_for(lambda: session.engaged(link), START_S), session.outputs()
+        clocks = {os.readlink(f"/proc/{one}/ns/time") for one in ("self", master.pid)}
+        assert len(clocks) == 2
+        pause(0.5)
+        session.kill("slave")
+        pause(1.0)
+        session.stop("master")
+        session.stop("record")
+
+        last = read_columns(session.recording(), STATE.name, ["log_time_ns"])["log_time_ns"].max()
+        hand = read_columns(session.recording(), HAND.name, ["log_time_ns", "force"])
+        force = np.abs(hand["force"]).max(axis=1)
+        after = hand["log_time_ns"] > last + LIMIT_NS
+        assert force[hand["log_time_ns"] <= last].max() > 0.1
+        assert after.sum() > 500
+        assert force[after].max() == 0.0
 
 
 def test_nothing_couples_again_until_the_operator_lets_go(tmp_path, demo_config):

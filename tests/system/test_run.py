@@ -47,7 +47,8 @@ def run(config, folder, *arguments, wait=True, environment=OURS):
 def recorded(tmp_path_factory):
     """Return the folder of a session of five seconds, and what it printed."""
     folder = tmp_path_factory.mktemp("recorded")
-    words = ("--duration", "5", "--record", str(folder), "--view", "none")
+    # 500 Hz: a slow machine, with a recorder besides, carries no more without an interruption
+    words = ("--duration", "5", "--record", str(folder), "--view", "none", "--set", "rate_hz=500")
     code, out, err = run(ROOT / "configs" / "demo.yaml", folder, *words)
     assert code == 0 or (code == 1 and "messages are missing" in err), out + err  # a busy machine
     return folder, out
@@ -59,16 +60,17 @@ def test_a_recorded_run_tells_everything(recorded):
 
     assert summary["reason"] == "duration reached" or "messages are missing" in summary["reason"]
     for role in ("master", "slave"):
-        assert summary[role]["ticks"] > 2000
+        assert summary[role]["ticks"] > 1000
         assert summary[role]["final_state"] in {"engaged", "ready"}
-    assert summary["master"]["latency_ms"]["n"] > 1000
+    assert summary["master"]["latency_ms"]["n"] > 500
     assert 0 < summary["master"]["latency_ms"]["p50"] <= summary["master"]["latency_ms"]["p99"]
-    assert summary["ping_pong"]["p50_ms"] > 0
+    complete = not summary["exit_code"]  # of one that lacks messages no other link is measured
+    assert not complete or summary["ping_pong"]["p50_ms"] > 0
     force = summary["slave"]["force_error"]
     assert force["full_scale_N"] > 3.0  # the tip met something
     assert force["mean_percent"] < 2.0
     assert "command to force" in out
-    assert "ping-pong" in out
+    assert ("ping-pong" in out) == complete
 
     (recording,) = folder.glob("*.mcap")
     tendons = read_columns(recording, TENDONS.name)
@@ -76,7 +78,7 @@ def test_a_recorded_run_tells_everything(recorded):
     assert np.sqrt(np.mean(error**2)) == pytest.approx(force["rmse_N"], rel=0.1)
     hand = read_columns(recording, HAND.name)
     assert np.abs(hand["force"][:, 0]).max() > 0.3
-    assert (hand["state"] == State.ENGAGED).sum() > 2000
+    assert (hand["state"] == State.ENGAGED).sum() > 1000
 
 
 def test_an_independent_reader_decodes_the_recording(recorded):
