@@ -35,7 +35,7 @@ class Session:
         self.stores: dict[str, Callable[[Sample], None]] = {}
 
     def liveliness(self):
-        nothing = SimpleNamespace(undeclare=lambda: None)
+        nothing = SimpleNamespace(undeclare=lambda: None, try_recv=lambda: None)
         return SimpleNamespace(
             declare_subscriber=lambda *_, **__: nothing, declare_token=lambda _: nothing
         )
