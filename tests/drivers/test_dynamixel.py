@@ -13,7 +13,7 @@ import pytest
 from slave.drivers import configs
 from slave.drivers.driver import DriverFault
 from slave.drivers.dynamixel import bus, registers
-from slave.drivers.dynamixel.registers import CURRENT_UNIT
+from slave.drivers.dynamixel.registers import CURRENT_UNIT, CURRENT_UNITS
 from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from tests.drivers.bench import (
@@ -30,10 +30,13 @@ from tests.drivers.bench import (
 from tests.drivers.models.plant import NEWTONS, ZERO
 from tests.drivers.models.servos import (
     ACCELERATION,
+    CURRENT_LIMIT,
     DRIVE_MODE,
     ERROR,
     GOAL,
+    GOAL_CURRENT,
     HOMING_OFFSET,
+    OPERATING_MODE,
     PING,
     READ,
     REVERSE,
@@ -44,6 +47,7 @@ from tests.drivers.models.servos import (
     TORQUE,
     TORQUE_BY_GOAL,
     WATCHDOG,
+    WITHOUT_CURRENT,
     Servos,
     positions,
 )
@@ -309,6 +313,67 @@ def test_settings_of_other_programs_are_set_before_the_torque_and_told(servos, a
     assert "servo 2: Drive Mode was 12, set to 0" in said
     assert "servo 2: Secondary ID was 1, set to 255" in said
     assert not any(unguarded)
+
+
+def test_the_current_limit_holds_against_a_load(servos):
+    limit = 3.2  # [A], of 2.69 A at rest and 8.1 A at the target
+    with opened_on(servos, current_limit=limit) as rig:
+        start = engage(rig, moving(servos))
+        target = start + 0.001
+        samples = read_for(
+            rig, LIMIT_S, target, until=lambda: min(servos.plant.position) > ZERO + 5
+        )
+        samples += read_for(rig, 0.5, target)
+        assert torque(servos) == [True, True]
+    current = np.array([sample.proximal_tension for sample in samples]) / SCALE
+    assert np.all(current[-1] > 0.95 * limit)
+    assert np.all(current <= limit)
+    with opened_on(servos) as rig:  # without a limit they arrive
+        engage(rig, moving(servos))
+        assert np.all(follow(rig, target).proximal_tension / SCALE > 2.0 * limit)
+
+
+@pytest.mark.parametrize(
+    ("model", "counts"), [(1020, 185), (1050, 373), (1200, 500)]
+)  # XM430-W350, XH430-V210, XL330-M288: 2.69, 1.34 and 1 mA
+def test_the_current_limit_is_set_in_the_unit_of_the_model(servos, model, counts):
+    servo = servos.servos[2]
+    servo.put(0, 2, model)
+    without_torque = []
+    take = servo.write
+
+    def write(address, data):
+        if address in (OPERATING_MODE, CURRENT_LIMIT, GOAL_CURRENT):
+            without_torque.append((address, not servo.table[TORQUE]))
+        return take(address, data)
+
+    servo.write = write
+    with opened_on(servos, current_limit=0.5):
+        assert servo.table[OPERATING_MODE] == 5
+        assert (servo.get(CURRENT_LIMIT, 2), servo.get(GOAL_CURRENT, 2)) == (counts, counts)
+    order = [(address, True) for address in (OPERATING_MODE, CURRENT_LIMIT, GOAL_CURRENT)]
+    assert without_torque == order
+
+
+@pytest.mark.parametrize("read_only", [False, True])
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        (1060, "servo 2: model 1060 has no current-based position mode"),  # XL430-W250
+        (4711, "servo 2: model 4711 has no current-based position mode"),
+    ],
+)
+def test_a_model_that_cannot_limit_its_current_is_refused(servos, model, said, read_only):
+    servos.servos[2].put(0, 2, model)
+    with pytest.raises(RigFault, match=f"{said}.*current_limit to null"):
+        HardwareRig(config_on(servos, current_limit=0.5), read_only)
+    assert servos.servos[2].table[OPERATING_MODE] == 3
+    with opened_on(servos):  # without a limit
+        assert servos.servos[2].table[OPERATING_MODE] == 4
+
+
+def test_models_without_current_control_have_no_unit_of_current():
+    assert not set(WITHOUT_CURRENT) & set(CURRENT_UNITS)
 
 
 def test_read_only_asks_and_writes_nothing(servos):

@@ -110,11 +110,20 @@ class ServoBus:
                 "by the Dynamixel Wizard, then use `direction: -1` where it is needed"
             )
 
-    def other_settings(self, number: int) -> list[tuple[Register, int, int]]:
+    def require_current_unit(self, number: int, model: int) -> float:
+        """Return the unit [A] of a servo's currents; `DriverFault` if it cannot limit them."""
+        unit = registers.CURRENT_UNITS.get(model)
+        if unit is None:
+            raise DriverFault(
+                f"servo {number}: model {model} has no current-based position mode known to this "
+                "driver: set current_limit to null and limit the torque by the servo's PWM Limit"
+            )
+        return unit
+
+    def other_settings(self, number: int, limits_current: bool) -> list[tuple[Register, int, int]]:
         """Return the registers left by other programs that a driver sets: what is there, and to."""
-        found = [
-            (register, self.get(number, register), value) for register, value in registers.SETTINGS
-        ]
+        settings = registers.list_settings(limits_current)
+        found = [(register, self.get(number, register), value) for register, value in settings]
         return [entry for entry in found if entry[1] != entry[2]]
 
     def get(self, number: int, register: Register) -> int:

@@ -19,7 +19,7 @@ class DynamixelConfig:
     wait: float = 0.004  # [s] for the answers to one sync read, beyond their own time on the line
     voltage: tuple[float, float] = (10.0, 14.8)  # [V] of the supply; outside is a fault
     temperature_max: float = 70.0  # [deg C]
-    current_limit: float | None = None  # [A] set in the servos; None leaves theirs
+    current_limit: float | None = None  # [A] of each servo, by operating mode 5; None: no limit
     velocity_max: float = 4.0  # [rad/s] of the shaft, set in the servos
 
     def __post_init__(self) -> None:

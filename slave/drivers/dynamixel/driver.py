@@ -94,20 +94,24 @@ class DynamixelDriver:
         bus.put_unconfirmed(number, registers.STATUS_RETURN, registers.ANSWERS_ALL)
         bus.require_healthy(number, model)
         moves = number in self._channels.motors
+        limit, unit = self._config.current_limit, registers.CURRENT_UNIT
         if moves:
             bus.require_counts(number)
+            if limit is not None:
+                unit = bus.require_current_unit(number, model)
         bus.put(number, registers.TORQUE_ENABLE, 0)  # before the watchdog lets an old goal go on
         bus.put(number, registers.BUS_WATCHDOG, 0)  # clears one that has triggered
         bus.put(number, registers.RETURN_DELAY, 0)
         bus.put(number, registers.INDIRECT_ADDRESSES, registers.indirect_addresses())
         if not moves:
             return
-        for register, found, value in bus.other_settings(number):
+        for register, found, value in bus.other_settings(number, limit is not None):
             bus.put(number, register, value)
             self._changed.append(f"servo {number}: {register.name} was {found}, set to {value}")
-        if self._config.current_limit is not None:
-            limit = round(self._config.current_limit / registers.CURRENT_UNIT)
-            bus.put(number, registers.CURRENT_LIMIT, limit)
+        if limit is not None:  # after the operating mode, whose change resets the goal current
+            counts = registers.current_counts(limit, unit)
+            bus.put(number, registers.CURRENT_LIMIT, counts)
+            bus.put(number, registers.GOAL_CURRENT, counts)
         bus.put(number, registers.GOAL_PWM, bus.get(number, registers.PWM_LIMIT))
         velocity = max(1, round(self._config.velocity_max / registers.VELOCITY_UNIT))
         bus.put(number, registers.PROFILE_VELOCITY, velocity)

@@ -81,10 +81,13 @@ class DynamixelReader:
             self._require_readable(number)
             self._bus.require_healthy(number, model)
             if number in self._channels.motors:
+                limits_current = self._config.current_limit is not None
                 self._bus.require_counts(number)
+                if limits_current:
+                    self._bus.require_current_unit(number, model)
                 self._settings += [
                     f"servo {number}: {register.name} is {found}, a session sets {value}"
-                    for register, found, value in self._bus.other_settings(number)
+                    for register, found, value in self._bus.other_settings(number, limits_current)
                 ]
 
     def _require_readable(self, number: int) -> None:

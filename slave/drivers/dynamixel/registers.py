@@ -33,12 +33,13 @@ OPERATING_MODE = Register("Operating Mode", 11, 1)
 SECONDARY_ID = Register("Secondary ID", 12, 1)
 HOMING_OFFSET = Register("Homing Offset", 20, 4)
 PWM_LIMIT = Register("PWM Limit", 36, 2)
-CURRENT_LIMIT = Register("Current Limit", 38, 2)  # [2.69 mA]
+CURRENT_LIMIT = Register("Current Limit", 38, 2)  # [2.69 mA], of current control and mode 5
 TORQUE_ENABLE = Register("Torque Enable", 64, 1)
 STATUS_RETURN = Register("Status Return Level", 68, 1)
 HARDWARE_ERROR = Register("Hardware Error Status", 70, 1)
 BUS_WATCHDOG = Register("Bus Watchdog", 98, 1)  # [20 ms]; 255 after it has triggered
 GOAL_PWM = Register("Goal PWM", 100, 2)  # the most that any mode uses
+GOAL_CURRENT = Register("Goal Current", 102, 2)  # [2.69 mA]; in mode 5 the largest current
 PROFILE_ACCELERATION = Register("Profile Acceleration", 108, 4)
 PROFILE_VELOCITY = Register("Profile Velocity", 112, 4)  # [0.229 rev/min]
 GOAL_POSITION = Register("Goal Position", 116, 4)
@@ -48,7 +49,8 @@ INPUT_VOLTAGE = Register("Present Input Voltage", 144, 2)  # [0.1 V]
 TEMPERATURE = Register("Present Temperature", 146, 1)  # [deg C]
 INDIRECT_DATA = 224  # of the first
 
-EXTENDED_POSITION = 4  # operating mode: several turns
+EXTENDED_POSITION = 4  # operating mode: several turns, no limit of the current
+CURRENT_BASED_POSITION = 5  # operating mode: several turns, the current limited
 WATCHDOG_TRIGGERED = 255
 CURRENT_UNIT = 2.69e-3  # [A]
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # [rad/s]
@@ -56,14 +58,24 @@ REVERSE = 1  # bit of the drive mode; the others are time-based profile, torque 
 ANSWERS_ALL = 2  # status return level
 BAUD_RATES = (57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 
-SETTINGS = (
-    (STATUS_RETURN, ANSWERS_ALL),
-    (SECONDARY_ID, 255),  # none: else it follows the goals of another servo
-    (DRIVE_MODE, 0),
-    (OPERATING_MODE, EXTENDED_POSITION),
-    (PROFILE_ACCELERATION, 0),  # none
-)
-"""What decides how a servo moves and answers, set before its torque."""
+CURRENT_UNITS = {
+    **dict.fromkeys((1000, 1010), CURRENT_UNIT),  # XH430-W
+    **dict.fromkeys((1001, 1011), CURRENT_UNIT),  # XD430
+    **dict.fromkeys((1020, 1030), CURRENT_UNIT),  # XM430
+    **dict.fromkeys((1040, 1050), 1.34e-3),  # XH430-V
+    **dict.fromkeys((1100, 1110, 1140, 1150), CURRENT_UNIT),  # XH540
+    **dict.fromkeys((1101, 1111), CURRENT_UNIT),  # XD540
+    **dict.fromkeys((1120, 1130), CURRENT_UNIT),  # XM540
+    **dict.fromkeys((1170, 1180, 1310), CURRENT_UNIT),  # XW540
+    **dict.fromkeys((1270, 1280), CURRENT_UNIT),  # XW430
+    **dict.fromkeys((1190, 1200), 1.0e-3),  # XL330
+    **dict.fromkeys((1210, 1220, 1230, 1240), 1.0e-3),  # XC330
+    1710: 1.0e-3,  # XM335
+}
+"""Units of current [A] of the models with the current-based position mode (e-manual).
+
+XL430, XC430, 2XL430 and 2XC430 have no current control.
+"""
 
 STATUS = (
     PRESENT_POSITION,
@@ -110,6 +122,28 @@ ERROR_TEXT = {
     HardwareError.ELECTRICAL_SHOCK: "electrical shock or too little power",
     HardwareError.OVERLOAD: "overload",
 }
+
+
+def list_settings(limits_current: bool) -> tuple[tuple[Register, int], ...]:
+    """Return what decides how a servo moves and answers, in the order in which it is set.
+
+    Parameters
+    ----------
+    limits_current : bool
+        Whether the current is to be limited, which the extended position mode does not.
+    """
+    return (
+        (STATUS_RETURN, ANSWERS_ALL),
+        (SECONDARY_ID, 255),  # none: else it follows the goals of another servo
+        (DRIVE_MODE, 0),
+        (OPERATING_MODE, CURRENT_BASED_POSITION if limits_current else EXTENDED_POSITION),
+        (PROFILE_ACCELERATION, 0),  # none
+    )
+
+
+def current_counts(current: float, unit: float) -> int:
+    """Return the largest count of `unit` [A] that is not above a current [A]; 1 at least."""
+    return max(1, math.floor(current / unit + 1e-6))
 
 
 def indirect_addresses() -> int:

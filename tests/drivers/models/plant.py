@@ -26,11 +26,17 @@ class Springs:
         self._time_s = 0.0
         self._random = np.random.default_rng(1)
 
-    def advance(self, time_s: float, target, powered) -> None:
-        """Move to session time `time_s` [s]; motors without power stay where they are."""
+    def advance(self, time_s: float, target, powered, load_max=np.inf) -> None:
+        """Move to session time `time_s` [s]; motors without power stay where they are.
+
+        A motor with power does not pull at more than `load_max` [counts of the cells].
+        """
         dt, self._time_s = max(0.0, time_s - self._time_s), time_s
         share = min(1.0, dt / self.LAG_S) * np.asarray(powered, float)
-        self.position = self.position + share * (np.asarray(target, float) - self.position)
+        moved = self.position + share * (np.asarray(target, float) - self.position)
+        tension_max = np.asarray(load_max, float) * NEWTONS - 1.0
+        stalled = ZERO + tension_max / (METRES * self.STIFFNESS)
+        self.position = np.where(powered, np.minimum(moved, stalled), moved)
 
     def cells(self):
         """Return the tensions [counts]."""
@@ -65,9 +71,13 @@ class Tendons:
     def position(self):
         return self._sample.proximal_displacement / METRES + ZERO
 
-    def advance(self, time_s: float, target, powered) -> None:
-        """Move to session time `time_s` [s]; motors without power hold, as a gear does."""
+    def advance(self, time_s: float, target, powered, load_max=np.inf) -> None:
+        """Move to session time `time_s` [s]; motors without power hold, as a gear does.
+
+        A motor whose tension is above `load_max` [counts of the cells] pulls in no further.
+        """
         wanted = (np.asarray(target, float) - ZERO) * METRES
+        wanted = np.where(self.cells() > load_max, np.minimum(wanted, self._held), wanted)
         self._held = np.where(powered, wanted, self._held)
         self._rig.write(self._held)
         for sample in self._rig.read(time_s):

@@ -21,7 +21,11 @@ DATA_RANGE, ACCESS, ALERT = 4, 7, 0x80
 TORQUE, ERROR, WATCHDOG, GOAL, CURRENT, POSITION, VOLTAGE, TEMPERATURE = (
     64, 70, 98, 116, 126, 132, 144, 146,
 )  # fmt: skip
-DRIVE_MODE, SECONDARY_ID, HOMING_OFFSET, STATUS_RETURN, ACCELERATION = 10, 12, 20, 68, 108
+OPERATING_MODE, CURRENT_LIMIT, GOAL_CURRENT = 11, 38, 102
+LIMITING_MODES = (0, 5)  # in which the goal current and its limit act
+WITHOUT_CURRENT = (1060, 1070, 1080, 1090, 1160)  # models: XL430, XC430, 2XL430, 2XC430
+DRIVE_MODE, SECONDARY_ID, HOMING_OFFSET, STATUS_RETURN = 10, 12, 20, 68
+ACCELERATION, PROFILE_VELOCITY = 108, 112
 REVERSE, TIME_BASED, TORQUE_BY_GOAL = 1, 4, 8  # of the drive mode
 WATCHDOG_UNIT_S = 0.020
 ROUND_S = 0.0005  # [s] between two looks at the plant
@@ -58,6 +62,9 @@ class Servo:
         self.put(TEMPERATURE, 1, 35)
         self.put(SECONDARY_ID, 1, 255)
         self.put(STATUS_RETURN, 1, 2)
+        self.put(OPERATING_MODE, 1, 3)
+        self.put(CURRENT_LIMIT, 2, 1193)
+        self.put(GOAL_CURRENT, 2, 1193)
         self.heard_s = 0.0
 
     def put(self, address: int, size: int, value: int) -> None:
@@ -79,8 +86,18 @@ class Servo:
             return ACCESS
         if address == GOAL and self.table[WATCHDOG] == 255:
             return DATA_RANGE
+        value = int.from_bytes(data, "little")
+        limits_current = address == OPERATING_MODE and value in LIMITING_MODES
+        if limits_current and self.get(0, 2) in WITHOUT_CURRENT:
+            return DATA_RANGE
+        if address == GOAL_CURRENT and value > self.get(CURRENT_LIMIT, 2):
+            return DATA_RANGE
         for k, byte in enumerate(data):
             self.table[self.where(address + k)] = byte
+        if address == OPERATING_MODE:  # a change of the mode resets what belongs to it
+            self.put(GOAL_CURRENT, 2, self.get(CURRENT_LIMIT, 2))
+            self.put(ACCELERATION, 4, 0)
+            self.put(PROFILE_VELOCITY, 4, 0)
         if address == GOAL and self.table[DRIVE_MODE] & TORQUE_BY_GOAL:
             self.table[TORQUE] = 1
         return 0
@@ -88,6 +105,13 @@ class Servo:
     @property
     def moving(self) -> bool:
         return bool(self.table[TORQUE]) and self.table[WATCHDOG] != 255
+
+    @property
+    def current_max(self) -> float:
+        """Largest current [counts]; the limits act in some operating modes only."""
+        if self.table[OPERATING_MODE] not in LIMITING_MODES:
+            return np.inf
+        return min(self.get(GOAL_CURRENT, 2), self.get(CURRENT_LIMIT, 2))
 
 
 class Servos:
@@ -151,11 +175,13 @@ class Servos:
                 servo.table[WATCHDOG] = 255
                 self.stopped_s = now
         goals = [servo.get(GOAL, 4, signed=True) for servo in servos]
-        self.plant.advance(now - self._start_s, goals, [servo.moving for servo in servos])
+        limits = [servo.current_max for servo in servos]
+        powered = [servo.moving for servo in servos]
+        self.plant.advance(now - self._start_s, goals, powered, limits)
         cells = self.plant.cells()
         for servo, position, tension in zip(servos, self.plant.position, cells, strict=True):
             servo.put(POSITION, 4, round(position))
-            servo.put(CURRENT, 2, round(min(tension, 30_000)))
+            servo.put(CURRENT, 2, round(min(tension, servo.current_max, 30_000)))
 
     def _next(self) -> bytes | None:
         """Cut the next valid packet, from its id on and without CRC, off what was received."""
