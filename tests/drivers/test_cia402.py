@@ -160,6 +160,39 @@ def test_guarding_takes_its_share_of_the_bus():
         Cia402Config(**rates, error_control="guarding").require_load(7, 7, 7)
 
 
+@pytest.mark.parametrize("state", [ENABLED, QUICK_STOP])
+@pytest.mark.parametrize("disable_s", [0.0, 0.2])
+def test_a_drive_that_another_program_left_enabled_does_not_move_in_the_set_up(
+    drives, state, disable_s
+):
+    drive = drives.drives[1]
+    drive.od.write(0x6060, 0, 1)  # profile position: it waits for the bit of a new target
+    drive.od.write(0x607A, 0, 5000)
+    drive.od.write(0x6065, 0, 10_000)
+    drive.disable_s = disable_s
+    drive._enter(state)
+    states = []
+    for index in (0x6060, 0x6065, 0x607D):
+        subindex = int(index == 0x607D)
+        drive.od.download_callbacks[(index, subindex)].add(lambda _: states.append(drive.state))
+    with opened_on(drives, following_error=10_000) as rig:
+        read_some(rig)
+        assert drives.plant.position[1] == ZERO
+        assert states == [DISABLED] * 3
+        engage(rig, moving(drives))
+        assert drives.plant.position[1] == pytest.approx(ZERO, abs=2.0)
+
+
+def test_a_drive_that_keeps_its_power_is_refused_before_its_mode_is_changed(drives):
+    drive = drives.drives[1]
+    drive.disable_s = 100.0
+    drive._enter(ENABLED)
+    said = "drive 2 is still operation enabled .* after disable voltage"
+    with pytest.raises(RigFault, match=said), opened_on(drives):
+        pass
+    assert drive.od.read(0x6060, 0) == 0
+
+
 @pytest.mark.slow
 def test_a_value_that_the_drive_changes_is_refused(drives):
     od = drives.drives[1].od

@@ -2,6 +2,7 @@
 
 import contextlib
 import struct
+import time
 
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
@@ -13,6 +14,9 @@ from slave.drivers.driver import DriverFault
 
 SDO_TIMEOUT_S = 0.3
 HEARTBEAT_MS = 100  # of the nodes
+DISABLE_S = 1.0  # [s] in which a drive must be without power, its brake closed
+POLL_S = 0.02  # [s] between two requests of the status word
+_POWERED = (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION)
 _MODES = {"position": (8, 7), "interpolation": (7, 6)}  # value of 6060, bit of 6502
 _OFF = 1 << 31  # of a PDO's identifier
 _NO_OBJECT = (0x06020000, 0x06090011)
@@ -45,12 +49,13 @@ class NodeSetUp:
         self._sdo.RESPONSE_TIMEOUT = timeout_s
 
     def drive(self, with_cell: bool) -> None:
-        """Set up a drive; `DriverFault` if it refuses, is not homed or has a fault."""
+        """Set up a drive, without power; `DriverFault` if it refuses, has a fault or no home."""
         self.require_drive()
         config = self._config
         mode, bit = _MODES[config.mode]
         if not self.get(0x6502, 0) >> bit & 1:
             raise self._fault(f"has no mode '{config.mode}' (object 6502)")
+        self._disable()
         self.put(0x6060, 0, 1, mode)
         self.put(0x6065, 0, 4, config.following_error)
         self.put(0x6066, 0, 2, round(config.following_time * 1e3))
@@ -145,6 +150,18 @@ class NodeSetUp:
                 raise self._fault(
                     f"has {text} (object {index:04X} is 0x{value:X}): set it to 0 by its own tool"
                 )
+
+    def _disable(self) -> None:
+        """Take the drive's power off: enabled, it would go to an old target in the new mode."""
+        self.put(0x6040, 0, 2, Control.DISABLE_VOLTAGE, check=False)
+        until_s = time.monotonic() + DISABLE_S
+        while (state := drive_state(self.get(0x6041, 0))) in _POWERED:
+            if time.monotonic() > until_s:
+                raise self._fault(
+                    f"is still {state.text} {DISABLE_S:g} s after disable voltage (object 6040): "
+                    "disable it by its own tool; its mode and limits were not changed"
+                )
+            time.sleep(POLL_S)
 
     def _error_control(self) -> None:
         """Set up how the drive notices that this side is gone."""

@@ -4,6 +4,7 @@ On it a small state machine written from the profile's tables, the following err
 the consumer of our heartbeat, and a plant.
 """
 
+import math
 import threading
 import time
 from contextlib import suppress
@@ -25,6 +26,7 @@ HOMED = 1 << 15
 HEARTBEAT_LOST, FOLLOWING = 0x8130, 0x8611
 SLICE_S = 0.010  # [s] of the stack's timers at once
 ROUND_S = 0.0005  # [s] between two looks at the plant
+FOLLOWING_MODES = (7, 8)  # of 6060, in which a drive follows its target at once
 
 
 class Subscriptions(NetworkABC):
@@ -57,6 +59,8 @@ class Drive:
         self.obeys = True  # whether the motor follows
         self.enable_s = 0.0  # [s] from switched on to enabled, of a brake for example
         self._on_s = 0.0
+        self.disable_s = 0.0  # [s] from disable voltage to no power, of a brake for example
+        self._off_due_s = math.inf
         self.lost = []  # control words that it does not get, each once
         self.beat_s = 0.0
         self.guards = True  # whether it answers node guarding
@@ -101,7 +105,12 @@ class Drive:
 
     @property
     def powered(self) -> bool:
-        return self.state == ENABLED and self.obeys
+        return self.follows and self.obeys
+
+    @property
+    def follows(self) -> bool:
+        """Whether it is enabled in a mode in which targets act by themselves."""
+        return self.state == ENABLED and self.od.read(0x6060, 0) in FOLLOWING_MODES
 
     @property
     def target(self) -> int:
@@ -141,13 +150,15 @@ class Drive:
         """Take the plant's values, and watch heartbeat and following error."""
         self.od.write(0x6064, 0, round(position))
         self.od.write(0x3160, 1, max(-32768, min(32767, round(cell))))
+        if now >= self._off_due_s:
+            self._enter(DISABLED)
         limit_s = self.patience_s * self._patience
         if self.state == ENABLED and limit_s and now - self.beat_s > limit_s:
             self.stopped_s = now
             self._enter(QUICK_STOP)
             self.node.emcy.set(HEARTBEAT_LOST, 0x10)
         near = abs(self.target - position) <= self.od.read(0x6065, 0)
-        if self.state != ENABLED or near:
+        if not self.follows or near:
             self._off_s = now
         elif now - self._off_s > self.od.read(0x6066, 0) * 1e-3:
             self.fail(FOLLOWING)
@@ -165,7 +176,10 @@ class Drive:
                 self.od.write(0x603F, 0, 0)
                 self._enter(DISABLED)
         elif not word & 0x02:  # disable voltage
-            self._enter(DISABLED)
+            if state in (ENABLED, QUICK_STOP) and self.disable_s:
+                self._off_due_s = min(self._off_due_s, time.monotonic() + self.disable_s)
+            else:
+                self._enter(DISABLED)
         elif not word & 0x04:  # quick stop
             if state in (READY, ON):
                 self._enter(DISABLED)
@@ -182,7 +196,7 @@ class Drive:
         return time.monotonic() - self._on_s >= self.enable_s
 
     def _enter(self, state: int) -> None:
-        self.state = state
+        self.state, self._off_due_s = state, math.inf
         if state == ON:
             self._on_s = time.monotonic()
         if state == ENABLED:
