@@ -10,6 +10,7 @@ import threading
 from contextlib import contextmanager
 
 import can
+import canopen
 import numpy as np
 import pytest
 from durand import Variable
@@ -20,6 +21,7 @@ from slave.drivers.cia402 import bus
 from slave.drivers.cia402.bus_load import LOAD_MAX, bus_load, frame_bits
 from slave.drivers.cia402.config import BusConfig, Cia402Config
 from slave.drivers.cia402.emergency import emergency_text
+from slave.drivers.cia402.set_up import NodeSetUp
 from slave.drivers.cia402.state_machine import (
     Control,
     DriveState,
@@ -202,6 +204,49 @@ def test_a_value_that_the_drive_changes_is_refused(drives):
         opened_on(drives),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"velocity_max": 0}, "velocity_max: must be 1 to 2147483647"),
+        ({"velocity_max": 1 << 32 | 5000}, "velocity_max: must be 1 to 2147483647"),
+        ({"quick_stop_deceleration": -1}, "quick_stop_deceleration: must be 1 to 2147483647"),
+        ({"quick_stop_deceleration": 1 << 31}, "quick_stop_deceleration: must be 1 to 2147483647"),
+        ({"position_min": -(1 << 31) - 1}, "position_min: must be -2147483648 to 2147483647 count"),
+        ({"position_max": 1 << 31}, "position_max: must be -2147483648 to 2147483647 counts"),
+        ({"following_time": 65.6}, r"following_time: must be 0 to 65\.5 s"),
+        ({"following_time": -0.01}, r"following_time: must be 0 to 65\.5 s"),
+        ({"following_time": float("nan")}, r"following_time: must be 0 to 65\.5 s"),
+        ({"following_error": 0}, "following_error: must be 1 to 4294967294 counts"),
+        ({"following_error": (1 << 32) - 1}, "following_error: must be 1 to 4294967294 counts"),
+    ],
+)
+def test_limits_beyond_their_objects_are_refused_by_the_config(settings, said):
+    with pytest.raises(ValueError, match=said):
+        Cia402Config(**settings)
+
+
+def test_the_largest_limits_of_the_objects_are_accepted():
+    Cia402Config(
+        velocity_max=(1 << 31) - 1,
+        quick_stop_deceleration=(1 << 31) - 1,
+        position_min=-(1 << 31),
+        position_max=(1 << 31) - 1,
+        following_time=65.5,
+        following_error=(1 << 32) - 2,
+    )
+
+
+@pytest.mark.parametrize(
+    ("size", "value", "signed"),
+    [(1, 256, False), (4, 1 << 32, False), (4, -1, False), (4, 1 << 31, True), (1, -129, True)],
+)
+def test_a_value_that_does_not_fit_its_object_is_not_sent(size, value, signed):
+    network = canopen.Network()  # not connected: whatever is sent raises another error
+    set_up = NodeSetUp(network, 3, Cia402Config())
+    with pytest.raises(DriverFault, match=f"drive 3 object 607F:0: {value} does not fit"):
+        set_up.put(0x607F, 0, size, value, signed=signed)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,9 @@ from typing import Any, Literal
 
 from slave.drivers.cia402.bus_load import HEARTBEATS_HZ, LOAD_MAX, bus_load
 
+INT32_MIN, INT32_MAX = -(1 << 31), (1 << 31) - 1
+FOLLOWING_ERROR_MAX = (1 << 32) - 2  # [counts] one more switches the supervision off (6065)
+FOLLOWING_TIME_MAX = 65.5  # [s] 16 bits of milliseconds (6066)
 BEATS = 4  # heartbeats, or requests to a guarded drive, in the time of its watchdog
 
 
@@ -87,10 +90,18 @@ class Cia402Config:
             raise ValueError("timeout: must be two periods to 0.5 s")
         if self.homed_bit is not None and not 0 <= self.homed_bit <= 15:
             raise ValueError("homed_bit: must be 0 to 15")
+        for name in ("position_min", "position_max"):
+            if not INT32_MIN <= getattr(self, name) <= INT32_MAX:
+                raise ValueError(f"{name}: must be {INT32_MIN} to {INT32_MAX} counts")
         if not self.position_min < self.position_max:
             raise ValueError("position_min: must be below position_max")
-        if self.following_error < 1:
-            raise ValueError("following_error: must be at least 1 count")
+        if not 1 <= self.following_error <= FOLLOWING_ERROR_MAX:
+            raise ValueError(f"following_error: must be 1 to {FOLLOWING_ERROR_MAX} counts")
+        if not 0.0 <= self.following_time <= FOLLOWING_TIME_MAX:
+            raise ValueError(f"following_time: must be 0 to {FOLLOWING_TIME_MAX:g} s")
+        for name in ("velocity_max", "quick_stop_deceleration"):
+            if not 1 <= getattr(self, name) <= INT32_MAX:
+                raise ValueError(f"{name}: must be 1 to {INT32_MAX}")
 
     @property
     def beat_s(self) -> float:

@@ -56,17 +56,17 @@ class NodeSetUp:
         if not self.get(0x6502, 0) >> bit & 1:
             raise self._fault(f"has no mode '{config.mode}' (object 6502)")
         self._disable()
-        self.put(0x6060, 0, 1, mode)
+        self.put(0x6060, 0, 1, mode, signed=True)
         self.put(0x6065, 0, 4, config.following_error)
         self.put(0x6066, 0, 2, round(config.following_time * 1e3))
-        self.put(0x607D, 1, 4, config.position_min)
-        self.put(0x607D, 2, 4, config.position_max)
+        self.put(0x607D, 1, 4, config.position_min, signed=True)
+        self.put(0x607D, 2, 4, config.position_max, signed=True)
         self.put(0x607F, 0, 4, config.velocity_max)
         self.put(0x6085, 0, 4, config.quick_stop_deceleration)
-        self.put(0x605A, 0, 2, QUICK_STOP_AND_HOLD)
-        self.put(0x6007, 0, 2, QUICK_STOP_ON_LOSS)
+        self.put(0x605A, 0, 2, QUICK_STOP_AND_HOLD, signed=True)
+        self.put(0x6007, 0, 2, QUICK_STOP_ON_LOSS, signed=True)
         self.put(0x60C2, 1, 1, round(1e3 / config.rate_hz))
-        self.put(0x60C2, 2, 1, -3)
+        self.put(0x60C2, 2, 1, -3, signed=True)
         self._error_control()
         target = (0x60C1, 1, 32) if config.mode == "interpolation" else (0x607A, 0, 32)
         self._map(0x1400, 0x200, [(0x6040, 0, 16), target])
@@ -116,9 +116,30 @@ class NodeSetUp:
         except SdoError as error:
             raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
 
-    def put(self, index: int, subindex: int, size: int, value: int, check: bool = True) -> None:
-        """Write a value of `size` bytes and read it back; `DriverFault` if it is not taken."""
-        data = (int(value) % (1 << (8 * size))).to_bytes(size, "little")
+    def put(
+        self,
+        index: int,
+        subindex: int,
+        size: int,
+        value: int,
+        check: bool = True,
+        signed: bool = False,
+    ) -> None:
+        """Write a value of `size` bytes and read it back.
+
+        Raises
+        ------
+        DriverFault
+            The value does not fit `size` bytes, in two's complement if `signed`, or the node does
+            not take it.
+        """
+        try:
+            data = int(value).to_bytes(size, "little", signed=signed)
+        except OverflowError as error:
+            kind = f"{8 * size} bits, {'signed' if signed else 'unsigned'}"
+            raise self._fault(
+                f"object {index:04X}:{subindex}: {value} does not fit {kind}"
+            ) from error
         try:
             self._sdo.download(index, subindex, data)
             again = self._sdo.upload(index, subindex) if check else data
@@ -127,7 +148,7 @@ class NodeSetUp:
         except SdoError as error:
             raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
         if again[:size] != data:
-            read = int.from_bytes(again[:size], "little", signed=value < 0)
+            read = int.from_bytes(again[:size], "little", signed=signed)
             raise self._fault(f"object {index:04X}:{subindex}: set to {value}, reads back {read}")
 
     def require_drive(self) -> None:
