@@ -41,10 +41,11 @@ FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
         "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
         | {"min": 60.0, "h": 3600.0},
-        "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "inch": 0.0254},
+        "length": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "nm": 1e-9}
+        | {"inch": 0.0254},
         "force": {"N": 1.0, "mN": 1e-3, "cN": 1e-2, "kN": 1e3, "kgf": 9.80665, "kg": 9.80665}
         | {"gf": 9.80665e-3, "g": 9.80665e-3, "lbf": 4.4482216, "lb": 4.4482216},
-        "torque": {"Nm": 1.0, "N m": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "N mm": 1e-3, "Ncm": 1e-2},
+        "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2},
         "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
     }
 )
@@ -53,7 +54,16 @@ FACTORS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 _NO_UNIT = ("min", "sec", "g", "h", "s", "m", "N")
 """Ends of names that mean something else beside another dimension, such as `T_min`."""
 
-_END = re.compile(r"(?:_|\s*[\[(]\s*|\s+)((?:N )?[A-Za-zµ]+)\s*[\])]?$")
+_WORDS: Mapping[str, str] = MappingProxyType(
+    {"°": "deg", "degree": "deg", "radian": "rad", "second": "s", "newton": "N"}
+    | {"metre": "m", "meter": "m"}
+)
+"""Words for units, singular, in small letters."""
+
+_TIMES = r"[\s·⋅∙.*-]+"  # between the two units of a torque
+_PRODUCT = re.compile(rf"(m?N){_TIMES}(?=[cm]?m$)")
+_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*[^\[\]()\s])\s*[\])]?\s*$")
+_END = re.compile(rf"(?:_|\s+)((?:m?N{_TIMES})?[A-Za-zµμ°]+)$")
 _TOLD = re.compile(r"(.+?)\s*\[([^\[\]]+)\]")
 
 _UNIT_OF = {
@@ -146,20 +156,34 @@ def unit_factor(path: Path, name: str, channel: str, units: Units, told: str) ->
     Raises
     ------
     UsageError
-        The unit is unknown or of another dimension.
+        The unit is of another dimension; or it is unknown, and the option or brackets tell it.
     """
     dimension = _dimension(channel, units)
     known = FACTORS[dimension]
-    if told and told not in known:
-        raise UsageError(f"{path}: column {name!r} [{told}]: {dimension} is in {', '.join(known)}")
-    end = _END.search(name)
-    unit = told or (_known_unit(end.group(1)) if end else "")
+    if told:
+        if (unit := _known_unit(told)) not in known:
+            raise UsageError(
+                f"{path}: column {name!r} [{told}]: {dimension} is in {', '.join(known)}"
+            )
+        return unit, known[unit]
+    brackets = _IN_BRACKETS.search(name)
+    end = brackets or _END.search(name)
+    if end is None or end[1].isdecimal():  # an index, such as `effort[0]`
+        return "", 1.0
+    unit = _known_unit(end[1])
     if unit in known:
         return unit, known[unit]
-    if unit and unit not in _NO_UNIT:
+    option = NAMES[units].get(channel, "time_s").rpartition("_")[0]
+    remedy = f"its unit can be given as in --column '{option}={name}[{next(iter(known))}]'"
+    if unit and (brackets or unit not in _NO_UNIT):
         raise UsageError(
             f"{path}: column {name!r} is in {unit}, and is given as {channel.replace('_', ' ')}, "
-            f"which is in {', '.join(known)}"
+            f"which is in {', '.join(known)}; {remedy}"
+        )
+    if not unit and (brackets or _is_mega(end[1])):
+        raise UsageError(
+            f"{path}: column {name!r}: unknown unit {end[1]}, {dimension} is in "
+            f"{', '.join(known)}; {remedy}"
         )
     return "", 1.0
 
@@ -173,11 +197,28 @@ def _dimension(channel: str, units: Units) -> str:
 
 
 def _known_unit(word: str) -> str:
-    """Return a unit that a word is, in small or capital letters; "" if it is none."""
+    """Return the unit of `FACTORS` that a word means, in small or capital letters; "" if none.
+
+    A prefix stays what it is: neither MN nor Mm is a unit here.
+    """
+    unit = _PRODUCT.sub(r"\1", word.strip().replace("\N{GREEK SMALL LETTER MU}", "µ"))
+    unit = _WORDS.get(unit.lower().removesuffix("s"), unit)
+    if any(unit in known for known in FACTORS.values()):
+        return unit
+    return "" if _is_mega(unit) else _in_any_case(unit)
+
+
+def _in_any_case(word: str) -> str:
     every = [unit for known in FACTORS.values() for unit in known]
-    if word in every:
-        return word
-    return next((u for u in every if len(u) > 1 and u.lower() == word.lower()), "")
+    units = [unit for unit in every if len(unit) > 1 and unit.lower() == word.lower()]
+    return max(units, key=lambda unit: unit[0] == word[0], default="")  # NM is Nm, not nm
+
+
+def _is_mega(word: str) -> bool:
+    """Return whether a word is a unit with the prefix M, as in MN, not one in capitals (MM)."""
+    unit = _in_any_case(word)
+    in_capitals = word.isupper() and word[1:] != unit[1:]
+    return word.startswith("M") and unit.startswith("m") and unit != "min" and not in_capitals
 
 
 def units_of(path: Path, names: Collection[str], number: int = 1) -> Units:

@@ -137,6 +137,14 @@ def pull(path, **columns):
         ("proximal_tension", "T_min", 1.0),
         ("proximal_tension", "T_in", 1.0),
         ("proximal_displacement", "q[cm]", 1e-2),
+        ("time", "t [\N{GREEK SMALL LETTER MU}s]", 1e-6),
+        ("time", "t [\N{MICRO SIGN}s]", 1e-6),
+        ("time", "Time (Seconds)", 1.0),
+        ("proximal_displacement", "q_\N{GREEK SMALL LETTER MU}m", 1e-6),
+        ("proximal_displacement", "q_nm", 1e-9),
+        ("proximal_tension", "effort[0]", 1.0),
+        ("proximal_tension", "T_Min", 1.0),
+        ("proximal_tension", "T_KN", 1e3),
     ],
 )
 def test_the_unit_in_a_columns_name_is_heeded_and_said(path, capsys, channel, name, size):
@@ -156,12 +164,67 @@ def test_the_unit_in_a_columns_name_is_heeded_and_said(path, capsys, channel, na
         ("time", "q_mm", "is in mm, and is given as time"),
         ("proximal_displacement", "q_mm[kgf]", "length is in m, mm"),
         ("distal_tension", "tau_Nm", "is in Nm, and is given as distal tension"),
+        ("distal_tension", "T [s]", "is in s, and is given as distal tension"),
     ],
 )
 def test_a_unit_of_another_dimension_is_refused(path, channel, name, said):
     _, tension = pull(path)
-    pull(path, q_mm=tension, tau_Nm=tension)
+    pull(path, q_mm=tension, tau_Nm=tension, **{"T [s]": tension})
     assert said in refusal(path, columns=Columns(**{channel: name}))
+
+
+UNKNOWN_UNITS = [
+    ("proximal_tension", "T [counts]", "force is in N, mN, cN, kN, kgf"),
+    ("proximal_tension", "T [dN]", "force is in N, mN"),
+    ("proximal_tension", "T [MN]", "unknown unit MN, force is in N, mN"),
+    ("proximal_tension", "T_MN", "unknown unit MN, force is in N, mN"),
+    ("proximal_tension", "T (mV)", "unknown unit mV"),
+    ("proximal_tension", "T[%]", "unknown unit %"),
+    ("proximal_displacement", "q [dm]", "length is in m, mm"),
+    ("proximal_displacement", "q_Mm", "unknown unit Mm, length is in m, mm"),
+    ("time", "t [Ms]", "time is in s, sec, ms"),
+]
+
+
+@pytest.mark.parametrize(("channel", "name", "said"), UNKNOWN_UNITS)
+def test_an_unknown_unit_is_refused_with_the_known_ones_and_the_option(path, channel, name, said):
+    time, tension = pull(path)
+    pull(path, **{name: tension if channel == "proximal_tension" else time})
+    message = refusal(path, columns=Columns(**{channel: name}))
+    assert said in message
+    option = message.rpartition("--column ")[2].strip("'")
+    assert option.startswith(f"{channel}={name}[")
+    named = channel_columns([option])  # as the message says
+    assert len(read_table(path, named.names).time) == len(time)
+
+
+@pytest.mark.parametrize(
+    ("torque", "angle", "newton_metres", "radians"),
+    [
+        ("tau [N·mm]", "phi [°]", 1e-3, np.pi / 180),
+        ("tau [N.mm]", "phi [degrees]", 1e-3, np.pi / 180),
+        ("tau_N-mm", "phi (Degree)", 1e-3, np.pi / 180),
+        ("tau N mm", "phi_degrees", 1e-3, np.pi / 180),
+        ("tau (mN m)", "phi °", 1e-3, np.pi / 180),
+        ("tau [N*m]", "phi [radians]", 1.0, 1.0),
+        ("tau_NM", "phi_MRAD", 1.0, 1e-3),
+    ],
+)
+def test_spellings_of_units_of_torque_and_angle(path, torque, angle, newton_metres, radians):
+    _, tension = pull(path)
+    pull(path, **{torque: tension, angle: tension})
+    named = channel_columns([f"proximal_torque={torque}", f"proximal_angle={angle}"])
+    table = read_table(path, named.names, diagnosed=True, units=named.units)
+    np.testing.assert_allclose(table.proximal_tension, newton_metres * tension)
+    np.testing.assert_allclose(table.proximal_displacement, radians * tension)
+
+
+def test_a_unit_of_the_option_may_be_spelt_with_a_dot(path):
+    _, tension = pull(path)
+    pull(path, tau=tension)
+    named = channel_columns(["proximal_torque=tau[N·mm]"])
+    table = read_table(path, named.names, diagnosed=True, units=named.units)
+    np.testing.assert_allclose(table.proximal_tension, 1e-3 * tension)
 
 
 def test_degrees_of_a_named_angle_are_converted(path):
