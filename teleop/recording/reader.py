@@ -4,6 +4,7 @@ A recording is read with its own message definitions, so other message layouts a
 From a truncated file all finished chunks are read, from a damaged one those before the damage.
 """
 
+import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from teleop.recording.names import (
     topic_in,
 )
 from teleop.recording.scan import MESSAGE_HEAD, RecordingError, Scan
+from teleop.strict_yaml import SIZE_MAX
 
 ROWS_MAX = 1 << 32
 """Bytes of the columns of a topic, in memory."""
@@ -143,8 +145,28 @@ def recorded_config(path: str | Path) -> tuple[str, tuple[str, ...]]:
 
 
 def _config_of(scan: Scan, head: Mapping[str, str]) -> tuple[str, tuple[str, ...]]:
-    text = scan.attachments.get(CONFIG_ATTACHMENT, b"").decode(errors="replace")
-    return text, tuple(head.get("overrides", "").splitlines())
+    """Return the config text and the overrides; `RecordingError` beyond `strict_yaml.SIZE_MAX`."""
+    config, overrides = scan.attachments.get(CONFIG_ATTACHMENT, b""), head.get("overrides", "")
+    for what, size in (("config", len(config)), ("overrides", len(overrides.encode()))):
+        if size > SIZE_MAX:
+            raise RecordingError(
+                f"{scan.path}: its {what}: {size} bytes, at most {SIZE_MAX} are read; no session "
+                "has so many"
+            )
+    return config.decode(errors="replace"), _parse_overrides(scan.path, overrides)
+
+
+def _parse_overrides(path: Path, text: str) -> tuple[str, ...]:
+    """Return the overrides of a JSON list; of older files, of lines."""
+    if not text.startswith("["):
+        return tuple(text.splitlines())
+    try:
+        overrides = json.loads(text)
+    except (ValueError, RecursionError):
+        overrides = None
+    if not isinstance(overrides, list) or not all(isinstance(each, str) for each in overrides):
+        raise RecordingError(f"{path}: is damaged: its overrides are not a JSON list of texts")
+    return tuple(overrides)
 
 
 def read_messages(

@@ -6,6 +6,7 @@ versions and config are at its head. See docs/recordings.md.
 
 import contextlib
 import io
+import json
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -33,6 +34,7 @@ from teleop.recording.names import (
     VERSIONS_METADATA,
     channel_name,
 )
+from teleop.strict_yaml import SIZE_MAX
 from teleop.topics import Topic
 
 _VERSIONS_OF = ("tendon-teleop", "eclipse-zenoh", "mcap", "numpy", "numba")
@@ -68,7 +70,7 @@ class RecordingWriter:
     Raises
     ------
     UsageError
-        If the file cannot be created.
+        If the file cannot be created, or the overrides are longer than a reader reads.
     """
 
     def __init__(
@@ -80,6 +82,12 @@ class RecordingWriter:
         overrides: Sequence[str] = (),
         insecure: bool = False,
     ) -> None:
+        overrides_text = json.dumps(list(overrides))  # ASCII
+        if len(overrides_text) > SIZE_MAX:
+            raise UsageError(
+                f"--set: the overrides have {len(overrides_text)} bytes, at most {SIZE_MAX} are "
+                "recorded; state them in a config file"
+            )
         self.messages: dict[str, int] = {}  # topic -> messages in the file
         self.gaps = Gaps()
         self.lag_max_s = 0.0  # [s] the longest that a message waited to be written
@@ -112,7 +120,7 @@ class RecordingWriter:
                 "started": started,
                 "started_ns": str(started_ns),
                 "layout": f"{LAYOUT:08x}",
-                "overrides": "\n".join(overrides),
+                "overrides": overrides_text,
                 "protection": "none" if insecure else "authenticated",
             },
         )

@@ -18,10 +18,11 @@ from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Chunk
-from mcap.writer import MCAP0_MAGIC
+from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
+from teleop.config import stated_keys
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages import LAYOUT, MESSAGES
@@ -30,7 +31,13 @@ from teleop.recording import reader
 from teleop.recording.config import RecordConfig
 from teleop.recording.definition import dtype_of
 from teleop.recording.gaps import SENDERS, Gaps
-from teleop.recording.reader import open_recording, read_columns, read_messages
+from teleop.recording.names import CONFIG_ATTACHMENT, SESSION_METADATA
+from teleop.recording.reader import (
+    open_recording,
+    read_columns,
+    read_messages,
+    recorded_config,
+)
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import RecordingWriter
 from teleop.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
@@ -556,3 +563,64 @@ def test_a_recording_says_how_its_session_was_protected(tmp_path, insecure) -> N
         4, "little"
     )
     assert protection + word in path.read_bytes()
+
+
+def recorded(folder, config_text="", overrides=()):
+    """Return a recording without messages."""
+    config = RecordConfig(directory=str(folder))
+    with RecordingWriter(config, "demo", START_NS, config_text, overrides) as writer:
+        return writer.path
+
+
+def test_an_override_of_several_lines_comes_back_as_one(tmp_path) -> None:
+    overrides = ("slave.rig={\n  type: simulated,\n  name: Ä\u2028\n}", "rate_hz=500", "a='[1]'")
+    path = recorded(tmp_path, "rate_hz: 100\n", overrides)
+    assert recorded_config(path) == ("rate_hz: 100\n", overrides)
+    stated = stated_keys(path)
+    assert stated["slave"]["rig"]["type"] == "simulated"
+    assert stated["rate_hz"] == 500
+
+
+def of_another_writer(folder, config: bytes = b"", overrides: str = "") -> Path:
+    """Return a recording whose head another program wrote."""
+    path = folder / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata(SESSION_METADATA, {"session": "demo", "overrides": overrides})
+        writer.add_attachment(START_NS, START_NS, CONFIG_ATTACHMENT, "application/yaml", config)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("written", "overrides"),
+    [("", ()), ("a=1", ("a=1",)), ("a=1\nb=[2]", ("a=1", "b=[2]")), ("[]", ()), ('["a"]', ("a",))],
+)
+def test_overrides_of_older_recordings_are_lines(tmp_path, written, overrides) -> None:
+    assert recorded_config(of_another_writer(tmp_path, overrides=written))[1] == overrides
+
+
+@pytest.mark.parametrize("written", ["[", "[1]", '["a", null]', "[" * 50_000])
+def test_overrides_that_are_no_list_of_texts_are_refused(tmp_path, written) -> None:
+    with pytest.raises(RecordingError, match="its overrides are not a JSON list of texts"):
+        recorded_config(of_another_writer(tmp_path, overrides=written))
+
+
+@pytest.mark.parametrize("read", [recorded_config, stated_keys, open_recording])
+@pytest.mark.parametrize("part", ["config", "overrides"])
+def test_a_config_in_a_recording_is_bounded_as_in_a_file(tmp_path, part, read) -> None:
+    line = "rate_hz=500\n" if part == "overrides" else "# a comment\n"
+    text = line * (3_000_000 // len(line))
+    if part == "overrides":
+        path = of_another_writer(tmp_path, overrides=text)
+    else:
+        path = of_another_writer(tmp_path, config=text.encode())
+    with pytest.raises(UsageError, match=rf"its {part}: \d+ bytes, at most 100000 are read"):
+        read(path)
+
+
+def test_overrides_that_no_reader_would_read_are_not_recorded(tmp_path) -> None:
+    with pytest.raises(UsageError, match=r"^--set: the overrides have \d+ bytes"):
+        recorded(tmp_path, overrides=["a=" + "x" * 100_000])
+    assert not list(tmp_path.iterdir())
