@@ -94,6 +94,11 @@ def read_bag(path: Path) -> BagTable:
         if not keep.any():
             raise UsageError(f"{path}: {main} and {distal.topic} have no time in common")
     rows = rows[keep]
+    tendons = joints[main].joints if main.endswith(ACTUATORS) else []
+    width = 1 + 2 * len(tendons) + (0 if distal is None else len(distal.columns))
+    width += sum(len(signals.values) for signals in (joints | wrenches).values())
+    # before any column: a topic with few messages has as many rows as the others here
+    bounds.check_size(path, width, len(rows), "keep fewer topics: ros2 bag convert")
     time_s = (rows - rows[0]) * 1e-9
 
     def sampled(times: NDArray[np.int64], values: Array) -> Array:
@@ -101,17 +106,15 @@ def read_bag(path: Path) -> BagTable:
         return np.asarray(np.interp(time_s, at_s, values, np.nan, np.nan), dtype=np.float64)
 
     columns: dict[str, NDArray[Any]] = {"time_s": time_s}
-    if main.endswith(ACTUATORS):
-        for number, name in enumerate(joints[main].joints, start=1):
-            for end, what in (("tension", "effort"), ("displacement", "position")):
-                column = standard(LINEAR, f"proximal_{end}", number)
-                columns[column] = joints[main].values[f"{name}/{what}"][keep]
+    for number, name in enumerate(tendons, start=1):
+        for end, what in (("tension", "effort"), ("displacement", "position")):
+            column = standard(LINEAR, f"proximal_{end}", number)
+            columns[column] = joints[main].values[f"{name}/{what}"][keep]
     if distal is not None:
         columns |= {name: sampled(distal.times, v) for name, v in distal.columns.items()}
     for topic, signals in (joints | wrenches).items():
         for name, values in signals.values.items():
             columns[f"{topic}/{name}"] = sampled(signals.times, values)
-    bounds.check_size(path, len(columns), len(rows), "keep fewer topics: ros2 bag convert")
     measured = {name: values for name, values in columns.items() if not np.isnan(values).all()}
     return BagTable(measured, _lacks(main, joints[main]))
 

@@ -9,7 +9,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from teleop.app import cli
+from teleop.data import bounds
 from teleop.data.table import Columns, read_table, read_tables
+from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
 from teleop.messages import (
@@ -237,6 +239,31 @@ def test_a_bag_without_clear_data_is_one_line(tmp_path, topics, plugin, words):
     with pytest.raises(UsageError, match=words) as error:
         read_table(tmp_path / "lab")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("bound", "value", "words"),
+    [
+        ("CELLS_MAX", 2000, "156 columns have more than 12 rows, at most 2000 values"),
+        ("COLUMNS_MAX", 155, "156 columns, at most 155"),
+    ],
+)
+def test_a_table_that_is_too_large_is_refused_before_it_is_made(
+    tmp_path, monkeypatch, bound, value, words
+):
+    names = tuple(f"joint_{k}" for k in range(50))
+    with Foreign(tmp_path / "lab") as bag:
+        for k in range(60):
+            bag.write("/arm/actuators/measured_js", joint_state(k * 0.01, 5.0), k * 0.01)
+        for k in range(3):  # 456 values, and 9000 at the rows
+            others = joint_state(k * 0.3, *(1.0,) * 50, names=names)
+            bag.write("/arm/joint_states", others, k * 0.3)
+    path = tmp_path / "lab"
+    assert len(read_columns(path).columns) == 105  # without velocities, which no message has
+    monkeypatch.setattr(bounds, bound, value)
+    monkeypatch.setattr(np, "interp", lambda *_: pytest.fail("a column was made"))
+    with pytest.raises(UsageError, match=words):
+        read_table(path)
 
 
 def test_a_damaged_bag_is_one_line(bag, tmp_path):
