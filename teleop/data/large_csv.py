@@ -120,12 +120,14 @@ def _may_be_cells(column: Any) -> bool:
 
 
 def _values(column: Any) -> NDArray[Any]:
-    """Return a block of a column: numbers, or text as objects."""
+    """Return a block of a column: numbers, or text as objects that equal cells share."""
     import pyarrow as pa
 
     if pa.types.is_floating(column.type):
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
-    return np.array(column.fill_null("").to_pylist(), dtype=object)
+    encoded = column.fill_null("").dictionary_encode()
+    texts: NDArray[Any] = np.array(encoded.dictionary.to_pylist(), dtype=object)
+    return texts[encoded.indices.to_numpy()]
 
 
 @contextlib.contextmanager

@@ -176,13 +176,14 @@ def _checked(
 
 
 def _numbers(cells: Sequence[str]) -> Column:
-    """Return cells as numbers, blank ones as NaN; unchanged if any is text."""
+    """Return cells as numbers, blank ones as NaN; if any is text, as shared objects."""
     try:
         return np.fromiter(map(float, cells), np.float64, len(cells))
     except ValueError:
         if all(_is_number(cell) for cell in cells if cell.strip()):
             return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
-        return np.array(cells, dtype=object)
+        shared: dict[str, str] = {}
+        return np.array([shared.setdefault(cell, cell) for cell in cells], dtype=object)
 
 
 def _is_number(cell: str) -> bool:

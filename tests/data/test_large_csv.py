@@ -84,3 +84,16 @@ def test_a_cut_off_file_is_not_taken_for_a_shorter_one(tmp_path, monkeypatch, cu
     path.write_bytes(data[: int(cut * len(data))])
     with pytest.raises(UsageError, match="damaged or cut off"):
         table_files.read_columns(path)
+
+
+@pytest.mark.parametrize("large", [False, True], ids=["rows", "blocks"])
+def test_equal_cells_of_text_share_their_memory(tmp_path, monkeypatch, large):
+    monkeypatch.setattr(table_files, "LARGE", 0 if large else 1 << 60)
+    monkeypatch.setattr(large_csv, "BLOCK", 1 << 16)
+    path = tmp_path / "x.csv"
+    words = [("begin of the pull", "end of the pull", "")[k % 3] for k in range(30_000)]
+    path.write_text("a,note\n" + "".join(f"{k},{word}\n" for k, word in enumerate(words)))
+    notes = table_files.read_columns(path).columns["note"]
+    assert notes.tolist() == words
+    blocks = 2 + path.stat().st_size // large_csv.BLOCK
+    assert len({id(note) for note in notes}) <= 3 * blocks
