@@ -95,6 +95,7 @@ class SlaveProcess(LoopProcess):
         self._rig, self._model = rig, model
         self._emergency_stop = emergency_stop_of(rig)
         self._enabling = enabling(rig)
+        self._motors_follow = self._enabling is None  # as of the last read
         self._reads, self._writes = SlowCalls("rig: read"), SlowCalls("rig: write")
         self._is_rig_stopped = False  # its emergency stop was called, nothing written since
         past = past or Past(now_ns(), ())
@@ -208,7 +209,7 @@ class SlaveProcess(LoopProcess):
             requests.reset,
             _CLOCK_SET if commands.settles else self._link_reason,
             commands.settles or self._link_holds,
-            self._enabling is None or self._enabling.follows,
+            self._motors_follow,
         )
         slave, rows, samples = self._slave, self._rows, self._samples
         if not self._is_estimated:
@@ -226,6 +227,8 @@ class SlaveProcess(LoopProcess):
         begin_ns = now_ns()
         try:
             samples = self._rig.read(time_s)
+            if self._enabling is not None:
+                self._motors_follow = self._enabling.follows
         except RigFinished:
             self.ended = Reason.RIG_FINISHED.text
             fault = Reason.RIG_FINISHED

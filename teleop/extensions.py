@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
 from teleop.options import ALLOW_IMPORTS
+from teleop.process import print_warning
 from teleop.suggestions import did_you_mean
 
 
@@ -121,3 +122,13 @@ def opening_failed(place: str, config: Extension, error: Exception) -> str:
     """Return one line on an exception raised by an extension's own code while opening."""
     message_text = " ".join(str(error).split())
     return f"{place}: {config.type} cannot be opened: {type(error).__name__}: {message_text}"
+
+
+def close_extension(place: str, opened: Any) -> None:
+    """Close a rig or device; an exception of its code is a warning, as it would hide others."""
+    try:
+        opened.close()
+    except Exception as error:
+        print_warning(
+            f"{call_failed(place, 'close', error)}: check that its motors are without power"
+        )

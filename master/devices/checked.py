@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
-from teleop.extensions import call_failed
+from teleop.extensions import call_failed, close_extension
 
 _REQUIRED = ("axes", "read", "write", "close")
 
@@ -60,8 +60,8 @@ class CheckedDevice:
         self._call(self._device.write, force)
 
     def close(self) -> None:
-        """Close the device."""
-        self._device.close()
+        """Close the device; a failure is a warning, which replaces no fault."""
+        close_extension(self._place, self._device)
 
     def _call(self, method: Callable[..., Any], argument: Any) -> Any:
         try:

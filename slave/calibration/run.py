@@ -194,6 +194,7 @@ class _Drive:
         self._position = InitialPosition.new()
         initial_position.start(self._position, rig.tendons, rig.starts_at_zero)
         self._motor: tuple[float, ...] = ()
+        self._motors_follow = False  # as of the last read
         self._gate = as_record(limits.gate)
         self._no_reach = gate.Reach.array(0)  # the range of the joints is not known yet
         self._silence = 0.0
@@ -206,7 +207,7 @@ class _Drive:
         if self._silence > SILENCE_MAX_S:
             order = order or UNREADABLE
         is_located = self.newest is not None and bool(self._motor)
-        if not (is_located and motors_follow(self._rig)):
+        if not (is_located and self._motors_follow):
             if order:
                 raise (
                     CalibrationInterrupted(order)
@@ -229,11 +230,10 @@ class _Drive:
 
     def announce_pause(self) -> None:
         """Tell a `slave.rig.WatchedRig` that its loop pauses."""
-        announce_pause = getattr(self._rig, "announce_pause", None)
-        if announce_pause is None:
-            return
         try:
-            announce_pause()
+            announce_pause = getattr(self._rig, "announce_pause", None)
+            if announce_pause is not None:
+                announce_pause()
         except RigFault as error:
             raise TeleopError(f"rig: {error}") from error
 
@@ -264,6 +264,7 @@ class _Drive:
     def _read(self, time_s: float, dt: float) -> None:
         try:
             samples = self._rig.read(time_s)
+            self._motors_follow = motors_follow(self._rig)
         except RigFinished as error:
             raise CalibrationRefused("replayed data: there is no rig to calibrate") from error
         except RigFault as error:
@@ -276,7 +277,7 @@ class _Drive:
 
     def _locate(self, samples: Sequence[RigSample], dt: float) -> None:
         """Determine the motor positions, until the motors follow what is written."""
-        if self._motor and motors_follow(self._rig):
+        if self._motor and self._motors_follow:
             return
         tendons = self._rig.tendons
         initial_position.age(self._position, dt)

@@ -10,7 +10,7 @@ from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
 from teleop.errors import UsageError
-from teleop.extensions import opening_failed
+from teleop.extensions import close_extension, opening_failed
 from teleop.messages import MAX_JOINTS
 
 RigConfig = SimulatedRigConfig | ReplayedRigConfig | HardwareRigConfig | RigExtension
@@ -37,13 +37,14 @@ def compile_rig(config: RigConfig) -> None:
 def open_rig(config: RigConfig, read_only: bool = False) -> Rig:
     """Open the rig that `config` describes; `UsageError` if it is not available or laid out wrong.
 
-    With `read_only` nothing is written to the buses of real hardware, not even at opening.
+    With `read_only` nothing is written to the buses of real hardware, not even at opening; a rig of
+    another package that does not support it (`RigExtension.open_read_only`) is refused.
 
     Compiled functions take the numbers of its tendons as indices, which they do not check.
     """
     try:
         if isinstance(config, RigExtension):
-            rig = checked(config.open(), config.type)
+            rig = checked(config.open_read_only() if read_only else config.open(), config.type)
         elif isinstance(config, HardwareRigConfig):
             rig = HardwareRig(config, read_only)
         else:
@@ -66,7 +67,7 @@ def checked(rig: Rig, place: str) -> Rig:
         return CheckedRig(rig, place)
     except RigFault:
         if hasattr(rig, "close"):
-            rig.close()
+            close_extension(place, rig)
         raise
 
 

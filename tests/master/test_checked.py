@@ -85,6 +85,15 @@ def test_what_its_code_raises_is_a_fault_with_the_place_in_that_code():
         opened(DeviceLost("unplugged")).read(0.0)
 
 
+def test_a_device_that_fails_to_close_is_warned_of_and_replaces_no_fault(capsys):
+    def fail(_):
+        raise OSError("cable")
+
+    device = open_device(PenConfig(device=type("Loose", (Pen,), {"close": fail})(None)))
+    device.close()
+    assert "WARNING: mylab: close fails: OSError: cable (" in capsys.readouterr().err
+
+
 def test_a_device_that_is_none_is_named_at_opening():
     with pytest.raises(UsageError, match=r"^master\.device: mylab: object has no axes, read, wr"):
         open_device(PenConfig(device=object()))

@@ -1,5 +1,6 @@
 """A rig of another package: what it gets wrong is named, and moves nothing."""
 
+import json
 import time
 from dataclasses import dataclass
 
@@ -69,6 +70,10 @@ def test_what_is_right_is_passed_on_as_it_is():
         ((RigSample(0.0, [1.0, 2.0], TWO),), "proximal_tension is a list, must be an array"),
         ((RigSample(0.0, None, TWO),), "proximal_tension is None, must be an array"),
         ((RigSample(0.0, TWO.astype(str), TWO),), "proximal_tension is an array of <U"),
+        ((RigSample(0.0, TWO, TWO.astype(str)),), "proximal_displacement is an array of <U"),
+        ((RigSample(0.0, TWO, TWO.astype(bool)),), "proximal_displacement is an array of bool"),
+        ((RigSample(0.0, TWO, None, TWO.astype(complex)),), "bench_distal_tension is an array of"),
+        ((RigSample(0.0, TWO, None, None, TWO.astype(object)),), "bench_distal_displacement is an"),
         ((RigSample(np.nan, TWO, TWO),), "time_s is nan"),
         ((RigSample(5.0, TWO, TWO), RigSample(4.0, TWO, TWO)), r"time_s is 4\.0 after 5\.0"),
         ((RigSample("0", TWO, TWO),), "time_s is 0"),
@@ -118,6 +123,107 @@ def test_what_else_a_rig_has_is_passed_on():
     assert enabling(CheckedRig(plain, "mylab")) is None
     plain.follows = False
     assert enabling(CheckedRig(plain, "mylab")).follows is False
+
+
+class Following(FakeRig):
+    """Loses its encoder, and with it the answer whether its motor follows, at the 20th read."""
+
+    @property
+    def follows(self):
+        return self.encoder.is_enabled if self.reads >= 20 else False
+
+
+@pytest.mark.parametrize("name", ["follows", "emergency_stop", "announce_pause"])
+def test_an_attribute_whose_code_fails_is_not_taken_for_absent(name):
+    def broken(rig):
+        return rig.encoder.is_enabled
+
+    rig = type("Broken", (Pair,), {name: property(broken)})(())
+    said = rf"^slave\.rig: mylab: Broken\.{name} fails: AttributeError: .*'encoder'.* \(.*line \d+"
+    with pytest.raises(UsageError, match=said):
+        open_rig(PairConfig(rig=rig))
+    assert rig.closed == 1
+
+
+def test_an_answer_that_fails_later_ends_the_session_before_a_write():
+    rig = Following()
+    slave, _, _ = driven(CheckedRig(rig, "mylab"))
+    assert "rig: mylab: Following.follows fails: AttributeError" in str(slave.error)
+    assert rig.reads == 20
+
+
+def test_what_follows_is_must_be_true_or_false():
+    rig = type("Method", (Pair,), {"follows": lambda _: False})(())
+    with pytest.raises(UsageError, match=r"Method\.follows is a method, must be True or False"):
+        open_rig(PairConfig(rig=rig))
+    rig = type("Compared", (Pair,), {"follows": np.array([0.0]).sum() > 1.0})(())
+    assert enabling(open_rig(PairConfig(rig=rig))).follows is False
+
+
+class Failing(FakeRig):
+    """Fails in the session and again at its end."""
+
+    def read(self, time_s):
+        if self.reads == 20:
+            raise RigFault("the amplifier has tripped")
+        return super().read(time_s)
+
+    def summary(self):
+        raise KeyError("temperature")
+
+    def close(self):
+        raise OSError("no such device")
+
+
+def test_what_fails_at_the_end_replaces_no_fault_and_no_summary(capsys):
+    rig = CheckedRig(Failing(), "mylab")
+    slave, _, _ = driven(rig)
+    summary = slave.summary()
+    assert str(slave.error) == "rig: the amplifier has tripped"
+    assert json.loads(json.dumps(summary["rig"]))["error"].startswith("mylab: summary fails: KeyE")
+    rig.close()
+    said = capsys.readouterr().err
+    assert "WARNING: mylab: summary fails: KeyError: 'temperature' (" in said
+    assert "WARNING: mylab: close fails: OSError: no such device (" in said
+    assert "check that its motors are without power" in said
+
+
+@pytest.mark.parametrize(
+    ("returned", "entries"),
+    [
+        ({"lost": np.int64(2), "rate": np.float32(0.5)}, {"lost": 2, "rate": 0.5}),
+        ({"lost": {1, 2}}, None),
+        (None, None),
+    ],
+)
+def test_a_summary_can_be_written_as_json(returned, entries):
+    rig = type("Told", (Pair,), {"summary": lambda _: returned})(())
+    summary = open_rig(PairConfig(rig=rig)).summary()
+    json.dumps(summary)
+    assert summary == entries if entries else "mylab: summary fails: " in summary["error"]
+
+
+def test_a_rig_that_is_none_and_fails_to_close_is_named_all_the_same(capsys):
+    rig = type("Odd", (Failing,), {"joints": 3})()
+    with pytest.raises(UsageError, match=r"^slave\.rig: mylab: Odd: joints 3, must be as in"):
+        open_rig(PairConfig(rig=rig))
+    assert "WARNING: mylab: close fails: OSError" in capsys.readouterr().err
+
+
+@dataclass(frozen=True)
+class ReadableConfig(PairConfig):
+    def open_read_only(self):
+        return self.rig
+
+
+def test_only_a_rig_that_declares_it_is_opened_read_only():
+    pair = Pair((RigSample(0.0, TWO, TWO),))
+    assert open_rig(ReadableConfig(rig=pair), read_only=True).read(0.0)
+    with pytest.raises(
+        UsageError, match=r"^slave\.rig: mylab: does not support --read-only"
+    ) as got:
+        open_rig(PairConfig(rig=pytest.fail), read_only=True)
+    assert "\n" not in str(got.value)
 
 
 class Growing(FakeRig):
