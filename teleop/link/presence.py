@@ -20,6 +20,7 @@ Two masters are not connected to each other, only to the slave. The slave theref
 tokens of masters, below `relay`. Behind a router all see all tokens, and nothing is repeated.
 """
 
+import re
 import secrets
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from teleop.topics import Role
 EXCLUSIVE = (Role.MASTER, Role.SLAVE)
 LISTENERS = (Role.RECORDER, Role.VIEWER)
 _CERTIFICATE_AT = 128  # character of a proof, behind the X25519 key and the signature
+_NUMBERS = re.compile(r"[0-9a-f]{8}/[0-9a-f]{16}")  # layout and nonce; `int` takes more: -f, 1_2
 _RANDOM_BITS = 12  # of 64; the rest is the start stamp, good for 4 us and until the year 2554
 
 
@@ -77,18 +79,22 @@ class Token:
 
     @classmethod
     def from_key(cls, key: str) -> "Token | None":
-        """Return the token of a key; None if it is not one of this project."""
-        chunks = key.split("/@/", 1)[-1].split("/")
+        """Return the token of a key; None if it is not one of this project.
+
+        Two keys never have the same token: what is not written as `key` does it is none.
+        """
+        head, _, tail = key.partition("/@/")
+        chunks = tail.split("/")
         relayed = chunks[0] == "relay"
         try:
             group, layout, nonce, stage, *proof = chunks[relayed:]
-            if len(proof) > 1 or not (len(layout) == 8 and len(nonce) == 16):
+            if len(proof) > 1 or not _NUMBERS.fullmatch(f"{layout}/{nonce}"):
                 return None
             name, dash, rights = group.partition("-")
             role, limit = Role[name.upper()], dash + rights
             if limit not in _limits_of(role):
                 return None
-            return cls(
+            token = cls(
                 role,
                 int(layout, 16),
                 int(nonce, 16),
@@ -99,6 +105,7 @@ class Token:
             )
         except (ValueError, KeyError):
             return None
+        return token if token.key(head.removeprefix("teleop/")) == key else None
 
 
 def groups_of(role: Role) -> list[str]:

@@ -205,6 +205,10 @@ class Roster:
                 wait_s = self._step(monotonic_ns())
             except zenoh.ZError as error:  # of one token; the next ones are looked at all the same
                 self._refusals.note(f"a presence token, for an error of the link: {error}")
+            except Exception as error:  # presence and revocation need this thread
+                wait_s = LOOK_S
+                name = type(error).__name__
+                self._refusals.note(f"a presence token, for an error of ours: {name}: {error}")
 
     def _step(self, now_ns: int) -> float:
         """Do a small part of what is to be done; return how long to wait for the next one [s]."""

@@ -2,6 +2,7 @@
 
 import time
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,6 +27,40 @@ def test_a_token_survives_its_key(token: Token) -> None:
 @given(st.text())
 def test_a_foreign_key_is_no_token(text: str) -> None:
     assert Token.from_key(f"teleop/x/@/{text}") is None or text.count("/") >= 3
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        "00000001/-fffffffffffffff",  # `int` takes all of these
+        "-0000001/0123456789abcdef",
+        "00000001/+123456789abcdef",
+        "00000001/0x23456789abcdef",
+        "00000001/1_23456789abcdef",
+        "0000_001/0123456789abcdef",
+        "00000001/0123456789ABCDEF",
+        "00000001/0123456789abcde\u0664",
+        "00000001/ 123456789abcdef",
+    ],
+)
+def test_numbers_that_are_written_differently_are_no_token(numbers: str) -> None:
+    assert Token.from_key(f"teleop/x/@/master/{numbers}/held") is None
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "teleop/x/@/Master/00000001/0123456789abcdef/held",
+        "teleop/x/@/master/00000001/0123456789abcdef/HELD",
+        "teleop/x/@/master/00000001/0123456789abcdef/held/",
+        "master/00000001/0123456789abcdef/held",
+        "other/x/@/master/00000001/0123456789abcdef/held",
+    ],
+)
+def test_a_token_has_one_key(key: str) -> None:
+    genuine = "teleop/x/@/master/00000001/0123456789abcdef/held"
+    assert Token.from_key(genuine) is not None
+    assert Token.from_key(key) is None
 
 
 @given(TOKENS, TOKENS)
