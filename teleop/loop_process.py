@@ -20,7 +20,7 @@ from teleop.meter import LoopMeter
 from teleop.process import Stop, supervised, write_summary
 from teleop.realtime import enter_loop, go_realtime
 from teleop.remote.requests import RequestListener, Requests
-from teleop.remote.stop_socket import StopSocket
+from teleop.remote.stop_socket import SILENT, StopSocket
 from teleop.run_config import RunConfig
 from teleop.session import (
     OutlineReader,
@@ -121,9 +121,12 @@ class LoopProcess(ABC):
         """Tell the others of an executed stop, and answer requests from this machine."""
         self._requests.relay(self.role, side, requests.words)
         if self._requests.is_asked:
-            is_fresh = latest.is_fresh(now, PEER_NS)
-            peer = State(known_state(latest.packet.records["state"][0])) if is_fresh else None
-            self._requests.answer(self.role, side, self._outline.stops, peer)
+            other, peer = Role.SLAVE if self.role is Role.MASTER else Role.MASTER, ""
+            if latest.is_fresh(now, PEER_NS):
+                peer = State(known_state(latest.packet.records["state"][0])).name.lower()
+            elif self._link.present(other):  # it hangs, or starts, and may move its motors
+                peer = SILENT
+            self._requests.answer(self.role, side, self._outline.stops, other, peer)
 
     def _warn(self, texts: Iterable[str]) -> None:
         """Publish what is doubtful about this side; empty texts are left out."""

@@ -123,21 +123,21 @@ class RequestListener:
         """Whether a request from this machine waits for an answer."""
         return self._stop_socket is not None and self._stop_socket.is_asked
 
-    def answer(self, role: Role, side: SessionOutline, stops: int, peer: State | None) -> None:
+    def answer(self, role: Role, side: SessionOutline, stops: int, other: Role, peer: str) -> None:
         """Answer the requests from this machine that have been executed.
 
         Parameters
         ----------
         role, side, stops : Role, SessionOutline and int
             Of this process.
-        peer : State, optional
-            Of the other side; None if nothing new comes from it.
+        other, peer : Role and str
+            The other side and its state; `SILENT` if it is connected and sends nothing, empty if it
+            is not connected.
         """
         if self._stop_socket is not None:
-            other = Role.SLAVE if role is Role.MASTER else Role.MASTER
             lines = [f"{role.name.lower()} {side.state.name.lower()} {stops}"]
-            if peer is not None:
-                lines.append(f"{other.name.lower()} {peer.name.lower()}")
+            if peer:
+                lines.append(f"{other.name.lower()} {peer}")
             self._stop_socket.answer(lines)
 
     def _next_settings(self, messages: list[ReceivedMessage]) -> tuple[SettingRequest, ...]:

@@ -9,7 +9,8 @@ On a machine where a side or a `teleop stop --watch` of the session runs, the st
 directly and does not depend on the network being free for new connections. So on a machine that has
 neither, leave `teleop stop --watch` running. Otherwise the stop connects to both sides.
 
-Exit code 0 when every connected side reports that it has stopped. With --watch, Enter stops at
+Exit code 0 when every connected side reports that it has stopped; 1, with its name, when one does
+not or hangs. With --watch, Enter stops at
 once; `q`, then Enter, ends the watch without a stop.
 """
 
@@ -43,10 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Stop a session, reset the stop, or watch the session; returns the exit code."""
     session, reason = _session_of(args), args.why or DEFAULT_REASON
+    local: dict[str, str] = {}
     if not args.watch:
         answers = request_local(session, args.reset, reason)
+        local = answers.states
         if _settle(answers, args.reset):
-            return _report(answers.states, args.reset)
+            return _report(local, args.reset)
     # slow to import; what is above does not need it
     from teleop.realtime import ordinary_scheduling
 
@@ -54,10 +57,21 @@ def main(args: argparse.Namespace) -> int:
         from teleop.remote import stop_over_link
         from teleop.run_config import load_shared
 
-    config = load_shared(args)
     if args.watch:
-        return stop_over_link.watch_session(config, args.why)
-    states = stop_over_link.request_over_link(config, args.reset, reason)
+        return stop_over_link.watch_session(load_shared(args), args.why)
+    try:
+        config = load_shared(args)
+        if local and config.session != session:
+            raise UsageError(
+                f"the endpoints of session {session!r} are not known here; name its config: "
+                "teleop stop --config FILE"
+            )
+        states = local | stop_over_link.request_over_link(config, args.reset, reason)
+    except TeleopError as error:
+        if not local:
+            raise
+        print(f"over the network: {error}")
+        states = local
     if not states and not _is_named(args):
         raise TeleopError(
             "no session of yours runs on this machine; for one on another machine name its config: "
@@ -96,17 +110,19 @@ def _is_named(args: argparse.Namespace) -> bool:
 def _settle(answers: LocalAnswers, is_reset: bool) -> bool:
     """Return whether the answers from this machine are those of the whole session."""
     answered = any(state != SILENT for state in answers.states.values())
-    return answered and (answers.are_direct or not is_reset)
+    is_whole = answers.are_direct or not is_reset
+    return answered and is_whole and not answers.has_silent_peer
 
 
 def _report(states: dict[str, str], is_reset: bool) -> int:
     """Print the states of the sides by their names; return 0, or raise if one did not obey."""
     for side, state in states.items():
         print(f"{side:9} {state}")
+    silent = [side for side, state in states.items() if state == SILENT]
     failed = [side for side, state in states.items() if (state == STOPPED) == is_reset]
-    silent = [side for side in failed if states[side] == SILENT]
     if silent:
-        raise TeleopError(f"the {' and the '.join(silent)} runs here and does not answer")
+        doubt = "be stopped" if is_reset else "NOT have stopped: use the switch of its hardware"
+        raise TeleopError(f"no answer from the {' and the '.join(silent)}, which may {doubt}")
     if failed:
         still = "is still stopped; its terminal shows why" if is_reset else "has NOT stopped"
         raise TeleopError(f"the {' and the '.join(failed)} {still}")

@@ -7,7 +7,7 @@ runtime folder, which nobody else can enter:
 
 A request is a line of text, `stop` or `reset NUMBER`, and after it the reason, in any bytes. The
 answer has a line `ROLE STATE STOPS` for the process itself, and a line `ROLE STATE` for each side
-that it is connected to. Neither depends on the version of the messages. The module imports nothing
+that it is connected to, with the state `silent` if nothing comes from that side. Neither depends on the version of the messages. The module imports nothing
 that is slow to import, since an emergency stop does not wait.
 """
 
@@ -146,9 +146,20 @@ class LocalAnswers:
         return {side: both[side] for side in SIDES if side in both}
 
     @property
+    def has_silent_peer(self) -> bool:
+        """Whether a side elsewhere is connected to a side here and sends nothing to it."""
+        return any(self._reported[side] == SILENT for side in self._reported.keys() - self._own)
+
+    @property
     def are_direct(self) -> bool:
         """Whether each side has answered for itself."""
         return bool(self._own) and self._reported.keys() <= self._own.keys()
+
+    def are_complete(self, is_reset: bool) -> bool:
+        """Return whether all have obeyed but those that nothing will come from."""
+        awaited = self._own if self.has_silent_peer else self.states
+        states = awaited.values()
+        return bool(states) and all(s != SILENT and (s == STOPPED) != is_reset for s in states)
 
     def add(self, data: bytes) -> None:
         """Take an answer."""
@@ -157,7 +168,8 @@ class LocalAnswers:
             if match is None or match["role"] not in SIDES:
                 continue
             if match["stops"] is None:
-                self._reported[match["role"]] = match["state"]
+                if self._reported.get(match["role"]) != SILENT:  # then the network is asked
+                    self._reported[match["role"]] = match["state"]
             else:
                 self._own[match["role"]] = match["state"]
                 self.stops.setdefault(match["role"], int(match["stops"]))
@@ -167,7 +179,8 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
     """Send a stop, or a reset, to the processes of a session on this machine until all obey.
 
     A reset resets the stop that its side has when it answers first, not a later one. Gives up after
-    `ANSWER_S`; then some of the states are others.
+    `ANSWER_S`; then some of the states are others. A side elsewhere that is silent is not waited
+    for: the network is the only way to it.
     """
     with ExitStack() as stack:
         sockets = [(path, role) for path, name, role in _sockets() if name == session]
@@ -190,8 +203,7 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
             ready = time.monotonic() + REPEAT_S
             while select.select([mine], [], [], max(0.0, ready - time.monotonic()))[0]:
                 answers.add(mine.recv(REQUEST_BYTES))
-            states = answers.states.values()
-            if states and SILENT not in states and all((s == STOPPED) != is_reset for s in states):
+            if answers.are_complete(is_reset):
                 break
         return answers
 

@@ -129,6 +129,28 @@ def test_a_stop_goes_through_a_watch_of_its_machine_when_the_ports_are_busy(tmp_
         assert set(told) == {Role.MASTER, Role.SLAVE}
 
 
+def test_a_side_elsewhere_that_hangs_is_named_and_no_success(tmp_path, demo_config):
+    """The sides are as if on two machines; the slave is suspended and answers nobody."""
+    with (
+        tempfile.TemporaryDirectory(dir="/tmp") as rig,
+        tempfile.TemporaryDirectory(dir="/tmp") as desk,
+        Processes(tmp_path, demo_config, *HELD) as session,
+    ):
+        slave = session.start("slave", prefix=["env", f"XDG_RUNTIME_DIR={rig}"])
+        session.start("master", prefix=["env", f"XDG_RUNTIME_DIR={desk}"])
+        with session.look() as link:
+            assert wait_for(lambda: session.engaged(link), START_S), session.outputs()
+        slave.send_signal(signal.SIGSTOP)
+        pause(1.5)
+        stop = session.start("stop", prefix=["env", f"XDG_RUNTIME_DIR={desk}"])
+        code = stop.wait(30)
+        slave.send_signal(signal.SIGCONT)
+        text = sorted(tmp_path.glob("*-stop.log"))[-1].read_text()
+        assert code == 1, text
+        assert "master    stopped" in text
+        assert "the slave" in text.splitlines()[-1]
+
+
 def test_a_slave_without_a_master_is_stopped_and_reset_too(tmp_path, demo_config):
     with Processes(tmp_path, demo_config) as session:
         session.start("slave")

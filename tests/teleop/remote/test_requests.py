@@ -1,13 +1,16 @@
 """Requests of other processes, as a side takes them."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from teleop.link import ReceivedMessage
 from teleop.link.refusals import Refusals
+from teleop.loop_process import PEER_NS, LoopProcess
 from teleop.messages import EmergencyStop
 from teleop.remote import stop_over_link
-from teleop.remote.requests import CALL, LEAVE, WATCH, RequestListener
-from teleop.session import Reason
+from teleop.remote.requests import CALL, LEAVE, WATCH, RequestListener, Requests
+from teleop.session import Reason, SessionOutline, State
 from teleop.topics import STOP, Role
 
 MS = 1_000_000
@@ -81,6 +84,34 @@ def test_nothing_else_counts_of_a_process_that_is_not_here(line, action):
     assert requests(0).stop is Reason.NONE
     line.here = True
     assert requests(1000 * MS).stop is Reason.NONE
+
+
+@pytest.mark.parametrize(
+    ("fresh", "connected", "lines"),
+    [
+        (True, True, ["slave stopped 3", "master engaged"]),
+        (False, True, ["slave stopped 3", "master silent"]),
+        (False, False, ["slave stopped 3"]),
+    ],
+)
+def test_a_side_says_that_its_peer_is_connected_and_silent(line, fresh, connected, lines):
+    """A peer whose loop hangs is connected; only the network leads to it."""
+    told = []
+    line.present = lambda role: connected and role is Role.MASTER
+    own = SimpleNamespace(is_asked=True, answer=told.append)
+    newest = SimpleNamespace(
+        is_fresh=lambda _now, limit: fresh and limit == PEER_NS,
+        packet=SimpleNamespace(records={"state": [State.ENGAGED]}),
+    )
+    side = SimpleNamespace(
+        role=Role.SLAVE,
+        _link=line,
+        _outline=SimpleNamespace(stops=3),
+        _requests=RequestListener(line, own),
+    )
+    stopped = SessionOutline(State.STOPPED)
+    LoopProcess._finish_requests(side, stopped, Requests(), newest, 0)
+    assert told == [lines]
 
 
 def test_a_watch_says_that_it_leaves_until_a_side_that_heard_nothing_would_have_stopped(

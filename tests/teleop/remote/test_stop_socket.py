@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from teleop.remote import stop_socket
+from teleop.app import cli
+from teleop.errors import TeleopError
+from teleop.remote import stop_over_link, stop_socket
 from teleop.remote.stop_socket import StopSocket, request_local, sessions_with_sockets
 
 
@@ -93,6 +95,25 @@ def test_a_side_that_does_not_answer_is_silent_even_if_its_peer_speaks_for_it():
         with running(master):
             answers = request_local("s", is_reset=False, reason="")
     assert answers.states == {"master": "stopped", "slave": "silent"}
+
+
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_a_side_elsewhere_that_is_silent_is_not_waited_for(monkeypatch, is_reset):
+    monkeypatch.setattr(stop_socket, "ANSWER_S", 60.0)
+    with StopSocket("s", "master") as own:
+        side = Side(own, "master", ["slave silent"])
+        side.state = "stopped" if is_reset else "engaged"
+        with running(side):
+            answers = request_local("s", is_reset, reason="")
+    assert answers.states == {"master": "ready" if is_reset else "stopped", "slave": "silent"}
+    assert answers.has_silent_peer
+
+
+def test_of_two_words_on_a_side_elsewhere_the_silence_counts():
+    for lines in (b"slave silent\nslave stopped", b"slave stopped\nslave silent"):
+        answers = stop_socket.LocalAnswers({"watch"})
+        answers.add(lines)
+        assert answers.states == {"slave": "silent"}
 
 
 def test_another_session_is_not_stopped():
@@ -204,6 +225,57 @@ def test_a_folder_too_long_for_the_address_of_a_socket_is_passed_over(monkeypatc
         side = Side(own, "master")
         with running(side):
             assert request_local(name, is_reset=False, reason="").states == {"master": "stopped"}
+
+
+NETWORK = {
+    "stopped": ({"slave": "stopped"}, 0, "slave     stopped"),
+    "moving": ({"slave": "engaged"}, 1, "the slave has NOT stopped"),
+    "absent": ({}, 1, "no answer from the slave, which may NOT have stopped"),
+    "fails": (TeleopError("no keys"), 1, "no answer from the slave, which may NOT have stopped"),
+}
+
+
+@pytest.mark.parametrize(("found", "code", "said"), NETWORK.values(), ids=NETWORK)
+def test_a_side_that_is_silent_to_its_peer_is_sought_over_the_network(
+    monkeypatch, capsys, found, code, said
+):
+    asked = []
+
+    def request(config, *_):
+        asked.append(config.session)
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    monkeypatch.setattr(stop_over_link, "request_over_link", request)
+    with StopSocket("s", "master") as own:
+        side = Side(own, "master", ["slave silent"])
+        with running(side):
+            assert cli.main(["stop", "--set", "session=s"]) == code
+    out, err = capsys.readouterr()
+    assert asked == ["s"]
+    assert "master    stopped" in out
+    assert said in out + err
+    assert ("no keys" in out) == (found is NETWORK["fails"][0])
+
+
+@pytest.mark.parametrize(("found", "code"), [({}, 1), ({"slave": "ready"}, 0)])
+def test_a_reset_does_not_pass_over_a_silent_side(monkeypatch, capsys, found, code):
+    monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: found)
+    with StopSocket("s", "master") as own:
+        side = Side(own, "master", ["slave silent"])
+        side.state = "stopped"
+        with running(side):
+            assert cli.main(["stop", "--reset", "--set", "session=s"]) == code
+    assert ("no answer from the slave, which may be stopped" in capsys.readouterr().err) == code
+
+
+def test_another_session_is_not_asked_for_a_silent_side(monkeypatch, capsys):
+    """Its socket gives the name of the session, but not its endpoints."""
+    monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: pytest.fail("asked"))
+    with StopSocket("s", "master") as own, running(Side(own, "master", ["slave silent"])):
+        assert cli.main(["stop"]) == 1
+    assert "teleop stop --config FILE" in capsys.readouterr().out
 
 
 def test_nothing_slow_is_imported():
