@@ -7,8 +7,9 @@ runtime folder, which nobody else can enter:
 
 A request is a line of text, `stop` or `reset NUMBER`, and after it the reason, in any bytes. The
 answer has a line `ROLE STATE STOPS` for the process itself, and a line `ROLE STATE` for each side
-that it is connected to, with the state `silent` if nothing comes from that side. Neither depends on the version of the messages. The module imports nothing
-that is slow to import, since an emergency stop does not wait.
+that it is connected to, with the state `silent` if nothing comes from that side. Neither depends on
+the version of the messages. The module imports nothing that is slow to import, since an emergency
+stop does not wait.
 """
 
 import os
@@ -180,14 +181,15 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
 
     A reset resets the stop that its side has when it answers first, not a later one. Gives up after
     `ANSWER_S`; then some of the states are others. A side elsewhere that is silent is not waited
-    for: the network is the only way to it.
+    for: the network is the only way to it. Without a socket for the answers the request is sent
+    once, and the sides here stay `SILENT`.
     """
     with ExitStack() as stack:
         sockets = [(path, role) for path, name, role in _sockets() if name == session]
         answers = LocalAnswers({role for _, role in sockets})
         if not sockets:
             return answers
-        mine = _bound(sockets[0][0].with_name(f"{os.urandom(8).hex()}.answer"), stack)
+        mine, has_address = _sender([path.parent for path, _ in sockets], stack)
         deadline = time.monotonic() + ANSWER_S
         while sockets and time.monotonic() < deadline:
             for place, role in list(sockets):
@@ -200,6 +202,8 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
                     sockets.remove((place, role))
                 except OSError:  # its queue is full: it gets the next one
                     continue
+                if not has_address:
+                    sockets.remove((place, role))
             ready = time.monotonic() + REPEAT_S
             while select.select([mine], [], [], max(0.0, ready - time.monotonic()))[0]:
                 answers.add(mine.recv(REQUEST_BYTES))
@@ -239,6 +243,16 @@ def _sockets() -> list[tuple[Path, str, str]]:
             else:
                 found.append((path, session, role))
     return found
+
+
+def _sender(folders: list[Path], stack: ExitStack) -> tuple[socket.socket, bool]:
+    """Return a socket for requests, and whether it can be answered: it needs a file for that."""
+    for folder in folders:
+        with suppress(OSError):  # read-only, or no space for a file
+            return _bound(folder / f"{os.urandom(8).hex()}.answer", stack), True
+    unbound = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+    unbound.setblocking(False)
+    return unbound, False
 
 
 def _bound(path: Path, stack: ExitStack) -> socket.socket:

@@ -1,5 +1,6 @@
 """Emergency stops that do not pass the network."""
 
+import errno
 import secrets
 import socket
 import stat
@@ -114,6 +115,40 @@ def test_of_two_words_on_a_side_elsewhere_the_silence_counts():
         answers = stop_socket.LocalAnswers({"watch"})
         answers.add(lines)
         assert answers.states == {"slave": "silent"}
+
+
+def refuse_to_bind(monkeypatch):
+    """As in a folder that is read-only, or on a file system without free inodes."""
+
+    def fail(path, _stack):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(stop_socket, "_bound", fail)
+
+
+def test_a_stop_is_sent_though_no_answer_can_be_received(monkeypatch):
+    with StopSocket("s", "master") as one, StopSocket("s", "slave") as two:
+        refuse_to_bind(monkeypatch)
+        master, slave = Side(one, "master"), Side(two, "slave")
+        answers = request_local("s", is_reset=False, reason="smoke")
+        assert answers.states == {"master": "silent", "slave": "silent"}
+        for side in (master, slave):
+            side.tick()
+            assert (side.state, side.reasons) == ("stopped", ["smoke"])
+
+
+@pytest.mark.parametrize(
+    ("found", "code"), [({"master": "stopped"}, 0), ({}, 1), ({"master": "engaged"}, 1)]
+)
+def test_a_stop_without_answers_is_confirmed_over_the_network_only(monkeypatch, found, code):
+    monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: found)
+    with StopSocket("s", "master") as own:
+        refuse_to_bind(monkeypatch)
+        side = Side(own, "master")
+        with running(side):
+            assert cli.main(["stop", "--set", "session=s"]) == code
+        side.tick()
+    assert side.state == "stopped"
 
 
 def test_another_session_is_not_stopped():
