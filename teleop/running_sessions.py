@@ -18,8 +18,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from teleop.errors import UsageError
+from teleop.user_folders import state_folder
 
 _FOLDER = "tendon-teleop"
+_RUN_USER = Path("/run/user")
+_TEMPORARY = ("/tmp", "/var/tmp")  # noqa: S108 - private folders only
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _STEM = 30  # longest part of a name that a config file gives [characters]
 _TRIES = 100  # random names
 SOCKET_ADDRESS_BYTES = 104  # of a Unix socket, with a closing zero; 108 on Linux
@@ -44,12 +48,13 @@ def registered(entry: RunningSession) -> Iterator[None]:
     first line says how to reach it.
     """
     entry = entry._replace(pid=os.getpid(), began=time.strftime("%Y-%m-%d %H:%M:%S%z"))
-    try:
-        folder = own_folder()
+    for folder in usable_folders():
         path = folder / f"{entry.session}.{entry.pid}.json"
         partial = path.with_suffix(".partial")
-        file = partial.open("w")
-    except OSError:
+        with suppress(OSError):
+            file = partial.open("w")
+            break
+    else:
         yield
         return
     with file:
@@ -66,10 +71,7 @@ def registered(entry: RunningSession) -> Iterator[None]:
 
 def running() -> list[RunningSession]:
     """Return the sessions of this user on this machine, the oldest first."""
-    try:
-        paths = list(own_folder().glob("*.json"))
-    except OSError:
-        return []
+    paths = [path for folder in own_folders() for path in folder.glob("*.json")]
     found = [entry for entry in map(_read, paths) if entry is not None]
     return sorted(found, key=lambda entry: (entry.began, entry.session))
 
@@ -158,18 +160,22 @@ def _read(path: Path) -> RunningSession | None:
     return None
 
 
-def own_folder(socket_name: str = "") -> Path:
-    """Return the folder, made if it is missing; `OSError` if others could write there.
+def usable_folders(socket_name: str = "") -> Iterator[Path]:
+    """Yield the folders, made if missing, that nobody else can write to, the preferred one first.
 
-    With a `socket_name` one in which a Unix socket can have that name.
+    With a `socket_name` those in which a Unix socket can have that name. One that another user has
+    made first, or that cannot be written to, is passed over: everybody may do that below /tmp.
     """
+    state = _state_folder()
     for folder in _folders():
         fits = len(os.fsencode(folder / socket_name)) < SOCKET_ADDRESS_BYTES
-        if os.access(folder.parent, os.W_OK) and (fits or not socket_name):
-            folder.mkdir(mode=0o700, exist_ok=True)
+        if not fits and socket_name:
+            continue
+        with suppress(OSError):
+            folder.mkdir(mode=0o700, exist_ok=True, parents=folder == state)
             _require_private(folder)
-            return folder
-    raise PermissionError("there is no folder of this user alone: set XDG_RUNTIME_DIR")
+            if os.access(folder, os.W_OK | os.X_OK):
+                yield folder
 
 
 def own_folders() -> list[Path]:
@@ -184,11 +190,28 @@ def own_folders() -> list[Path]:
 
 def _folders() -> list[Path]:
     """Return the folders to try; a process of a service manager may lack `XDG_RUNTIME_DIR`."""
-    bases = (os.environ.get("XDG_RUNTIME_DIR"), f"/run/user/{os.getuid()}")
+    bases = (os.environ.get("XDG_RUNTIME_DIR"), _RUN_USER / f"{os.getuid()}")
     folders = [Path(base) / _FOLDER for base in bases if base]
-    temporary = (os.environ.get("TMPDIR"), "/tmp", "/var/tmp")  # noqa: S108 - private folders only
+    temporary = (os.environ.get("TMPDIR"), *_TEMPORARY)
     folders += [Path(base).absolute() / f"{_FOLDER}-{os.getuid()}" for base in temporary if base]
-    return list(dict.fromkeys(folders))
+    state = _state_folder()
+    return list(dict.fromkeys(folders if state is None else [*folders, state]))
+
+
+def _state_folder() -> Path | None:
+    """Return the folder below the home of this user, which no other one can occupy; None without.
+
+    One for each start of a machine: machines may share a home, and a name of a socket in it tells
+    them not apart.
+    """
+    try:
+        boot = _BOOT_ID.read_text()[:8]
+    except OSError:
+        boot = "run"
+    try:
+        return state_folder() / "teleop" / boot
+    except UsageError:
+        return None
 
 
 def _require_private(folder: Path) -> None:

@@ -21,7 +21,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from teleop.running_sessions import own_folder, own_folders
+from teleop.running_sessions import own_folders, usable_folders
 
 ANSWER_S = 2.0  # [s] timeout for the answers of all processes; they take milliseconds
 REPEAT_S = 0.02  # [s] between two requests: a peer's state in an answer may still be the old one
@@ -66,15 +66,19 @@ class StopSocket:
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        try:
-            self._socket = _bound(own_folder(self._name) / self._name, self._stack)
-        except OSError as error:
-            self.warning = (
-                "WARNING: `teleop stop` reaches this process over the network only: no socket in "
-                f"the runtime folder of this user: {error}"
-            )
-        else:
-            self._poll.register(self._socket, select.POLLIN)
+        reason = "there is no folder of this user alone: set XDG_RUNTIME_DIR"
+        for folder in usable_folders(self._name):
+            try:
+                self._socket = _bound(folder / self._name, self._stack)
+            except OSError as error:
+                reason = str(error)
+            else:
+                self._poll.register(self._socket, select.POLLIN)
+                return self
+        self.warning = (
+            "WARNING: `teleop stop` reaches this process over the network only: no socket in the "
+            f"runtime folder of this user: {reason}"
+        )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -189,7 +193,8 @@ def request_local(session: str, is_reset: bool, reason: str) -> LocalAnswers:
         answers = LocalAnswers({role for _, role in sockets})
         if not sockets:
             return answers
-        mine, has_address = _sender([path.parent for path, _ in sockets], stack)
+        folders = [path.parent for path, _ in sockets]
+        mine, has_address = _sender(list(dict.fromkeys(folders + own_folders())), stack)
         deadline = time.monotonic() + ANSWER_S
         while sockets and time.monotonic() < deadline:
             for place, role in list(sockets):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop import own_endpoints
+from teleop import own_endpoints, running_sessions
 from teleop.app import cli
 from teleop.config import load
 from teleop.errors import PeerError, UsageError
@@ -40,6 +40,10 @@ with registered(RunningSession(session="other", overrides=(), endpoints=())):
 def runtime(tmp_path, monkeypatch):
     """A folder of the user for the registry."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(running_sessions, "_RUN_USER", tmp_path / "none")
+    monkeypatch.setattr(running_sessions, "_TEMPORARY", ())  # sessions outside of the test
+    monkeypatch.delenv("TMPDIR", raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "home"))
     return tmp_path / "tendon-teleop"
 
 
@@ -93,13 +97,23 @@ def test_a_session_whose_process_was_killed_is_forgotten(runtime):
     assert list(runtime.iterdir()) == []
 
 
-def test_a_folder_where_others_may_write_is_not_believed(runtime):
+def test_a_folder_where_others_may_write_is_not_believed(runtime, tmp_path):
     runtime.mkdir()
     (runtime / "x.1.json").write_text("{}")
     runtime.chmod(0o777)
     with registered(entry()):
-        assert running() == []
-    assert os.listdir(runtime) == ["x.1.json"]
+        assert [e.session for e in running()] == ["a"]
+        assert os.listdir(runtime) == ["x.1.json"]
+        (path,) = (tmp_path / "home").glob("**/*.json")
+        assert path.parent.stat().st_mode & 0o077 == 0
+
+
+def test_a_session_is_found_though_a_folder_before_its_own_became_usable(runtime):
+    runtime.mkdir()
+    runtime.chmod(0o777)
+    with registered(entry()):
+        runtime.chmod(0o700)
+        assert [e.session for e in running()] == ["a"]
 
 
 def test_without_a_runtime_folder_the_registry_is_one_of_the_user_below_tmp(monkeypatch, tmp_path):

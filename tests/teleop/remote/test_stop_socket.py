@@ -1,6 +1,7 @@
 """Emergency stops that do not pass the network."""
 
 import errno
+import os
 import secrets
 import socket
 import stat
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from teleop import running_sessions
 from teleop.app import cli
 from teleop.errors import TeleopError
 from teleop.remote import stop_over_link, stop_socket
@@ -233,6 +235,60 @@ def test_a_folder_that_others_may_enter_is_not_used(runtime_folder):
     folder = runtime_folder / "tendon-teleop"
     folder.mkdir()
     folder.chmod(0o750)
+    with StopSocket("s", "slave") as own:
+        assert not own.warning
+        assert list(folder.iterdir()) == []
+        with running(Side(own, "slave")):
+            assert request_local("s", is_reset=False, reason="").states == {"slave": "stopped"}
+
+
+@pytest.fixture
+def occupied(monkeypatch, runtime_folder):
+    """Folders that another user, or a link of his, has made first, as anybody can below /tmp."""
+    monkeypatch.setenv("TMPDIR", str(runtime_folder / "a"))
+    monkeypatch.setattr(running_sessions, "_RUN_USER", runtime_folder / "b")
+    monkeypatch.setattr(running_sessions, "_TEMPORARY", (str(runtime_folder / "c"),))
+    monkeypatch.setenv("XDG_STATE_HOME", str(runtime_folder / "home"))
+    (runtime_folder / "elsewhere").mkdir(mode=0o700)
+    (runtime_folder / "tendon-teleop").symlink_to(runtime_folder / "elsewhere")
+    (runtime_folder / "b" / str(os.getuid())).mkdir(parents=True)
+    (runtime_folder / "b" / str(os.getuid()) / "tendon-teleop").write_text("")
+    for name in ("a", "c"):
+        (runtime_folder / name / f"tendon-teleop-{os.getuid()}").mkdir(parents=True)
+        (runtime_folder / name / f"tendon-teleop-{os.getuid()}").chmod(0o777)
+    return runtime_folder
+
+
+def test_nobody_takes_away_the_local_stop_by_making_its_folders_first(occupied):
+    with StopSocket("s", "master") as own:
+        assert not own.warning
+        (path,) = occupied.glob("**/*.stop")
+        assert path.is_relative_to(occupied / "home" / "teleop")
+        assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+        side = Side(own, "master")
+        with running(side):
+            assert request_local("s", is_reset=False, reason="").states == {"master": "stopped"}
+
+
+def test_a_folder_in_which_no_socket_can_be_made_is_passed_over(monkeypatch, runtime_folder):
+    """Without free inodes, for instance."""
+    bind, full = stop_socket._bound, runtime_folder / "tendon-teleop"
+
+    def fail(path, stack):
+        if path.parent == full:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        return bind(path, stack)
+
+    monkeypatch.setattr(stop_socket, "_bound", fail)
+    with StopSocket("s", "master") as own:
+        assert not own.warning
+        side = Side(own, "master")
+        with running(side):
+            assert request_local("s", is_reset=False, reason="").states == {"master": "stopped"}
+
+
+def test_without_any_folder_the_stop_goes_over_the_network(monkeypatch, occupied):
+    monkeypatch.setenv("XDG_STATE_HOME", "relative")
     with StopSocket("s", "slave") as own:
         assert "over the network only" in own.warning
         assert own.take() == []
