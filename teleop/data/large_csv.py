@@ -126,8 +126,8 @@ def _values(column: Any) -> NDArray[Any]:
     if pa.types.is_floating(column.type):
         return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
     encoded = column.fill_null("").dictionary_encode()
-    texts: NDArray[Any] = np.array(encoded.dictionary.to_pylist(), dtype=object)
-    return texts[encoded.indices.to_numpy()]
+    texts = np.array(encoded.dictionary.to_pylist(), dtype=object)
+    return np.asarray(texts[encoded.indices.to_numpy()])
 
 
 @contextlib.contextmanager
