@@ -3,6 +3,7 @@
 import dataclasses
 import errno
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -204,6 +205,37 @@ def test_a_value_that_the_drive_changes_is_refused(drives):
         opened_on(drives),
     ):
         pass
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "written"),
+    [(10.0, (100, -3)), (50.0, (20, -3)), (400.0, (25, -4)), (800.0, (125, -5)), (2000.0, (5, -4))],
+)
+def test_the_interpolation_period_is_that_of_sync(drives, rate_hz, written):
+    od = drives.drives[0].od
+    with opened_on(drives, count=1, rate_hz=rate_hz):
+        assert (od.read(0x60C2, 1), od.read(0x60C2, 2)) == written
+    assert written[0] * 10.0 ** written[1] == pytest.approx(1.0 / rate_hz, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "nearest"), [(300.0, 303.03), (999.0, 1000.0), (1600.0, 1587.3), (1995.0, 2000.0)]
+)
+def test_a_rate_whose_period_no_drive_can_be_told_is_refused_with_the_nearest(rate_hz, nearest):
+    with pytest.raises(ValueError, match=r"rate_hz: .*60C2") as refused:
+        Cia402Config(rate_hz=rate_hz)
+    (said,) = re.findall(r"nearest is (\S+) Hz", str(refused.value))
+    assert float(said) == pytest.approx(nearest, rel=1e-5)
+    Cia402Config(rate_hz=float(said))  # as it is written
+
+
+def test_a_rate_that_the_bus_carries_is_named_so_that_it_may_be_used():
+    config = Cia402Config(rate_hz=1000.0)
+    with pytest.raises(ValueError, match="lower rate_hz") as refused:
+        config.require_load(7, 7, 7)
+    (said,) = re.findall(r"lower rate_hz to (\S+) or less", str(refused.value))
+    lower = Cia402Config(rate_hz=float(said))
+    assert 0.9 * LOAD_MAX < lower.require_load(7, 7, 7) <= LOAD_MAX
 
 
 @pytest.mark.parametrize(

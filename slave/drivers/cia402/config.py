@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from slave.drivers.cia402.bus_load import HEARTBEATS_HZ, LOAD_MAX, bus_load
+from slave.drivers.cia402.period import RATE_MAX, RATE_MIN, encode_period, highest_rate
 
 INT32_MIN, INT32_MAX = -(1 << 31), (1 << 31) - 1
 FOLLOWING_ERROR_MAX = (1 << 32) - 2  # [counts] one more switches the supervision off (6065)
@@ -80,8 +81,9 @@ class Cia402Config:
 
     def __post_init__(self) -> None:
         """Check the values; raises `ValueError`."""
-        if not 10.0 <= self.rate_hz <= 2000.0:
-            raise ValueError("rate_hz: must be 10 to 2000 Hz")
+        if not RATE_MIN <= self.rate_hz <= RATE_MAX:
+            raise ValueError(f"rate_hz: must be {RATE_MIN:g} to {RATE_MAX:g} Hz")
+        encode_period(self.rate_hz)
         if not 1 <= self.master <= 127:
             raise ValueError("master: must be 1 to 127")
         if not 0.010 <= self.watchdog <= 0.050:
@@ -104,6 +106,11 @@ class Cia402Config:
                 raise ValueError(f"{name}: must be 1 to {INT32_MAX}")
 
     @property
+    def period(self) -> tuple[int, int]:
+        """Interpolation period: count, and exponent of ten of its unit [s]."""
+        return encode_period(self.rate_hz)
+
+    @property
     def beat_s(self) -> float:
         """Time [s] between two heartbeats, or two requests to a guarded drive."""
         return self.watchdog / BEATS
@@ -119,10 +126,14 @@ class Cia402Config:
         wide = self.analogue.bits == 32
         guarded = self.error_control == "guarding"
         beats_hz = 2.0 * drives / self.beat_s if guarded else HEARTBEATS_HZ  # request and answer
-        load = bus_load(self.bus.bitrate, self.rate_hz, drives, cells, together, wide, beats_hz)
+        idle, load = (
+            bus_load(self.bus.bitrate, rate_hz, drives, cells, together, wide, beats_hz)
+            for rate_hz in (0.0, self.rate_hz)
+        )
         if load > LOAD_MAX:
+            lower_hz = highest_rate(self.rate_hz * (LOAD_MAX - idle) / (load - idle))
             raise ValueError(
                 f"the bus would be {load:.0%} full at {self.rate_hz:g} Hz, {LOAD_MAX:.0%} at most: "
-                f"lower rate_hz to {self.rate_hz * LOAD_MAX / load:.0f} or less, or use two buses"
+                f"lower rate_hz to {lower_hz:.6g} or less, or use two buses"
             )
         return load

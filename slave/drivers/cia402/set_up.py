@@ -65,8 +65,9 @@ class NodeSetUp:
         self.put(0x6085, 0, 4, config.quick_stop_deceleration)
         self.put(0x605A, 0, 2, QUICK_STOP_AND_HOLD, signed=True)
         self.put(0x6007, 0, 2, QUICK_STOP_ON_LOSS, signed=True)
-        self.put(0x60C2, 1, 1, round(1e3 / config.rate_hz))
-        self.put(0x60C2, 2, 1, -3, signed=True)
+        count, exponent = config.period
+        self.put(0x60C2, 1, 1, count)
+        self.put(0x60C2, 2, 1, exponent, signed=True)
         self._error_control()
         target = (0x60C1, 1, 32) if config.mode == "interpolation" else (0x607A, 0, 32)
         self._map(0x1400, 0x200, [(0x6040, 0, 16), target])
