@@ -532,6 +532,16 @@ def test_positions_that_another_program_has_shifted_are_refused(drives, index, k
         pass
 
 
+@pytest.mark.parametrize(
+    ("index", "kind"), [(0x607E, DatatypeEnum.UNSIGNED8), (0x60B0, DatatypeEnum.INTEGER32)]
+)
+def test_a_drive_that_refuses_to_tell_how_it_counts_is_refused(drives, index, kind):
+    drives.drives[1].od[index] = Variable(kind, "wo", 0x80)
+    said = f"drive 2 object {index:04X}:0: Code 0x06010001"  # attempt to read a write only object
+    with pytest.raises(RigFault, match=said), opened_on(drives):
+        pass
+
+
 def full_queue(refusals):
     """Return a `send` whose queue is full for so many tries, and what it has sent."""
     sent = []

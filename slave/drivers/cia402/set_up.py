@@ -19,7 +19,7 @@ POLL_S = 0.02  # [s] between two requests of the status word
 _POWERED = (DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION)
 _MODES = {"position": (8, 7), "interpolation": (7, 6)}  # value of 6060, bit of 6502
 _OFF = 1 << 31  # of a PDO's identifier
-_NO_OBJECT = (0x06020000, 0x06090011)
+_NO_OBJECT = (0x06020000, 0x06090011)  # abort codes: no such object, no such subindex
 _POSITION_SETTINGS = (  # object, bits that must be 0, what they do
     (0x607E, 0x80, "reversed positions"),
     (0x60B0, 0xFFFFFFFF, "an offset of its targets"),
@@ -109,11 +109,13 @@ class NodeSetUp:
             raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
 
     def _get_if_there(self, index: int) -> int:
-        """Read an unsigned value; 0 if the node has none."""
+        """Read an unsigned value; 0 if the node has no such object, `DriverFault` if it refuses."""
         try:
             return int.from_bytes(self._sdo.upload(index, 0), "little")
-        except SdoAbortedError:
-            return 0
+        except SdoAbortedError as error:
+            if error.code in _NO_OBJECT:
+                return 0
+            raise self._fault(f"object {index:04X}:0: {error}") from error
         except SdoError as error:
             raise NoAnswer(f"drive {self._number} does not answer ({error})") from error
 
