@@ -6,9 +6,10 @@ A genuine command is mutated `--count` times, in 1 to 4 bytes or cut off, and so
 emergency stop; as many come from `--senders` different senders. All must be counted and dropped,
 and the memory of the process must stay within 2 MB. The time of a frame contains making it.
 
-Then a viewer declares tokens of 30 kB, and subscribers, for `--seconds` each at a slave in a
-process of its own, and connects again whenever it is cut off. When it has left, the resident memory
-of the slave must be within 10 MB of what it was before.
+Then a viewer declares tokens of 30 kB, and subscribers, for `--seconds` each at a slave that is
+connected with a master, each in a process of its own, and connects again whenever it is cut off. It
+must have been connected, and have made at least 20 declarations. When it has left, both processes
+must be alive, and the resident memory of the slave within 10 MB of what it was before.
 """
 
 import argparse
@@ -16,14 +17,16 @@ import gc
 import itertools
 import os
 import random
+import select
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import zenoh
 
@@ -41,13 +44,18 @@ from teleop.topics import COMMAND, STOP, Role, Topic
 FLAT_MB = 2.0
 WARM = 20_000  # frames before memory is measured, which fill caches
 LEFT_MB = 10.0  # of a slave, after a viewer has left that declared what it could
+DECLARED_MIN = 20  # by a viewer while it was connected, or there was no flood
+START_S = 30.0  # of a slave and a master
 LEAVING_S = 5.0
 LONG = "x" * 30_000  # of a key
-SLAVE = """
+SIDE = """
 import sys, time
 from teleop.link import Link, LinkConfig
 from teleop.topics import Role
-with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "denial", Role.SLAVE) as link:
+role, other = (Role[name] for name in sys.argv[3:])
+with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "denial", role) as link:
+    while not link.present(other):
+        time.sleep(0.01)
     print("ready", flush=True)
     while True:
         time.sleep(0.5)
@@ -176,36 +184,72 @@ def declare_subscriber(session: zenoh.Session, number: int) -> Any:
     return session.declare_subscriber(f"teleop/denial/{number}", zenoh.handlers.DefaultHandler())
 
 
-def flood_tables(declare: Callable[[zenoh.Session, int], Any], seconds: float) -> list[float]:
-    """Return the memory [MB] of a slave before, at most in, and after a flood of a viewer."""
+class TableFlood(NamedTuple):
+    """A slave before, in and after a flood of a viewer."""
+
+    before_mb: float  # memory of the slave
+    largest_mb: float
+    after_mb: float
+    connections: int  # of the viewer
+    declared: int  # by it, as long as it was connected
+    ended: dict[str, int | None]  # side -> exit code, None = is alive
+
+    def failures(self) -> list[str]:
+        """Return what is wrong, one line each."""
+        lines = [
+            f"the {side} has ended with {code}"
+            for side, code in self.ended.items()
+            if code is not None
+        ]
+        if not self.connections:
+            lines.append("the viewer was never connected")
+        if self.declared < DECLARED_MIN:
+            lines.append(f"the viewer declared {self.declared}, at least {DECLARED_MIN} are needed")
+        if self.after_mb - self.before_mb > LEFT_MB:
+            lines.append(f"the slave keeps more than {LEFT_MB:g} MB")
+        return lines
+
+
+def flood_tables(declare: Callable[[zenoh.Session, int], Any], seconds: float) -> TableFlood:
+    """Flood the tables of a slave, which is connected with a master, as a viewer."""
     with socket.socket() as one, socket.socket() as two:
         for probe in (one, two):
             probe.bind(("127.0.0.1", 0))
         ends = [f"127.0.0.1:{probe.getsockname()[1]}" for probe in (one, two)]
     viewer = local_credentials("denial", Office.VIEWER)
-    words = [sys.executable, "-c", SLAVE, *ends]
-    with subprocess.Popen(words, stdout=subprocess.PIPE) as slave:
-        try:
-            if slave.stdout is not None:
-                slave.stdout.readline()
-            time.sleep(1.0)
-            memory = [resident_mb(slave.pid)]
-            end = time.monotonic() + seconds
-            while time.monotonic() < end:
-                with open_session(viewer, [], [ends[1]]) as session:
-                    kept = []
-                    while not session.info.peers_zid() and time.monotonic() < end:
-                        time.sleep(0.01)
-                    for number in itertools.count():
-                        kept.append(declare(session, number))
-                        if number % 10 == 0:
-                            memory.append(resident_mb(slave.pid))
-                            if not session.info.peers_zid() or time.monotonic() > end:
-                                break
-            time.sleep(LEAVING_S)
-            return [memory[0], max(memory), resident_mb(slave.pid)]
-        finally:
-            slave.kill()
+    connections = declared = 0
+    with ExitStack() as stack:
+        sides: dict[str, subprocess.Popen[bytes]] = {}
+        for role, other in (("SLAVE", "MASTER"), ("MASTER", "SLAVE")):
+            words = [sys.executable, "-c", SIDE, *ends, role, other]
+            side = stack.enter_context(subprocess.Popen(words, stdout=subprocess.PIPE))
+            stack.callback(side.kill)
+            sides[role.lower()] = side
+        for side in sides.values():
+            assert side.stdout is not None
+            assert select.select([side.stdout], [], [], START_S)[0], "slave and master do not meet"
+            side.stdout.readline()
+        time.sleep(1.0)
+        slave = sides["slave"].pid
+        memory = [resident_mb(slave)]
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            with open_session(viewer, [], [ends[1]]) as session:
+                kept = []
+                while not session.info.peers_zid() and time.monotonic() < end:
+                    time.sleep(0.01)
+                connections += bool(session.info.peers_zid())
+                for number in itertools.count():
+                    if number % 10 == 0:
+                        memory.append(resident_mb(slave))
+                        if not session.info.peers_zid() or time.monotonic() > end:
+                            break
+                        declared = declared + 10 * (number > 0)
+                    kept.append(declare(session, number))
+        time.sleep(LEAVING_S)
+        after_mb = resident_mb(slave)  # 0 of one that has ended
+        ended = {role: side.poll() for role, side in sides.items()}
+    return TableFlood(memory[0], max(memory), after_mb, connections, declared, ended)
 
 
 def main() -> int:
@@ -236,12 +280,14 @@ def main() -> int:
         )
     failed |= not still_opens(door)
     for declare in (declare_token, declare_subscriber):
-        before, largest, after = flood_tables(declare, args.seconds)
-        failed |= after - before > LEFT_MB
+        tables = flood_tables(declare, args.seconds)
+        failed |= bool(tables.failures())
         print(
-            f"{declare.__name__:18} memory of a slave {before:.1f} MB, at most {largest:.1f} MB, "
-            f"{after:.1f} MB when the viewer has left"
+            f"{declare.__name__:18} {tables.declared} in {tables.connections} connections: memory "
+            f"of a slave {tables.before_mb:.1f} MB, at most {tables.largest_mb:.1f} MB, "
+            f"{tables.after_mb:.1f} MB when the viewer has left"
         )
+        print("".join(f"FAILED: {line}\n" for line in tables.failures()), end="")
     print("FAILED" if failed else "a genuine command is still accepted")
     return int(failed)
 

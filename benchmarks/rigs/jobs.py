@@ -14,7 +14,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks.rigs import namespace
@@ -35,6 +35,7 @@ RATE_HZ = {"microcontroller": 1000.0, "dynamixel": 250.0, "cia402": 500.0}
 WATCHDOG_S = 0.050
 ENGAGE_S = 30.0  # of a command to start, and of the hand to engage again
 CALIBRATING_S = (0.3, 3.0, 8.0)  # after the motors were enabled
+IN_MOTION_S = 0.050  # since a motor last moved by a count; a slow pull takes 10 ms for one
 STILL_S = 1.0  # in which nothing may move by itself
 
 FAULTS = {
@@ -183,9 +184,22 @@ def kill_calibrate(session: Session, driver: str) -> str:
         times.append(session.model.order()["moved_s"] - killed_s)
         require_still(session)
         assert out.read_bytes() == earlier, "the earlier calibration has changed"
-    said = ", ".join(f"{1e3 * one:.0f}" for one in times)
-    assert max(times) <= WATCHDOG_S, f"last motion {said} ms after SIGKILL"
-    return f"last motion {said} ms after SIGKILL; the earlier file is as it was"
+    return f"{require_stopped(times)}; the earlier file is as it was"
+
+
+def require_stopped(last_motions_s: Sequence[float]) -> str:
+    """Fail unless motors stopped soon after each SIGKILL, and at one of them were in motion.
+
+    Parameters
+    ----------
+    last_motions_s : sequence of float
+        Time of the last motion after each SIGKILL [s]; negative before it.
+    """
+    times = ", ".join(f"{1e3 * time_s:.0f}" for time_s in last_motions_s)
+    said = f"last motion {times} ms after SIGKILL"
+    assert max(last_motions_s) <= WATCHDOG_S, said
+    assert max(last_motions_s) > -IN_MOTION_S, f"{said}: no motor was in motion at any of them"
+    return said
 
 
 def kill_driver(session: Session, driver: str) -> str:

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import denial
+from benchmarks.denial import DECLARED_MIN, TableFlood
 from benchmarks.hidden.scales import Answer, unlike
+from benchmarks.rigs.jobs import require_stopped
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 MODULES = [
@@ -29,3 +32,44 @@ def test_a_number_that_only_one_size_of_a_bench_has_is_a_difference():
     assert unlike(Answer("clean", (), of_one), Answer("clean", (), of_one)) == []
     (said,) = unlike(Answer("clean", (), {"K": (0.9, 0.01)}), Answer("clean", (), of_both))
     assert said.startswith("K 0.9")
+
+
+ALIVE = {"slave": None, "master": None}
+
+
+@pytest.mark.parametrize(
+    ("flood", "failures"),
+    [
+        (TableFlood(130.0, 140.0, 131.0, 3, DECLARED_MIN, ALIVE), []),
+        (TableFlood(130.0, 140.0, 0.0, 3, 50, ALIVE | {"slave": -9}), ["slave has ended with -9"]),
+        (TableFlood(130.0, 140.0, 131.0, 3, 50, ALIVE | {"master": 1}), ["the master has ended"]),
+        (TableFlood(130.0, 130.0, 130.0, 0, 0, ALIVE), ["never connected", "declared 0, at least"]),
+        (TableFlood(130.0, 150.0, 145.0, 3, 50, ALIVE), ["keeps more than 10 MB"]),
+    ],
+)
+def test_a_flood_that_kills_a_side_or_is_none_fails(flood, failures):
+    found = flood.failures()
+    assert len(found) == len(failures)
+    assert all(part in line for part, line in zip(failures, found, strict=True))
+
+
+def test_a_slave_that_dies_in_a_flood_is_noticed(monkeypatch):
+    dying = denial.SIDE.replace("while True:", "while role is Role.MASTER:")
+    monkeypatch.setattr(denial, "SIDE", dying + "time.sleep(1.5)\nsys.exit(3)")
+    monkeypatch.setattr(denial, "LEAVING_S", 1.0)
+    flood = denial.flood_tables(denial.declare_token, 1.0)
+    assert flood.ended == {"slave": 3, "master": None}
+    assert "the slave has ended with 3" in flood.failures()
+
+
+@pytest.mark.parametrize("times_s", [(-2.0, -0.3, 0.01), (-3.0, -0.004), (0.049,)])
+def test_motors_that_stop_soon_after_a_kill_pass(times_s):
+    assert require_stopped(times_s).startswith("last motion ")
+
+
+@pytest.mark.parametrize(
+    ("times_s", "said"), [((-2.0, -0.3), "no motor was in motion"), ((0.01, 0.06), "60 ms after")]
+)
+def test_kills_at_rest_show_nothing_and_late_stops_fail(times_s, said):
+    with pytest.raises(AssertionError, match=said):
+        require_stopped(times_s)
