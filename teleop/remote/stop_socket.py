@@ -3,7 +3,7 @@
 Each side of a session, and each `teleop stop --watch`, has a Unix datagram socket in the user's
 runtime folder, which nobody else can enter:
 
-    <runtime folder>/<session>.<network namespace>.<role>.<process>.stop
+    <runtime folder>/<session>.<network namespace>.<role>.<random>.stop
 
 A request is a line of text, `stop` or `reset NUMBER`, and after it the reason, in any bytes. The
 answer has a line `ROLE STATE STOPS` for the process itself, and a line `ROLE STATE` for each side
@@ -58,7 +58,8 @@ class StopSocket:
     """
 
     def __init__(self, session: str, role: str) -> None:
-        self._name = f"{session}.{_network()}.{role}.{os.getpid()}.stop"
+        # no process number: in a restarted container a killed process had the same one
+        self._name = f"{session}.{_network()}.{role}.{os.urandom(4).hex()}.stop"
         self.warning = ""
         self._socket: socket.socket | None = None
         self._poll = select.poll()

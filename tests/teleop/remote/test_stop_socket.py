@@ -222,6 +222,22 @@ def test_the_socket_of_a_killed_process_is_removed(runtime_folder):
     assert not left.exists()
 
 
+def test_what_a_killed_process_of_the_same_number_left_is_not_in_the_way(runtime_folder):
+    """In a container that is restarted the numbers begin anew, and its files may stay."""
+    with StopSocket("s", "slave"):
+        (path,) = runtime_folder.glob("*/*.stop")
+        name = path.name
+    with datagrams() as killed:
+        killed.bind(str(path))
+    with StopSocket("s", "slave") as own:
+        assert not own.warning
+        side = Side(own, "slave")
+        with running(side):
+            assert request_local("s", is_reset=False, reason="").states == {"slave": "stopped"}
+        (path,) = runtime_folder.glob("*/*.stop")  # that of the killed process is removed
+        assert path.name != name
+
+
 def test_a_process_that_is_killed_during_a_request_is_not_waited_for(monkeypatch, runtime_folder):
     with datagrams() as killed:
         killed.bind(str(runtime_folder / "s.slave.stop"))
