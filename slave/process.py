@@ -47,7 +47,7 @@ from teleop.errors import TeleopError, UsageError
 from teleop.events import publish_event
 from teleop.link import Link
 from teleop.link_health import DEFAULT_BOUNDS, HealthConfig
-from teleop.loop_process import LoopProcess, conclude, run_session
+from teleop.loop_process import LoopProcess, answer_requests, conclude, run_session
 from teleop.messages import SlaveState, TendonState
 from teleop.meter import format_reason
 from teleop.options import add_option, add_options
@@ -376,7 +376,9 @@ def model_of(
             call_stop(link, Role.SLAVE, asked.words or asked.stop.text)
             stop_motors(rig, said := f"{GIVEN_UP}{format_reason(asked.stop, asked.words)}")
             done = SessionOutline(State.STOPPED, asked.stop)
-            requests.answer(Role.SLAVE, done, 0, None if master is None else State(master.state))
+            if requests.is_asked:
+                latest = link.latest(COMMAND)
+                answer_requests(link, requests, Role.SLAVE, done, 0, latest, now_ns())
             raise TeleopError(said)
         if master is not None and State(master.state) is State.STOPPED:
             stop_motors(rig, said := f"{GIVEN_UP}{Reason.PEER_STOPPED.text}")

@@ -121,12 +121,9 @@ class LoopProcess(ABC):
         """Tell the others of an executed stop, and answer requests from this machine."""
         self._requests.relay(self.role, side, requests.words)
         if self._requests.is_asked:
-            other, peer = Role.SLAVE if self.role is Role.MASTER else Role.MASTER, ""
-            if latest.is_fresh(now, PEER_NS):
-                peer = State(known_state(latest.packet.records["state"][0])).name.lower()
-            elif self._link.present(other):  # it hangs, or starts, and may move its motors
-                peer = SILENT
-            self._requests.answer(self.role, side, self._outline.stops, other, peer)
+            answer_requests(
+                self._link, self._requests, self.role, side, self._outline.stops, latest, now
+            )
 
     def _warn(self, texts: Iterable[str]) -> None:
         """Publish what is doubtful about this side; empty texts are left out."""
@@ -187,6 +184,24 @@ class LoopProcess(ABC):
         self._refused, self._forged = refused, forged
         for line in self._link.refusals.take():
             publish_event(self._link, self.role, self._outline(), line)
+
+
+def answer_requests(
+    link: Link,
+    requests: RequestListener,
+    role: Role,
+    side: SessionOutline,
+    stops: int,
+    latest: Latest[Any],
+    now_ns: int,
+) -> None:
+    """Answer the executed requests from this machine for a side whose peer's newest is `latest`."""
+    other, peer = Role.SLAVE if role is Role.MASTER else Role.MASTER, ""
+    if latest.is_fresh(now_ns, PEER_NS):
+        peer = State(known_state(latest.packet.records["state"][0])).name.lower()
+    elif link.present(other):  # it hangs, or starts, and may move its motors
+        peer = SILENT
+    requests.answer(role, side, stops, other, peer)
 
 
 Process = TypeVar("Process", bound=LoopProcess)

@@ -6,6 +6,7 @@ import time
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from teleop.messages import (
     text_of,
 )
 from teleop.remote.requests import CALL, RESET, RequestListener
+from teleop.remote.stop_socket import LocalRequest
 from teleop.session import Reason, State, outline
 from teleop.topics import (
     COMMAND,
@@ -124,8 +126,8 @@ class FakeLink:
         heard, self.heard = self.heard, []
         return heard
 
-    def present(self, role, nonce):  # noqa: ARG002
-        return False
+    def present(self, role, nonce=None):
+        return role is Role.MASTER and nonce is None
 
     def announced(self, nonce):
         return nonce == 77
@@ -599,8 +601,9 @@ def test_a_call_for_a_stop_holds_the_motors_until_it_is_reset_without_any_master
 CALIBRATING = SlaveConfig(rig=SimulatedRigConfig(), initialise=InitialiseConfig(at_start=True))
 
 
-def model_of(rig, line):
-    return process.model_of(CALIBRATING, rig, line, RequestListener(line), Until(9), 1000.0, {})
+def model_of(rig, line, stop_socket=None):
+    requests = RequestListener(line, stop_socket)
+    return process.model_of(CALIBRATING, rig, line, requests, Until(9), 1000.0, {})
 
 
 def test_a_calibration_at_the_start_leaves_the_motors_held_from_the_first_tick_on(monkeypatch):
@@ -641,6 +644,18 @@ def test_a_stop_ends_a_calibration_at_the_start_and_stops_the_motors(monkeypatch
     assert rig.stops == [0]
     (told,) = line.of(STOP)  # the master may not have heard it
     assert told.action == CALL
+
+
+@pytest.mark.parametrize(("commanding", "master"), [(True, "ready"), (False, "silent")])
+def test_a_stop_during_a_calibration_says_what_the_master_does(monkeypatch, commanding, master):
+    line, told = FakeLink(), []
+    line.commanding = commanding
+    request = LocalRequest(is_reset=False, number=0, reason="smoke")
+    local = SimpleNamespace(take=lambda: [request], is_asked=True, answer=told.append)
+    monkeypatch.setattr(process, "initialise", lambda *_, stopped, **__: stopped())
+    with pytest.raises(TeleopError, match="this machine: smoke"):
+        model_of(StoppableRig(), line, local)
+    assert told == [["slave stopped 0", f"master {master}"]]
 
 
 @pytest.mark.parametrize(("kind", "stops"), [(FakeRig, None), (StoppableRig, [0])])
