@@ -226,8 +226,8 @@ def flood_tables(declare: Callable[[zenoh.Session, int], Any], seconds: float) -
             stack.callback(side.kill)
             sides[role.lower()] = side
         for side in sides.values():
-            assert side.stdout is not None
-            assert select.select([side.stdout], [], [], START_S)[0], "slave and master do not meet"
+            if side.stdout is None or not select.select([side.stdout], [], [], START_S)[0]:
+                raise SystemExit("slave and master do not meet")
             side.stdout.readline()
         time.sleep(1.0)
         slave = sides["slave"].pid
