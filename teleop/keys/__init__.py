@@ -3,7 +3,15 @@
 A process proves its role by a certificate of an authority that all processes of a session trust.
 """
 
-from teleop.keys.credentials import CertificateError, Credentials
+from teleop.keys.credentials import CertificateError, Credentials, NotYetValidError
 from teleop.keys.identity import OFFICE_OF, RIGHTS, Identity, Office
 
-__all__ = ["OFFICE_OF", "RIGHTS", "CertificateError", "Credentials", "Identity", "Office"]
+__all__ = [
+    "OFFICE_OF",
+    "RIGHTS",
+    "CertificateError",
+    "Credentials",
+    "Identity",
+    "NotYetValidError",
+    "Office",
+]

@@ -34,6 +34,10 @@ class CertificateError(TeleopError):
     """A certificate that is not believed; the message says why."""
 
 
+class NotYetValidError(CertificateError):
+    """A certificate that will be believed later, or as soon as a clock is set."""
+
+
 @dataclass(frozen=True, slots=True)
 class Credentials:
     """What a process proves its role with, and checks others by."""
@@ -83,7 +87,9 @@ def identify(
     Raises
     ------
     CertificateError
-        It is of another authority, expired, not yet valid, revoked, or names no role.
+        It is of another authority, expired, revoked, or names no role.
+    NotYetValidError
+        It is not yet valid.
     """
     try:
         name = common_name(certificate)
@@ -99,7 +105,7 @@ def identify(
             "UTC; issue a new one with `teleop keys issue`"
         )
     if now < start:
-        raise CertificateError(
+        raise NotYetValidError(
             f"the certificate {name} is valid from {start:%Y-%m-%d %H:%M} UTC on; check the clock"
         )
     if now > authority.not_valid_after_utc:

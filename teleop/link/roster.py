@@ -12,7 +12,7 @@ from typing import Any
 
 import zenoh
 
-from teleop.keys import CertificateError
+from teleop.keys import CertificateError, NotYetValidError
 from teleop.link.admission import Admission
 from teleop.link.challenge import Asker, Challenger, Responder
 from teleop.link.handshake import Handshake, PairKeys, Peer, SignatureError
@@ -33,6 +33,7 @@ PACE_S, LOOK_S = 0.001, 0.01  # [s] between two steps: with much to do, which ta
 EVERY_NS = 2 * S  # between two challenges of a process, and two looks at the certificates
 RETRY_NS = S // 20  # after the first challenge without an answer; doubles up to `EVERY_NS`
 MISSED = 3  # challenges in succession without an answer, after which a process counts as gone
+DEPARTED_NS = 5 * S  # for which a challenge of a vanished token is late; longer than any way takes
 SILENT_NS = 5 * S  # without an answer, after which a line says so; long, for a loaded machine
 DECISION_NS = S  # after which a process without an answer is not waited for
 
@@ -111,7 +112,7 @@ class Roster:
         }
         self._turns = deque(self._admissions.values())
         self._take_ns = 0
-        self._departed: OrderedDict[int, None] = OrderedDict()  # hashes of tokens that vanished
+        self._departed: OrderedDict[int, int] = OrderedDict()  # when tokens vanished, by hash
         self._undecided_ns = 0  # until when the answer of an exclusive process is waited for
         self._look_ns = monotonic_ns() + EVERY_NS
         self._processes: dict[Token, Process] = {}
@@ -239,7 +240,7 @@ class Roster:
                 else:
                     self._admissions[token.group].remove(token)
                     self._forget(token)
-                    self._departed[hash(token)] = None
+                    self._departed[hash(token)] = monotonic_ns()
                     while len(self._departed) > DEPARTED:
                         self._departed.popitem(last=False)
 
@@ -291,7 +292,8 @@ class Roster:
             return
         if asker is not None:
             asker(process.keys)
-            if hash(token) in self._departed:  # a challenge may come late
+            departed_ns = self._departed.get(hash(token), -DEPARTED_NS)
+            if monotonic_ns() - departed_ns < DEPARTED_NS:  # a challenge may come late
                 return
         if not self._has_place(process):
             self._note_excess(token)
@@ -333,7 +335,8 @@ class Roster:
             keys = self._handshake.pair_keys(peer)
         except CertificateError as error:
             self._refusals.note(str(error))
-            admission.refuse(token)
+            if not isinstance(error, NotYetValidError):
+                admission.refuse(token)
             if isinstance(error, SignatureError):
                 admission.know(token)
             return None

@@ -1,8 +1,11 @@
 """Which tokens are looked at: bounded work, fair to certificates, whatever stands."""
 
 import secrets
+import time
 from collections import deque
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,6 +13,7 @@ import pytest
 import zenoh
 
 from teleop.keys import OFFICE_OF, RIGHTS, Credentials, Identity, Office
+from teleop.keys import credentials as credentials_module
 from teleop.keys.authority import Authority
 from teleop.link import roster as roster_module
 from teleop.link.access import access_control
@@ -203,9 +207,11 @@ class Session:
         network: Any = self.network
         self.roster = Roster(network, "test", token, False, handshake, self.keyring, self.refusals)
 
-    def issue(self, office: Office, rights: tuple[str, ...] = ()) -> Credentials:
+    def issue(
+        self, office: Office, rights: tuple[str, ...] = (), start: datetime | None = None
+    ) -> Credentials:
         identity = Identity(office, "test", rights)
-        certificate, key = self.authority.issue(identity, 1)
+        certificate, key = self.authority.issue(identity, 1, start)
         return Credentials(identity, certificate, key, self.authority.certificate)
 
     def genuine(self, credentials: Credentials, role: Role, nonce: int) -> Token:
@@ -325,6 +331,41 @@ def test_who_challenges_is_looked_at_though_its_token_was_lost(session: Session)
     session.roster._show(late, answered.append)
     wait_until(lambda: len(answered) == 2)
     assert not session.is_asked(9)
+
+
+def test_a_token_that_vanished_a_while_ago_may_come_back_by_a_challenge(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its announcement may be lost."""
+    credentials = session.issue(Office.SUPERVISOR, RIGHTS)
+    token = session.genuine(credentials, Role.WATCH, 9)
+    session.network.announce(token, zenoh.SampleKind.DELETE)
+    wait_until(lambda: len(session.roster._departed) == 1)
+    later = partial(lambda clock: clock() + 10 * SECOND, time.monotonic_ns)
+    monkeypatch.setattr(roster_module, "monotonic_ns", later)
+    session.roster._show(token, lambda _: None)
+    wait_until(lambda: session.is_asked(9))
+
+
+def test_a_certificate_that_becomes_valid_is_believed_then(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not for the rest of the run worthless: a clock may be set."""
+    now = datetime.now(UTC)
+    credentials = session.issue(Office.SUPERVISOR, RIGHTS, now + timedelta(hours=1))
+    token = session.genuine(credentials, Role.WATCH, 9)
+    session.network.announce(token)
+    lines: list[str] = []
+
+    def is_refused() -> bool:
+        lines.extend(session.refusals.take())
+        return any("UTC on; check the clock" in line for line in lines)
+
+    wait_until(is_refused)
+    later = SimpleNamespace(now=lambda _: now + timedelta(hours=2))
+    monkeypatch.setattr(credentials_module, "datetime", later)
+    session.roster._show(token, lambda _: None)
+    wait_until(lambda: session.is_asked(9))
 
 
 def test_a_challenge_announces_a_supervisor_and_leaves_the_claim_of_a_side_a_claim() -> None:
