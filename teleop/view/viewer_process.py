@@ -32,7 +32,7 @@ from teleop.scratch_folder import ScratchFolder
 from teleop.view.local_server import is_own_connection
 from teleop.view.page import VIEWER_FILES
 from teleop.view.ports import LOOPBACK, free_port
-from teleop.view.rrd import split_messages, stream_header
+from teleop.view.rrd import RrdError, split_messages, stream_header
 
 _START_S = 20.0
 _END_S = 1.0
@@ -141,6 +141,7 @@ class Window:
             self._viewer = ViewerProcess(arguments, stdin=subprocess.PIPE)
         self._blocks: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._since: float | None = None  # [s] when the block on its way was begun
+        self._failed = False  # a block was none of Rerun: nothing more is written
         threading.Thread(target=self._feed, name="window", daemon=True).start()
 
     def __enter__(self) -> Self:
@@ -163,9 +164,10 @@ class Window:
         self._blocks.put(block)
 
     def stuck(self) -> bool:
-        """Return whether it has stopped accepting data."""
+        """Return whether it gets no more data: it stopped accepting it, or a block was damaged."""
         since = self._since
-        return self.running() and since is not None and time.monotonic() - since > _STUCK_S
+        is_late = since is not None and time.monotonic() - since > _STUCK_S
+        return self.running() and (self._failed or is_late)
 
     def _feed(self) -> None:
         pipe = self._viewer.process.stdin
@@ -182,6 +184,8 @@ class Window:
                     pipe.write(message.content)
                 pipe.flush()
                 self._since = None
+        except RrdError:  # before ValueError, which it is
+            self._failed = True
         except (BrokenPipeError, ValueError):
             return  # it was closed
 

@@ -407,6 +407,19 @@ def test_usage_statistics_are_off_whatever_the_users_settings(tmp_path):
 
 
 @linux
+def test_a_window_that_gets_no_more_data_for_a_damaged_block_is_stuck(tmp_path, monkeypatch):
+    program = tmp_path / "rerun"
+    program.write_text("#!/bin/sh\nexec cat > /dev/null\n")
+    program.chmod(0o700)
+    monkeypatch.setattr(viewer_process, "program", lambda: program)
+    monkeypatch.setenv("DISPLAY", ":0")
+    with viewer_process.Window(100) as window:
+        assert not window.stuck()
+        window.add(b"no block of Rerun")
+        assert wait_for(window.stuck, 20)
+
+
+@linux
 @pytest.mark.parametrize("hangs", [True, False])
 def test_a_window_gets_all_that_was_sent_and_one_that_hangs_does_not_hold_us(
     session, tmp_path, monkeypatch, hangs
