@@ -2,12 +2,18 @@
 
 import math
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
+
+import numpy as np
 
 from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
 from teleop.extensions import call_failed, close_extension
 
 _REQUIRED = ("axes", "read", "write", "close")
+_SWITCHES = ("engage", "clutch", "stop", "finer", "coarser", "weaker", "stronger")
+_switches_of = attrgetter(*_SWITCHES)
+_BOOLS = {bool, np.bool_}  # a text is true whatever it says, and NaN is too
 
 
 class CheckedDevice:
@@ -41,10 +47,12 @@ class CheckedDevice:
         try:
             position, velocity = hand.position, hand.velocity
             if (
-                position.__class__ is tuple
+                isinstance(hand, HandState)
+                and position.__class__ is tuple
                 and velocity.__class__ is tuple
                 and len(position) == self.axes
                 and len(velocity) == self.axes
+                and _BOOLS.issuperset(map(type, _switches_of(hand)))
             ):
                 if math.isfinite(sum(position) + sum(velocity)):
                     return hand
@@ -69,7 +77,8 @@ class CheckedDevice:
         except DeviceFault:
             raise
         except Exception as error:
-            raise DeviceFault(call_failed(self._place, method.__name__, error)) from error
+            name = str(getattr(method, "__name__", type(method).__name__))  # a partial
+            raise DeviceFault(call_failed(self._place, name, error)) from error
 
     @property
     def _read(self) -> str:
@@ -85,4 +94,7 @@ class CheckedDevice:
                 return f"{name} is a {type(values).__name__}, must be a tuple of floats"
             if len(values) != self.axes:
                 return f"{name} has {len(values)} numbers, must have {self.axes}, one an axis"
+        for name, value in zip(_SWITCHES, _switches_of(hand), strict=True):
+            if type(value) not in _BOOLS:
+                return f"{name} is {value!r}, must be a bool"
         return f"position {hand.position} and velocity {hand.velocity}: must be floats"

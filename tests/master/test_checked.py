@@ -1,6 +1,8 @@
 """A device of another package: what it gets wrong is named, and felt by nobody."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,10 @@ from master.devices.extension import DeviceExtension
 from teleop.errors import UsageError
 
 FOUR = (0.0, 0.1, 0.2, 0.3)
+
+
+def vars_of(hand):
+    return {field.name: getattr(hand, field.name) for field in fields(hand)}
 
 
 class Pen:
@@ -46,8 +52,9 @@ def opened(returned):
     return open_device(PenConfig(device=Pen(returned)))
 
 
-def test_what_is_right_is_passed_on_as_it_is():
-    hand = HandState(FOUR, FOUR, engage=True)
+@pytest.mark.parametrize("pressed", [True, False, np.True_, np.False_])
+def test_what_is_right_is_passed_on_as_it_is(pressed):
+    hand = HandState(FOUR, FOUR, engage=pressed, stop=pressed)
     assert opened(hand).read(0.0) is hand
 
 
@@ -60,6 +67,12 @@ def test_what_is_right_is_passed_on_as_it_is():
         (HandState(FOUR, (0, 0, 0, "1"), True), "position .*: must be floats"),
         (None, "returned NoneType, must be HandState"),
         ((FOUR, FOUR, True), "returned tuple, must be HandState"),
+        (SimpleNamespace(**vars_of(HandState(FOUR, FOUR, True))), "returned SimpleNamespace, must"),
+        (HandState(FOUR, FOUR, None), "engage is None, must be a bool"),
+        (HandState(FOUR, FOUR, "off"), "engage is 'off', must be a bool"),
+        (HandState(FOUR, FOUR, True, clutch=np.nan), "clutch is nan, must be a bool"),
+        (HandState(FOUR, FOUR, True, stop=np.zeros(1)), r"stop is array\(\[0\.\]\), must be a bool"),
+        (HandState(FOUR, FOUR, True, stronger=4), "stronger is 4, must be a bool"),
     ],
 )
 def test_a_hand_that_is_wrong_is_named_by_field_with_what_it_must_be(returned, said):
@@ -83,6 +96,18 @@ def test_what_its_code_raises_is_a_fault_with_the_place_in_that_code():
         device.write(FOUR)
     with pytest.raises(DeviceLost, match=r"^unplugged$"):
         opened(DeviceLost("unplugged")).read(0.0)
+
+
+def test_a_method_without_a_name_that_fails_is_a_fault_too():
+    def fail(reason, _argument):
+        raise OSError(reason)
+
+    pen = Pen(None)
+    pen.read, pen.write = partial(fail, "cable"), partial(fail, "motor")
+    device = open_device(PenConfig(device=pen))
+    for call, argument, reason in ((device.read, 0.0, "cable"), (device.write, FOUR, "motor")):
+        with pytest.raises(DeviceFault, match=rf"^mylab: partial fails: OSError: {reason}"):
+            call(argument)
 
 
 def test_a_device_that_fails_to_close_is_warned_of_and_replaces_no_fault(capsys):
