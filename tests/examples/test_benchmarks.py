@@ -54,8 +54,10 @@ def test_a_flood_that_kills_a_side_or_is_none_fails(flood, failures):
 
 
 def test_a_slave_that_dies_in_a_flood_is_noticed(monkeypatch):
-    dying = denial.SIDE.replace("while True:", "while role is Role.MASTER:")
-    monkeypatch.setattr(denial, "SIDE", dying + "time.sleep(1.5)\nsys.exit(3)")
+    death = "    if role is Role.SLAVE:\n        time.sleep(1.5)\n        sys.exit(3)\n"
+    monkeypatch.setattr(
+        denial, "SIDE", denial.SIDE.replace("    while True:", f"{death}    while True:")
+    )
     monkeypatch.setattr(denial, "LEAVING_S", 1.0)
     flood = denial.flood_tables(denial.declare_token, 1.0)
     assert flood.ended == {"slave": 3, "master": None}
