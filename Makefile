@@ -22,7 +22,7 @@ test:  ## the tests, slow matrices apart; ARGS goes to pytest
 test-all:  ## all tests
 
 test-kernel: .venv/dev.done  ## HID and CAN drivers on virtual devices, through a Linux kernel in qemu; ARGS: devices, or can
-	@$(BIN)/python -m benchmarks.kernel $(ARGS)
+	@$(BIN)/python -m studies.kernel $(ARGS)
 
 test-ros: .cache/ros/done  ## messages, hashes and graph against rclpy and other implementations of ROS 2
 	@.cache/ros/bin/python -m pytest tests/teleop/ros/test_peers.py $(ARGS)
@@ -38,13 +38,13 @@ docs: .venv/docs.done  ## the documentation as a site, links checked: .cache/sit
 	@echo "written: .cache/site/index.html"
 
 bench: .venv/dev.done  ## speed and noise figures, each beside a baseline of the same run
-	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@for file in studies/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 bench-diagnosis: .venv/dev.done  ## hide effects, diagnose, count what is found (hours); ARGS as in --help
-	@$(BIN)/python -m benchmarks.hidden.campaign $(ARGS)
+	@$(BIN)/python -m studies.hidden.campaign $(ARGS)
 
 bench-scales: .venv/dev.done  ## one hidden bench in five sizes, from 0.5 N to 500 N, torque and angle: what the diagnosis says of each
-	@$(BIN)/python -m benchmarks.hidden.scales $(ARGS)
+	@$(BIN)/python -m studies.hidden.scales $(ARGS)
 
 pictures: .venv/dev.done  ## the pictures of the live view in docs/images, from real runs (needs Chromium)
 	@$(BIN)/python -m docs.pictures

@@ -21,12 +21,12 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 from PIL import Image
 
-from teleop import config
-from teleop.app import cli
-from teleop.messages import PROFILE_POINTS
+from teleop.cli import commands
+from teleop.config import loading
+from teleop.messages.messages import PROFILE_POINTS
+from teleop.messages.topics import PROFILE, SHEATH, STATE, TENDONS, TOPICS
 from teleop.recording.reader import read_messages
-from teleop.session import State
-from teleop.topics import PROFILE, SHEATH, STATE, TENDONS, TOPICS
+from teleop.session.state_machine import State
 from teleop.view.band import tension_band
 from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.colours import TENSION_MAP
@@ -103,13 +103,13 @@ def recorded(name: str, folder: Path) -> Recorded:
            for side, port in (("master", master), ("slave", slave))))  # fmt: skip
     words = [word for text in own for word in ("--set", text)]
     words += ["--config", str(file), "--duration", "16", "--view", "none", "--record", str(where)]
-    code = cli.main(["run", *words])
+    code = commands.main(["run", *words])
     if code:
         raise SystemExit(code)
     (path,) = where.glob("*.mcap")
     by_name = {topic.name: topic for topic in TOPICS}
     messages = [(by_name[m.topic], m.data) for m in read_messages(str(path), by_name.keys())]
-    return Recorded(path, config.load(file, ViewConfig, "view"), decode(messages))
+    return Recorded(path, loading.load(file, ViewConfig, "view"), decode(messages))
 
 
 def turn_of(run: Recorded) -> float:

@@ -16,21 +16,14 @@ from matplotlib.figure import Figure
 
 from estimator.array_types import Array
 from estimator.drawing import STYLE
+from studies.transparency import zwidth
+from studies.transparency.figures import COLOURS
+from studies.transparency.hand import DT
+from studies.transparency.rig import TENDON, Rig, wall
+from studies.transparency.study import CONTACT, FRICTION, HANDS, PRETENSION, SPRING, Study
+from studies.transparency.system import Network, Teleoperator, rig_model, settings
 from teleop.coupling import Bilateral
-from teleop.parallel import parallel_map, processors
-from teleop.tools.transparency import zwidth
-from teleop.tools.transparency.figures import COLOURS
-from teleop.tools.transparency.hand import DT
-from teleop.tools.transparency.rig import TENDON, Rig, wall
-from teleop.tools.transparency.study import (
-    CONTACT,
-    FRICTION,
-    HANDS,
-    PRETENSION,
-    SPRING,
-    Study,
-)
-from teleop.tools.transparency.system import Network, Teleoperator, rig_model, settings
+from teleop.runtime.parallel import parallel_map, processors
 
 IMAGE = Path(__file__).parent / "images" / "z-width.svg"
 STUDY = Study()

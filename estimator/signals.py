@@ -5,7 +5,7 @@ upward excursion drives the profile and stays in it. Of N samples at one and the
 largest stands some sqrt(2 ln N) sigma above it, 3.2 sigma for a second at 1 kHz (docs/theory.md,
 section 9). The estimator therefore drives its profile with a treated tension: a short average,
 which takes sigma down, then a dead band (a play operator of its own) that what is left of the noise
-seldom crosses (estimator.online.online). benchmarks/noise_treatment.py measures what that costs and
+seldom crosses (estimator.online.online). studies/noise_treatment.py measures what that costs and
 gains.
 """
 

@@ -9,14 +9,14 @@ import tempfile
 from pathlib import Path
 
 import estimator as est
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.data import read_table
 
 path = Path(tempfile.mkdtemp()) / "bench.csv"
 spring = "slave.rig.joints=[{tendons: [{sheath: {sections: [{length: 1.5, radius: 0.3}]}}], "
 spring += "body: {spring: 2000, pretension: 0}, environment: {type: free}}]"
 words = ["--profile", "nested", "--duration", "20", "--rate", "100", "--set", spring]
-cli.main(["simulate", "--out", str(path), *words])
+commands.main(["simulate", "--out", str(path), *words])
 
 run = read_table(path)
 wrong = est.Samples(

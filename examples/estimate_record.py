@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import estimator as est
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.data import read_table
 
 path = sys.argv[1] if len(sys.argv) > 1 else Path(tempfile.mkdtemp()) / "bench.csv"
@@ -20,7 +20,7 @@ if len(sys.argv) == 1:  # a tip on a spring, as on a calibration bench
     spring = "slave.rig.joints=[{tendons: [{sheath: {sections: [{length: 1.5, radius: 0.3}]}}], "
     spring += "body: {spring: 2000, pretension: 0}, environment: {type: free}}]"
     words = ["--profile", "nested", "--duration", "20", "--rate", "200", "--set", spring]
-    cli.main(["simulate", "--out", str(path), *words])
+    commands.main(["simulate", "--out", str(path), *words])
 
 run = read_table(path)
 half = len(run.time) // 2

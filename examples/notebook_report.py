@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 import estimator as est
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.data import read_table
 
 folder = Path(tempfile.mkdtemp())
@@ -20,7 +20,7 @@ wrong_gain = "slave.rig.effects=[{type: distal_tension_gain, gain: 0.15}]"
 words = ["--profile", "nested", "--duration", "20", "--rate", "50", "--set", spring]
 for name, speed in (("monday.csv", "0.003"), ("tuesday.csv", "0.004")):
     out = ["--out", str(folder / name), "--speed", speed]
-    cli.main(["simulate", *out, *words, "--set", wrong_gain])
+    commands.main(["simulate", *out, *words, "--set", wrong_gain])
 
 found = est.diagnose(
     read_table(folder / "monday.csv"),

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 
 from teleop.recording.reader import open_recording, read_columns
-from teleop.session import State
+from teleop.session.state_machine import State
 
 path = sys.argv[1]
 info = open_recording(path)

@@ -10,8 +10,8 @@ import sys
 import time
 
 from teleop.link import Link, LinkConfig
-from teleop.session import State
-from teleop.topics import STATE, Role
+from teleop.messages.topics import STATE, Role
+from teleop.session.state_machine import State
 
 HOST = "127.0.0.1:"
 SHARED = ["--set", "session=example", "--set", f"link.master={HOST}7661"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import estimator as est
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.data import read_table
 
 folder = Path(tempfile.mkdtemp())
@@ -25,7 +25,7 @@ RIG = f"slave.rig.joints=[{{tendons: [{tendon}], body: {{spring: 2000, pretensio
 RIG += "environment: {type: free}}]"
 STEP = "slave.rig.effects=[{type: friction_step, change: 0.3, start: 12}]"
 words = ["--profile", "nested", "--duration", "24", "--rate", "100", "--set", RIG, "--set", STEP]
-cli.main(["simulate", "--out", str(folder / "bench.csv"), *words])
+commands.main(["simulate", "--out", str(folder / "bench.csv"), *words])
 run = read_table(folder / "bench.csv")
 
 # %% [markdown]

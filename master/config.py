@@ -8,7 +8,7 @@ from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.operator import OperatorConfig
 from teleop.errors import UsageError
-from teleop.run_config import RATE_MAX_HZ, RATE_MIN_HZ, require_periods
+from teleop.session.config import RATE_MAX_HZ, RATE_MIN_HZ, require_periods
 
 
 @dataclass(frozen=True, slots=True)

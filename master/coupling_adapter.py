@@ -19,7 +19,7 @@ from estimator.records import F64, Flag, Record
 from master.hand_input import Axes, HandInput, all_finite
 from teleop import coupling
 from teleop.coupling import BilateralSettings, Side
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 
 class RenderMemory(Record):

@@ -1,6 +1,6 @@
 """From the estimated force at the tips to the force on the hand, as links of a chain.
 
-    tip_forces   the estimate, as far as its certified interval allows (`teleop.force_attenuation`)
+    tip_forces   the estimate, as far as its interval allows (`teleop.coupling.force_attenuation`)
     reflect      F_hand = -scale * F_tip
     (coupling: `master.coupling_adapter`)
     limit_slew   grows no faster than `slew`
@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 from estimator.array_types import Array
 from estimator.compiled import compiled
-from teleop.clock import STEP_MAX_S
-from teleop.force_attenuation import ConfidenceConfig, attenuate
-from teleop.messages import STATUS_NAMES, SlaveState
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate
+from teleop.messages.messages import STATUS_NAMES, SlaveState
+from teleop.runtime.clock import STEP_MAX_S
 
 INVALID = 1 << STATUS_NAMES.index("invalid input")
 

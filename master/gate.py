@@ -20,9 +20,9 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import compiled
 from master.hand_input import all_finite
-from teleop.bounds import Bound, check_bounds
-from teleop.clock import STEP_MAX_S
-from teleop.messages import MAX_JOINTS
+from teleop.config.bounds import Bound, check_bounds
+from teleop.messages.messages import MAX_JOINTS
+from teleop.runtime.clock import STEP_MAX_S
 
 BOUNDS = (
     Bound("axis_max", 12.0, "N"),

@@ -12,7 +12,7 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import I64, Field, Flag, Record, Records
 from master.device import HandState
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 Axes = Annotated[Array, Field("f8", MAX_JOINTS)]
 """A field with one number per axis of a device, zero beyond its axes."""

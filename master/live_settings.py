@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from master.config import MasterConfig
 from master.device import HandState
+from teleop.config.suggestions import did_you_mean
 from teleop.errors import UsageError
-from teleop.suggestions import did_you_mean
 
 SLEW_S = 0.5  # [s] ramp of the force scale
 STEP = 2.0**0.5  # factor of a button press

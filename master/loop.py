@@ -23,11 +23,12 @@ from master.local import WorkspaceLimits
 from master.operator import OperatorMemory
 from master.presence import Presence
 from master.settings_record import MasterSettings
-from teleop import coupling, session
-from teleop.bounds import MOTION_MAX
+from teleop import coupling
+from teleop.config.bounds import MOTION_MAX
 from teleop.coupling import Side
-from teleop.messages import MAX_JOINTS, Command, Hand, SlaveState
-from teleop.session import Inputs, Reason, Session, State
+from teleop.messages.messages import MAX_JOINTS, Command, Hand, SlaveState
+from teleop.session import state_machine
+from teleop.session.state_machine import Inputs, Reason, Session, State
 
 
 class MasterState(Record):
@@ -172,9 +173,9 @@ def command(
     inputs.link, inputs.link_holds = tick.link, tick.link_holds
     if tick.stop == Reason.NONE and hand.stop:
         inputs.stop = Reason.EMERGENCY_STOP
-    inputs.follow_s = session.FOLLOW_LIMIT_S + settings.delay_max
+    inputs.follow_s = state_machine.FOLLOW_LIMIT_S + settings.delay_max
     _step_session(settings, memory, tick, state, finite, dt)
-    memory.may_render = session.may_render(memory.session)
+    memory.may_render = state_machine.may_render(memory.session)
     memory.counted = memory.may_render and finite
 
     position: Any = out.position
@@ -243,7 +244,7 @@ def force(
         memory.inputs.reset = False  # already processed
         _step_session(settings, memory, tick, state, finite, 0.0)
     # no force outside the ledger: a coupling that could start now starts at the next tick
-    renders = memory.may_render and session.may_render(memory.session)
+    renders = memory.may_render and state_machine.may_render(memory.session)
     renders = renders and (memory.counted or not finite)
 
     total, own = np.zeros(MAX_JOINTS), np.zeros(MAX_JOINTS)
@@ -268,7 +269,7 @@ def force(
             own[k] += rest[k]
         total[k] = feedback.limit_slew(settings.force.slew, memory.force[k], total[k] + own[k], dt)
         total[k] = feedback.clamp(settings.force.limit, total[k])
-    fades = session.fades(memory.session)
+    fades = state_machine.fades(memory.session)
     verdict = gate.step(
         settings.gate, memory.force, total, axes, fresh, renders, dt, fades, rest, out
     )
@@ -310,14 +311,14 @@ def _step_session(
     inputs.peer_state = State.OFF
     inputs.peer = 0
     if tick.has_state:
-        inputs.peer_state = session.known_state(state.state)
+        inputs.peer_state = state_machine.known_state(state.state)
         inputs.peer = state.sender
     inputs.engage = hand.present and switch(memory.session, hand, memory.presence)
     inputs.fault = tick.fault
     if tick.fault == Reason.NONE and not sound(memory.session, hand, finite):
         inputs.fault = Reason.NOT_FINITE
     inputs.not_ready_reason = not_ready_reason(settings, memory, tick, state)
-    session.step(memory.session, inputs, dt)
+    state_machine.step(memory.session, inputs, dt)
 
 
 @compiled
@@ -440,7 +441,7 @@ def sound(side: Session, hand: HandInput, finite: bool) -> bool:
     for k in range(hand.axes):
         if not abs(hand.position[k]) < MOTION_MAX or not abs(hand.velocity[k]) < MOTION_MAX:
             return False
-    return finite or not session.may_render(side)
+    return finite or not state_machine.may_render(side)
 
 
 @compiled

@@ -24,9 +24,9 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.records import F64, U64, Field, Flag, Record, Records, one
 from master.hand_input import Axes, HandInput, fill_axes
-from teleop.config import MAY_BE_INFINITE
-from teleop.messages import MAX_JOINTS, SlaveState
-from teleop.session import Reason
+from teleop.config.loading import MAY_BE_INFINITE
+from teleop.messages.messages import MAX_JOINTS, SlaveState
+from teleop.session.state_machine import Reason
 
 # bytes: numba has no arrays of flags in records
 LockFlags = Annotated[NDArray[np.uint8], Field("u1", MAX_JOINTS)]

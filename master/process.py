@@ -24,25 +24,25 @@ from master.device import Device, DeviceFault, DeviceLost, HandState
 from master.devices import open_device
 from master.gate import GateFlags
 from master.settings_record import SettingsRecord
-from teleop.bounds import lifted
-from teleop.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
-from teleop.compiling import announced
+from teleop.config.bounds import lifted
+from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
-from teleop.events import publish_event
 from teleop.link import NEVER_NS, Link
-from teleop.link_health import DEFAULT_BOUNDS, HealthConfig, compile_observer
-from teleop.loop_process import LoopProcess, conclude, run_session
-from teleop.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
-from teleop.meter import format_reason
-from teleop.options import add_option, add_options
-from teleop.packet import Packet
-from teleop.process import Stop
+from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, compile_observer
+from teleop.messages.messages import MAX_JOINTS, Answer, Command, Hand, SlaveState, text_bytes
+from teleop.messages.packet import Packet
+from teleop.messages.topics import ANSWER, COMMAND, HAND, LATENCY, STATE, Role
 from teleop.remote.requests import RequestListener, Requests, SettingRequest
-from teleop.run_config import load_section
-from teleop.session import OutlineReader, Reason, SessionOutline, State
-from teleop.slow_calls import SlowCalls
-from teleop.topics import ANSWER, COMMAND, HAND, LATENCY, STATE, Role
+from teleop.runtime.clock import STALL_NS, Grid, Tick, monotonic_ns, now_ns
+from teleop.runtime.compiling import announced
+from teleop.runtime.process import Stop
+from teleop.session.config import load_section
+from teleop.session.events import publish_event
+from teleop.session.loop_process import LoopProcess, conclude, run_session
+from teleop.session.meter import format_reason
+from teleop.session.slow_calls import SlowCalls
+from teleop.session.state_machine import OutlineReader, Reason, SessionOutline, State
 
 DIRECT = Bilateral()
 COMPILE_S = 12.0  # [s] without a cache, on a machine that does nothing else

@@ -17,11 +17,11 @@ from slave.rigs import RigConfig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRigConfig, TendonPlantConfig
 from slave.tendon_config import TendonConfig
-from teleop.bounds import lifted
+from teleop.config.bounds import lifted
 from teleop.coupling import CouplingConfig, DirectConfig
 from teleop.errors import UsageError
-from teleop.messages import MAX_TENDONS
-from teleop.run_config import require_periods
+from teleop.messages.messages import MAX_TENDONS
+from teleop.session.config import require_periods
 
 QUANTISED = math.sqrt(12.0)  # quantisation step over the standard deviation of its rounding error
 

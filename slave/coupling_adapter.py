@@ -6,7 +6,7 @@ from estimator.array_types import Array
 from estimator.compiled import compiled
 from estimator.online.tendon_estimate import INVALID_INPUT
 from slave.control.joint import JointEstimates
-from teleop.force_attenuation import ConfidenceConfig, attenuate
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate
 
 
 @compiled

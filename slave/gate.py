@@ -18,9 +18,9 @@ from estimator.compiled import compiled
 from estimator.records import F64, Record, Records
 from slave.control.joint import JointEstimates
 from slave.tendons import RigLayout
-from teleop.bounds import Bound, check_bounds
-from teleop.clock import STEP_MAX_S
-from teleop.config import MAY_BE_INFINITE
+from teleop.config.bounds import Bound, check_bounds
+from teleop.config.loading import MAY_BE_INFINITE
+from teleop.runtime.clock import STEP_MAX_S
 
 BOUNDS = (
     Bound("displacement_min", 0.5, "m"),

@@ -11,7 +11,7 @@ from estimator.array_types import Array
 from estimator.arrays import copy
 from estimator.compiled import compiled
 from estimator.records import F64, Field, Flag, Record
-from teleop.messages import MAX_TENDONS
+from teleop.messages.messages import MAX_TENDONS
 
 
 class InitialPosition(Record):

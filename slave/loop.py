@@ -34,11 +34,12 @@ from slave.loop_records import (
 from slave.rig import RigSample
 from slave.samples import estimate, estimate_with_dynamics, fill_sample
 from slave.tendons import EstimatedTendon, RigLayout, rig_layout
-from teleop import coupling, session
-from teleop.bounds import MOTION_MAX
+from teleop import coupling
+from teleop.config.bounds import MOTION_MAX
 from teleop.coupling import Bilateral
-from teleop.messages import MAX_JOINTS, Command, SlaveState
-from teleop.session import Reason, State
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
+from teleop.session import state_machine
+from teleop.session.state_machine import Reason, State
 
 DIRECT = Bilateral()
 
@@ -184,7 +185,7 @@ def tick(
     _update_readiness(setting, memory, work, tick_input.motors_follow)
     commanded = _take_command(layout, work, command, tick_input)
     _advance_session(setting, layout, memory, work, command, tick_input)
-    engaged = session.may_move(memory.session) and commanded
+    engaged = state_machine.may_move(memory.session) and commanded
     if memory.has_sample:
         control.joint_estimates(layout, memory.tendons, memory.offsets, memory.joints)
     _couple(setting, layout, memory, work, command, tick_input, commanded, engaged)
@@ -270,7 +271,7 @@ def _update_faults(
         usable = usable or _is_usable(layout, rows[i].tendons)
     has_new_sample = usable and not memory.motors.repeated
     memory.silence = 0.0 if has_new_sample else memory.silence + dt
-    overloaded = session.may_move(memory.session) and _is_overloaded(setting, layout, memory)
+    overloaded = state_machine.may_move(memory.session) and _is_overloaded(setting, layout, memory)
     memory.overload = memory.overload + dt if overloaded else 0.0
 
 
@@ -342,7 +343,7 @@ def _advance_session(
     command: Command,
     tick_input: TickInput,
 ) -> None:
-    master = session.known_state(command.state) if tick_input.has_command else State.OFF + 0
+    master = state_machine.known_state(command.state) if tick_input.has_command else State.OFF + 0
     fault = tick_input.fault
     if fault == Reason.NONE:
         fault = _own_fault(setting, layout, memory, work)
@@ -351,7 +352,7 @@ def _advance_session(
     inputs.usable = memory.not_ready == USABLE
     inputs.peer_fresh = tick_input.fresh
     inputs.peer_state = master
-    inputs.engage = session.switch_of(master)
+    inputs.engage = state_machine.switch_of(master)
     inputs.fault = fault
     inputs.clutch = master == State.CLUTCHED
     inputs.stop = tick_input.stop
@@ -361,7 +362,7 @@ def _advance_session(
     inputs.peer = 0
     if tick_input.has_command:
         inputs.peer = command.sender
-    session.step(memory.session, inputs, tick_input.dt)
+    state_machine.step(memory.session, inputs, tick_input.dt)
 
 
 @compiled
@@ -460,7 +461,7 @@ def _drive(
         dt,
         memory.reach,
         moving,
-        session.may_yield(memory.session),
+        state_machine.may_yield(memory.session),
         memory.motor,
     )
 

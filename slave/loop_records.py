@@ -11,10 +11,11 @@ from slave.calibration import monitor
 from slave.calibration.monitor import Advice
 from slave.control.joint import JointEstimate
 from slave.tendons import EstimatedTendon
-from teleop import coupling, session
+from teleop import coupling
 from teleop.coupling import Side
-from teleop.messages import MAX_JOINTS, MAX_TENDONS
-from teleop.session import Reason, Session
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
+from teleop.session import state_machine
+from teleop.session.state_machine import Reason, Session
 
 # SlaveMemory.not_ready: why the rig is not usable
 USABLE, NO_SAMPLE, NOT_CALIBRATED, NO_POSITION = range(4)
@@ -83,7 +84,7 @@ class SlaveMemory(Record):
 class Scratch(Record):
     """Work arrays of a tick."""
 
-    inputs: session.Inputs
+    inputs: state_machine.Inputs
     requested: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m] of the joints
     speed: Annotated[Array, Field("f8", MAX_JOINTS)]  # [m/s]
     force: Annotated[Array, Field("f8", MAX_JOINTS)]  # [N] rendered to the hand

@@ -41,25 +41,25 @@ from slave.state_messages import fill_tendon_state
 from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
 from slave.warm_up import prepare
-from teleop.clock import STALL_NS, EventClock, Grid, Tick, now_ns
+from teleop.config.options import add_option, add_options
 from teleop.coupling import Bilateral
 from teleop.errors import TeleopError, UsageError
-from teleop.events import publish_event
 from teleop.link import Link
-from teleop.link_health import DEFAULT_BOUNDS, HealthConfig
-from teleop.loop_process import LoopProcess, answer_requests, conclude, run_session
-from teleop.messages import SlaveState, TendonState
-from teleop.meter import format_reason
-from teleop.options import add_option, add_options
-from teleop.packet import Packet
-from teleop.process import Stop
-from teleop.realtime import ordinary_scheduling
+from teleop.link.health import DEFAULT_BOUNDS, HealthConfig
+from teleop.messages.messages import SlaveState, TendonState
+from teleop.messages.packet import Packet
+from teleop.messages.topics import COMMAND, STATE, TENDONS, Role
 from teleop.remote.requests import RequestListener, Requests, call_stop
-from teleop.run_config import load_section
-from teleop.session import Reason, SessionOutline, State
-from teleop.slow_calls import SlowCalls
-from teleop.summary import force_line
-from teleop.topics import COMMAND, STATE, TENDONS, Role
+from teleop.runtime.clock import STALL_NS, EventClock, Grid, Tick, now_ns
+from teleop.runtime.process import Stop
+from teleop.runtime.realtime import ordinary_scheduling
+from teleop.session.config import load_section
+from teleop.session.events import publish_event
+from teleop.session.loop_process import LoopProcess, answer_requests, conclude, run_session
+from teleop.session.meter import format_reason
+from teleop.session.slow_calls import SlowCalls
+from teleop.session.state_machine import Reason, SessionOutline, State
+from teleop.session.summary import force_line
 
 GIVEN_UP = "calibration given up: "
 ROWS = 32  # samples that a tick takes at first; more are made room for

@@ -38,12 +38,12 @@ class Rig(Protocol):
     name : str
         Name of the rig in calibration files.
     tendons : int
-        Their number, 1 to `teleop.messages.MAX_TENDONS`.
+        Their number, 1 to `teleop.messages.messages.MAX_TENDONS`.
     joints : tuple of tuples of int
         The tendons of each joint, counted from 0 over the whole rig: one that works against a
         return spring, or an antagonistic pair `a`, `b`. Every tendon belongs to one joint, as in
         ((0, 1), (2, 3)) or ((0,),), numbered joint after joint; at most
-        `teleop.messages.MAX_JOINTS` of them. Joint travel is positive in the pulling direction of
+        `MAX_JOINTS` of them. Joint travel is positive in the pulling direction of
         `a`; the tip of `a` travels with the joint, that of `b` against it.
     starts_at_zero : bool
         Whether its motors are at position 0 when it is opened and stay there until the first write,

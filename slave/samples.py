@@ -15,7 +15,7 @@ from slave import control
 from slave.loop_records import EstimatedSample, SlaveMemory
 from slave.rig import RigSample
 from slave.tendons import RigLayout
-from teleop.messages import MAX_TENDONS
+from teleop.messages.messages import MAX_TENDONS
 
 
 def fill_sample(rows: Records, index: int, sample: RigSample) -> None:

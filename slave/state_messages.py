@@ -10,8 +10,8 @@ from estimator.compiled import compiled
 from estimator.law.sheath import Sheath
 from estimator.law.transmission import tension_at
 from estimator.records import Records
-from teleop import messages
-from teleop.messages import MAX_SECTIONS, MAX_TENDONS, PROFILE_POINTS, padded
+from teleop.messages import messages
+from teleop.messages.messages import MAX_SECTIONS, MAX_TENDONS, PROFILE_POINTS, padded
 
 Array = NDArray[np.float64]
 

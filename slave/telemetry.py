@@ -14,13 +14,13 @@ from slave.calibration.run import Progress
 from slave.loop import RigModel, Slave
 from slave.loop_records import NOT_CALIBRATED, NOT_READY_TEXT, SlaveMemory
 from slave.rig import Rig
-from teleop.events import publish_event
 from teleop.link import Link
-from teleop.messages import PROFILE_POINTS, TensionProfile
-from teleop.meter import format_reason
-from teleop.packet import Packet
-from teleop.session import OutlineReader, Reason, SessionOutline, State
-from teleop.topics import PROFILE, SHEATH, Role
+from teleop.messages.messages import PROFILE_POINTS, TensionProfile
+from teleop.messages.packet import Packet
+from teleop.messages.topics import PROFILE, SHEATH, Role
+from teleop.session.events import publish_event
+from teleop.session.meter import format_reason
+from teleop.session.state_machine import OutlineReader, Reason, SessionOutline, State
 
 PROFILE_PERIOD_S = 0.02  # T(x) of one tendon; the viewer shows no more
 PROFILE_LEAST_S = 0.005  # least period between two of them, for any number of tendons

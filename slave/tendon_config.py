@@ -10,7 +10,7 @@ from estimator.online.online import TendonModel
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from teleop.data import model_file
 from teleop.errors import UsageError
-from teleop.messages import MAX_SECTIONS
+from teleop.messages.messages import MAX_SECTIONS
 
 _IN_MODEL_FILE = (
     "effective_friction",

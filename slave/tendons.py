@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimator.online.tendon_estimate import TendonEstimate
 from estimator.records import F64, I64, Field, Flag, Record, Records, one
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 SIGNS = (1.0, -1.0)  # of a joint's travel at the tips of its tendons a and b
 

@@ -16,11 +16,17 @@ from slave.samples import estimate_with_dynamics, fill_sample
 from slave.score import Score
 from slave.state_messages import fill_tendon_state, fill_tension_profile
 from slave.tendon_config import TendonConfig
-from teleop.clock import quiet_garbage
-from teleop.compiling import announced
-from teleop.link_health import compile_observer
-from teleop.messages import PROFILE_POINTS, Command, SlaveState, TendonState, TensionProfile
-from teleop.packet import Packet
+from teleop.link.health import compile_observer
+from teleop.messages.messages import (
+    PROFILE_POINTS,
+    Command,
+    SlaveState,
+    TendonState,
+    TensionProfile,
+)
+from teleop.messages.packet import Packet
+from teleop.runtime.clock import quiet_garbage
+from teleop.runtime.compiling import announced
 
 COMPILE_S = 24.0  # [s] of a processor for the tick, without a cache
 DYNAMICS_COMPILE_S = 14.0  # [s] more

@@ -18,12 +18,12 @@ def main() -> int:
     _exclude_current_folder()
     if sys.argv[1:2] == ["stop"]:
         _precede_ordinary_processes()
-    from teleop.app import cli
+    from teleop.cli import commands
 
     try:
-        return cli.main(begin=_interruptible)
+        return commands.main(begin=_interruptible)
     except KeyboardInterrupt:  # even while another error is printed
-        from teleop.process import interruption
+        from teleop.runtime.process import interruption
 
         return interruption.exit_code
     finally:  # the exit code is known; ignore later signals
@@ -53,7 +53,7 @@ def _precede_ordinary_processes() -> None:
 
 def _interruptible() -> None:
     """From now on raise KeyboardInterrupt, so that open resources are closed."""
-    from teleop.process import interruption, on_ending
+    from teleop.runtime.process import interruption, on_ending
 
     on_ending(interruption)
     sys.unraisablehook = interruption.deliver_again

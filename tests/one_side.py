@@ -5,8 +5,8 @@ import contextlib
 import signal
 import socket
 
-from teleop import loop_process
-from teleop.process import ENDINGS
+from teleop.runtime.process import ENDINGS
+from teleop.session import loop_process
 
 
 @contextlib.contextmanager

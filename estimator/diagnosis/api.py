@@ -60,7 +60,7 @@ def diagnose(
     progress : callable
         Called with what is being done and which share of it (0 to 1) is.
     workers : int
-        Processes that fit side by side.
+        Threads that fit side by side.
 
     Returns
     -------

@@ -7,9 +7,9 @@ than a tenth of the way that it would have had to go to cause the change, or wen
 
 A tenth, because that way is computed with an elongation that may be wrong by a factor: a bend next
 to the motor that the model spreads along the sheath is enough. A smaller threshold
-detects more on an exact model but reports false tip motion otherwise (tests/slave/
-test_estimate_on_rig.py). A window begins where T_in or the motor turns; it is forgotten after
-`PATIENCE`, so that slow creep of a tendon at rest is not taken for the tip.
+detects more on an exact model but reports false tip motion otherwise (`test_estimate_on_rig`). A
+window begins where T_in or the motor turns; it is forgotten after `PATIENCE`, so that slow creep of
+a tendon at rest is not taken for the tip.
 """
 
 import math

@@ -13,9 +13,9 @@ from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.device import RosDevice
 from master.devices.single import SingleConfig
 from master.devices.virtual import VirtualConfig, VirtualDevice
+from teleop.config.extensions import opening_failed
 from teleop.errors import UsageError
-from teleop.extensions import opening_failed
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 DeviceConfig = SingleConfig | CombinedConfig
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
-from teleop.extensions import call_failed, close_extension
+from teleop.config.extensions import call_failed, close_extension
 
 _REQUIRED = ("axes", "read", "write", "close")
 _SWITCHES = ("engage", "clutch", "stop", "finer", "coarser", "weaker", "stronger")

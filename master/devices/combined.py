@@ -14,7 +14,7 @@ from typing import Literal
 from master.device import Axes, Device, DeviceFault, DeviceLost, HandState
 from master.devices.single import SingleConfig
 from master.devices.virtual import VirtualConfig
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from typing import Literal
 
 from master.device import Axes, DeviceFault, HandState
 from master.devices.references import Reaches, Reference
-from teleop.config import MAY_BE_INFINITE
+from teleop.config.loading import MAY_BE_INFINITE
 
 _SUBSTEP = 0.001  # [s] step of the integration; up to half as long again, to fit the gap
 _SUBSTEPS_MAX = 1000  # a longer gap is crossed in this many steps, however long

@@ -26,14 +26,14 @@ from slave.rig import Rig, RigFault
 from slave.rigs import open_rig
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRigConfig
-from teleop.clock import Grid, Tick, now_ns, quiet_garbage
-from teleop.compiling import announced
-from teleop.config import load
+from teleop.config.loading import load
+from teleop.config.options import add_options
 from teleop.errors import TeleopError, UsageError
-from teleop.options import add_options
-from teleop.process import seconds
-from teleop.realtime import go_realtime
-from teleop.run_config import RunConfig
+from teleop.runtime.clock import Grid, Tick, now_ns, quiet_garbage
+from teleop.runtime.compiling import announced
+from teleop.runtime.process import seconds
+from teleop.runtime.realtime import go_realtime
+from teleop.session.config import RunConfig
 
 READ_S = 2.0  # [s]
 COMPILE_S = 3.0  # [s] of a processor, without a cache

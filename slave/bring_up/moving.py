@@ -24,8 +24,8 @@ from slave.calibration.run import (
 )
 from slave.gate import GateConfig
 from slave.rig import Rig, RigSample, motors_follow
-from teleop.clock import Tick
 from teleop.errors import TeleopError
+from teleop.runtime.clock import Tick
 
 SPEED = 0.002  # [m/s]
 HOLD_S = 0.5  # [s] of which the second half is averaged

@@ -7,8 +7,8 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.rig import Rig, RigSample
-from teleop.clock import Tick
 from teleop.errors import TeleopError
+from teleop.runtime.clock import Tick
 
 LEAST = 10  # samples
 

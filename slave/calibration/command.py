@@ -35,15 +35,22 @@ from slave.rig import Rig
 from slave.rigs import open_rig
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRigConfig
-from teleop.clock import Grid, Tick, now_ns
-from teleop.compiling import announced
-from teleop.config import load
+from teleop.config.loading import load
+from teleop.config.options import add_option, add_options
 from teleop.errors import UsageError
-from teleop.options import add_option, add_options
-from teleop.output_file import FIGURES, OutputFile, UpdatedFile, parse, same_file, save_figure
-from teleop.process import Stop
-from teleop.realtime import go_realtime
-from teleop.run_config import RunConfig
+from teleop.runtime.clock import Grid, Tick, now_ns
+from teleop.runtime.compiling import announced
+from teleop.runtime.output_file import (
+    FIGURES,
+    OutputFile,
+    UpdatedFile,
+    parse,
+    same_file,
+    save_figure,
+)
+from teleop.runtime.process import Stop
+from teleop.runtime.realtime import go_realtime
+from teleop.session.config import RunConfig
 
 COMPILE_S = 10.0  # [s] of a processor, without a cache
 BAR = 24  # characters

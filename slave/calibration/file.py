@@ -7,10 +7,10 @@ from typing import Protocol
 import yaml
 
 from slave.tendon_config import TendonConfig
-from teleop import config, strict_yaml
+from teleop.config import loading, strict_yaml
 from teleop.errors import UsageError
-from teleop.messages import MAX_TENDONS
-from teleop.process import write_whole
+from teleop.messages.messages import MAX_TENDONS
+from teleop.runtime.process import write_whole
 
 JointTendons = tuple[tuple[int, ...], ...]
 
@@ -84,18 +84,18 @@ class RigDescription(Protocol):
 
 def load(path: Path) -> Calibration:
     """Read a calibration file; `UsageError` if it is not one."""
-    session_keys = set(strict_yaml.read(path, "calibration")) & {*config.SHARED, *config.SECTIONS}
+    session_keys = set(strict_yaml.read(path, "calibration")) & {*loading.SHARED, *loading.SECTIONS}
     if session_keys:
         raise UsageError(
             f"{path}: is a session config (it has {min(session_keys)!r}), not a calibration; give "
             "the file written by `teleop calibrate` or `teleop estimate --fit --save`"
         )
-    return config.load(path, Calibration, None)
+    return loading.load(path, Calibration, None)
 
 
 def save(path: Path, calibration: Calibration) -> None:
     """Write a calibration file atomically."""
-    text = yaml.safe_dump(config.as_tree(calibration), sort_keys=False, allow_unicode=True)
+    text = yaml.safe_dump(loading.as_tree(calibration), sort_keys=False, allow_unicode=True)
     write_whole(path, text, "the calibration")
 
 

@@ -10,9 +10,9 @@ from slave.calibration.file import Calibration, fits
 from slave.calibration.run import Limits, ProcedureData, Progress, drive
 from slave.config import SlaveConfig
 from slave.rig import Rig, RigSample
-from teleop.clock import Tick
 from teleop.errors import UsageError
-from teleop.realtime import ordinary_scheduling
+from teleop.runtime.clock import Tick
+from teleop.runtime.realtime import ordinary_scheduling
 
 
 class InitialiseResult(NamedTuple):

@@ -22,8 +22,8 @@ from slave.calibration.procedure_state import Contact, Joint, JointReadings, Pha
 from slave.gate import GateConfig, GateFlags
 from slave.initial_position import InitialPosition
 from slave.rig import Rig, RigFault, RigFinished, RigSample, motors_follow
-from teleop.clock import Tick, quiet_garbage
 from teleop.errors import TeleopError, UsageError
+from teleop.runtime.clock import Tick, quiet_garbage
 
 Codes = NDArray[np.int64]
 
@@ -139,7 +139,7 @@ def drive(
     limits : Limits
         Of the procedure, and of the gate before the motors.
     ticks : iterable of Tick
-        Endless: a `teleop.clock.Grid` that never stops for a real rig, else `fast_ticks`.
+        Endless: a `teleop.runtime.clock.Grid` that never stops for a real rig, else `fast_ticks`.
     start_ns : int
         Stamp [ns] from which the rig's session time counts.
     joints : sequence of int

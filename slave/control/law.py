@@ -27,8 +27,8 @@ from estimator.records import F64, Field, Flag, Record
 from slave.control.config import ControlConfig
 from slave.control.joint import fuse_travel
 from slave.tendons import SIGNS, EstimatedTendon, EstimatedTendons, JointTendons, RigLayout
-from teleop.clock import STEP_MAX_S
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
+from teleop.runtime.clock import STEP_MAX_S
 
 
 class DrivenTendon(Record):

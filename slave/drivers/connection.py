@@ -9,8 +9,8 @@ import time
 from slave.drivers import packets
 from slave.drivers.configs import DriverConfig
 from slave.drivers.driver import Channels, Counts, DriverFault, Reading
-from teleop.config import as_tree
-from teleop.process import module_command
+from teleop.config.loading import as_tree
+from teleop.runtime.process import module_command
 
 START_S = 20.0  # [s] in which a bus must be set up
 END_S = 2.0  # [s] in which it must be released

@@ -21,9 +21,9 @@ from slave.drivers import packets
 from slave.drivers.configs import DriverConfig, open_driver
 from slave.drivers.driver import Channels, Counts, Driver, DriverFault, Reading
 from slave.drivers.parent import Parent
-from teleop.clock import quiet_garbage
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import TeleopError
+from teleop.runtime.clock import quiet_garbage
 
 COUNTS_S = 1.0  # [s] between two packets of counts
 SILENT_S = 0.2  # [s] without a target while motors are enabled: the slave hangs

@@ -14,7 +14,7 @@ from math import erf, inf, log, sqrt
 from estimator.compiled import compiled
 from estimator.records import F64, I64, Flag, Record
 from slave.fault_detection.config import FaultDetectionConfig
-from teleop.session import Reason
+from teleop.session.state_machine import Reason
 
 SURE = log(1e-12)  # of p^n: once in thirty years at 1 kHz
 SUSPECT = log(1e-4)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from math import inf
 
-from teleop.config import MAY_BE_INFINITE
+from teleop.config.loading import MAY_BE_INFINITE
 
 
 @dataclass(frozen=True, slots=True)

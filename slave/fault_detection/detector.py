@@ -15,8 +15,8 @@ from slave.fault_detection.config import FaultDetectionConfig
 from slave.fault_detection.tendon_state import CheckedTendon
 from slave.fault_detection.wound_length import Winding, check_winding
 from slave.tendons import EstimatedTendon, JointTendons, RigLayout
-from teleop.messages import MAX_JOINTS, MAX_TENDONS
-from teleop.session import Reason
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
+from teleop.session.state_machine import Reason
 
 
 class FaultDetector(Record):

@@ -14,8 +14,8 @@ from estimator.compiled import compiled
 from estimator.records import F64, Field, Flag, Record
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.tendons import EstimatedTendon, RigLayout
-from teleop.messages import MAX_TENDONS
-from teleop.session import Reason
+from teleop.messages.messages import MAX_TENDONS
+from teleop.session.state_machine import Reason
 
 
 class MotorReading(Record):

@@ -20,7 +20,7 @@ from slave.fault_detection.broken_tendon import is_slack_longer
 from slave.fault_detection.compliance import largest_elongation, least_elongation
 from slave.fault_detection.config import FaultDetectionConfig
 from slave.fault_detection.tendon_state import CheckedTendon
-from teleop.session import Reason
+from teleop.session.state_machine import Reason
 
 SURE_TIME = 0.010  # [s] least duration of a misfit
 FORGET = 2e-5  # [m/s] at which the interval for c widens: creep, temperature

@@ -9,9 +9,9 @@ from slave.rigs.extension import RigExtension
 from slave.rigs.hardware import HardwareRig, HardwareRigConfig
 from slave.rigs.replayed import ReplayedRig, ReplayedRigConfig
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
+from teleop.config.extensions import close_extension, opening_failed
 from teleop.errors import UsageError
-from teleop.extensions import close_extension, opening_failed
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 RigConfig = SimulatedRigConfig | ReplayedRigConfig | HardwareRigConfig | RigExtension
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from estimator.array_types import Array
 from slave.rig import Rig, RigFault, RigFinished, RigSample
-from teleop.extensions import call_failed, close_extension
-from teleop.process import print_warning
+from teleop.config.extensions import call_failed, close_extension
+from teleop.runtime.process import print_warning
 
 _ARRAYS = (
     "proximal_tension",

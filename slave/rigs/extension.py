@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from slave.rig import Rig, RigFault
-from teleop.extensions import Extension
+from teleop.config.extensions import Extension
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from slave.drivers.dynamixel.config import DynamixelConfig
 from slave.rig import RigFault, RigSample
 from slave.rigs.alignment import Aligner
 from slave.rigs.joint_layout import joint_tendons
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 AGE_MAX_S = 0.1  # older readings, behind a stall of the loop, are not used
 STEP_MAX = 0.002  # [m] from where a motor is to its target, before it follows

@@ -12,8 +12,8 @@ from estimator.plausibility import doubts
 from estimator.spikes import without_spikes
 from slave.rig import RigFinished, RigSample
 from teleop.data.table import Columns, read_tables
-from teleop.messages import MAX_JOINTS
-from teleop.process import print_warning
+from teleop.messages.messages import MAX_JOINTS
+from teleop.runtime.process import print_warning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,9 +7,9 @@ from typing import Annotated, Any, NamedTuple
 from estimator.compiled import compiled
 from estimator.records import F64, I64, U32, Field, Record, Records, as_records, record_dtype
 from teleop.coupling.direct import DirectConfig
+from teleop.coupling.force_attenuation import ConfidenceConfig
 from teleop.coupling.passivity import PassivityConfig
 from teleop.coupling.wave import WaveConfig
-from teleop.force_attenuation import ConfidenceConfig
 
 CouplingConfig = PassivityConfig | WaveConfig | DirectConfig
 

@@ -1,7 +1,7 @@
 """The energy ledger of one port of the network between hand and tip.
 
 Each joint has a port at either side, with a velocity (of the tip, commanded and followed) and a
-force (at the tip, attenuated: `teleop.force_attenuation`). Everything is in tip units; the scales
+force (at the tip, attenuated: `force_attenuation`). Everything is in tip units; the scales
 of motion and force are an ideal transformer outside, at the hand. Work done on the network adds
 credit, work taken out uses it, and credit is passed to the other side:
 

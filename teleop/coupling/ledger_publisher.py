@@ -3,9 +3,9 @@
 from typing import Any
 
 from estimator.records import Records
-from teleop.messages import Ledger
-from teleop.packet import Packet
-from teleop.topics import Role
+from teleop.messages.messages import Ledger
+from teleop.messages.packet import Packet
+from teleop.messages.topics import Role
 
 LEDGER_PERIOD_NS = 10_000_000  # between two messages
 _FIELDS = ("credit", "put_in", "taken_out", "passed_on", "received", "dissipated", "granted")

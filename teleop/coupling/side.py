@@ -11,7 +11,7 @@ from teleop.coupling.config import PASSIVITY, WAVE, BilateralSettings
 from teleop.coupling.contact import Contact
 from teleop.coupling.interface import MasterInput, SlaveInput, SlaveOutput
 from teleop.coupling.ledger import Port
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 
 class Side(Record):

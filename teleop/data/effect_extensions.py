@@ -5,8 +5,8 @@ from dataclasses import replace
 from importlib.metadata import entry_points
 
 from estimator.effects import Effect
+from teleop.config.extensions import ExtensionError, resolve
 from teleop.errors import UsageError
-from teleop.extensions import ExtensionError, resolve
 
 GROUP = "teleop.effects"
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from teleop.data import bounds
-from teleop.progress import Progress
+from teleop.runtime.progress import Progress
 
 BLOCK = 1 << 24  # [bytes] of text at once
 SHOWN_AFTER_S = 0.5

@@ -31,11 +31,11 @@ from estimator.diagnosis.model import COMPLIANCE, TIP
 from estimator.diagnosis.outcome import Diagnosis, Verdict
 from estimator.diagnosis.transmission_law import FRICTION, Law
 from estimator.effects import CATALOGUE, Effect, Parameter, Values
-from teleop import strict_yaml
+from teleop.config import strict_yaml
+from teleop.config.suggestions import did_you_mean
 from teleop.data.effect_extensions import is_extension, load_effects
 from teleop.errors import UsageError
-from teleop.process import write_whole
-from teleop.suggestions import did_you_mean
+from teleop.runtime.process import write_whole
 
 BASE = {"K": FRICTION, "compliance": COMPLIANCE, "tip_compliance": TIP}
 """Key -> what it is; a model of tensions alone has only the first."""
@@ -121,7 +121,7 @@ def text(saved: SavedModel, remark: str) -> str:
 def load(path: Path, effects: Sequence[Effect] = CATALOGUE) -> SavedModel:
     """Read a model: its numbers and its effects, without those of single records.
 
-    An effect that is not among `effects` is imported, as `teleop.extensions` allows.
+    An effect that is not among `effects` is imported, as `teleop.config.extensions` allows.
 
     Raises
     ------

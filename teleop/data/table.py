@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.units import LINEAR, Units
+from teleop.config.suggestions import did_you_mean
 from teleop.data import channel_names
 from teleop.data.table_files import Column, RawTable, check_destination, read_columns, write_columns
 from teleop.errors import UsageError
-from teleop.process import print_warning
-from teleop.suggestions import did_you_mean
+from teleop.runtime.process import print_warning
 
 __all__ = [
     "Columns",

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from teleop.data import bounds, large_csv
 from teleop.errors import UsageError
-from teleop.messages import MAX_TENDONS
-from teleop.output_file import replacing
-from teleop.process import print_warning
-from teleop.topics import TENDONS
+from teleop.messages.messages import MAX_TENDONS
+from teleop.messages.topics import TENDONS
+from teleop.runtime.output_file import replacing
+from teleop.runtime.process import print_warning
 
 Column = NDArray[Any]  # float64, or object if some cell is text
 

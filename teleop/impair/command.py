@@ -21,17 +21,17 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, get_type_hints
 
-from teleop.clock import quiet_garbage
+from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import WAIT_S, DelayQueue
 from teleop.impair.direction import Direction
 from teleop.link.bridge import Bank, send_request
-from teleop.options import add_options
-from teleop.process import Stop, supervised, write_summary
-from teleop.realtime import go_realtime, limit_computing, share_heaps
-from teleop.run_config import RunConfig, load_shared
-from teleop.summary import impair_lines
+from teleop.runtime.clock import quiet_garbage
+from teleop.runtime.process import Stop, supervised, write_summary
+from teleop.runtime.realtime import go_realtime, limit_computing, share_heaps
+from teleop.session.config import RunConfig, load_shared
+from teleop.session.summary import impair_lines
 
 DIRECTIONS = ("to_slave", "to_master")
 ACTIONS = ("cut", "mend", "set", "status")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from teleop.config import MAY_BE_INFINITE, load
+from teleop.config.loading import MAY_BE_INFINITE, load
 from teleop.errors import UsageError
 from teleop.link.config import LinkConfig
 

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from teleop.timing import Durations
+from teleop.runtime.timing import Durations
 
 WAIT_S = 0.02  # longest wait of `work`, so that its caller can stop
 # Both directions of a session at 1 kHz are 2200 messages/s of 420 bytes; with the longest delay,

@@ -10,7 +10,7 @@ from teleop.impair.config import DirectionConfig
 from teleop.impair.delay_queue import DelayQueue
 from teleop.impair.model import Fate, StreamState
 from teleop.link.bridge import Bank
-from teleop.topics import TOPICS, Topic
+from teleop.messages.topics import TOPICS, Topic
 
 _COUNTED = {
     Fate.CUT: "cut",

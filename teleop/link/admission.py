@@ -5,9 +5,9 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
-from teleop.clock import now_ns
-from teleop.link.presence import Token, may_stop
 from teleop.link.rate_limit import RateLimit
+from teleop.runtime.clock import now_ns
+from teleop.security.presence import Token, may_stop
 
 WAITING = 64  # tokens in one queue
 CERTIFICATES = 64  # that have queues of their own

@@ -12,16 +12,16 @@ from typing import Any
 
 import zenoh
 
-from teleop.clock import now_ns
 from teleop.errors import TeleopError
-from teleop.keys import Office
-from teleop.link.access import access_control
 from teleop.link.challenge import challenge_key
 from teleop.link.config import LinkConfig
 from teleop.link.network import declare_publisher, open_session
-from teleop.link.presence import root
 from teleop.link.protection import credentials_of
-from teleop.topics import TOPICS, Topic
+from teleop.messages.topics import TOPICS, Topic
+from teleop.runtime.clock import now_ns
+from teleop.security import Office
+from teleop.security.access import access_control
+from teleop.security.presence import root
 
 ANSWER_S = 3.0  # timeout of a request to the bridge
 

@@ -1,6 +1,6 @@
 """Challenges: proof that a process is here now, and is not a token that somebody plays back.
 
-A presence token (`teleop.link.presence`) is genuine for as long as its certificate is valid, so
+A presence token (`teleop.security.presence`) is genuine for as long as its certificate is valid, so
 whoever has seen one can announce it again. Its process must therefore answer a challenge before the
 token counts, and again every few seconds. A challenge is a Zenoh query on
 
@@ -23,10 +23,10 @@ from typing import Any, Literal
 
 import zenoh
 
-from teleop.link.handshake import PairKeys
-from teleop.link.presence import Token, groups_of, root
 from teleop.link.rate_limit import RateLimit
-from teleop.topics import Role
+from teleop.messages.topics import Role
+from teleop.security.handshake import PairKeys
+from teleop.security.presence import Token, groups_of, root
 
 CHALLENGE_BYTES, ANSWER_BYTES = 16, 32
 ANSWER_S = 1.0  # an answer that comes later is none

@@ -44,7 +44,7 @@ from typing import NamedTuple
 
 import zenoh
 
-from teleop.keys.identity import Identity, Office
+from teleop.security.identity import Identity, Office
 
 LOOK_S = 0.1  # between two looks; longer if a look takes more than a tenth of it
 CHARGE_S = 0.01  # likewise, at the bytes alone; Zenoh reads a thousand declarations in it

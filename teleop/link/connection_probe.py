@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable
 import zenoh
 from cryptography import x509
 
-from teleop.keys import CertificateError, Credentials
 from teleop.link.config import Address
+from teleop.security import CertificateError, Credentials
 
 EVERY_S = 5.0
 PATIENCE_S = 1.0  # for a connection, and for an answer

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any, TypeAlias
 
-from teleop.clock import now_ns
+from teleop.runtime.clock import now_ns
 
 Arrived: TypeAlias = tuple[bytes, int]
 """A received message with its tags, and when the loop first took it, on our clock [ns]."""

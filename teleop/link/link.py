@@ -9,27 +9,26 @@ from typing import Any, Self, TypeVar
 
 import zenoh
 
-from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
-from teleop.keys import OFFICE_OF, Identity
-from teleop.link import presence
-from teleop.link.access import access_control
 from teleop.link.config import LinkConfig
 from teleop.link.connection_probe import ConnectionProbe
-from teleop.link.handshake import Handshake
 from teleop.link.inbox import Inbox
-from teleop.link.keyring import Keyring, Seals
 from teleop.link.listener import Listener
 from teleop.link.network import Mode, open_session
-from teleop.link.presence import Stage, Token
 from teleop.link.protection import credentials_of
 from teleop.link.publisher import Publisher, sampled_key
 from teleop.link.reception import NEVER_NS, Counts, Latest
 from teleop.link.refusals import Refusals
 from teleop.link.roster import DECISION_NS, Roster
-from teleop.messages import LAYOUT, TOPIC_SLOTS, Message
-from teleop.packet import Packet
-from teleop.topics import TOPICS, Role, Topic
+from teleop.messages.messages import LAYOUT, TOPIC_SLOTS, Message
+from teleop.messages.packet import Packet
+from teleop.messages.topics import TOPICS, Role, Topic
+from teleop.runtime.clock import now_ns
+from teleop.security import OFFICE_OF, Identity, presence
+from teleop.security.access import access_control
+from teleop.security.handshake import Handshake
+from teleop.security.keyring import Keyring, Seals
+from teleop.security.presence import Stage, Token
 
 M = TypeVar("M", bound=Message)
 
@@ -243,7 +242,7 @@ class Link:
         return self._roster.announced(nonce)
 
     def may(self, nonce: int, right: str) -> bool:
-        """Return whether the process of this nonce is here and has a right (`teleop.keys`)."""
+        """Return whether the process of this nonce is here and has a right (`teleop.security`)."""
         return self._roster.may(nonce, right)
 
     def check_peers(self) -> None:

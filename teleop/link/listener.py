@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from teleop.clock import now_ns
-from teleop.link.keyring import Keyring, Verdict
 from teleop.link.message_queue import MessageQueue
 from teleop.link.rate_limit import RateLimit
 from teleop.link.reception import Counts, Reception
-from teleop.messages import Head
-from teleop.topics import Topic
+from teleop.messages.messages import Head
+from teleop.messages.topics import Topic
+from teleop.runtime.clock import now_ns
+from teleop.security.keyring import Keyring, Verdict
 
 LOOKS, LOOKS_HZ = 50, 500.0  # messages of a topic whose tags are checked: at once, per second
 LOOKS_RATIO = 4.0  # and at least so many times those that are expected

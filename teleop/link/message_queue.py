@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from teleop.topics import Topic
+from teleop.messages.topics import Topic
 
 BACKLOG_S = 10.0  # [s] capacity for a topic at its expected rate
 CAPACITY_MIN = 256  # messages, for event topics

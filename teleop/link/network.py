@@ -11,9 +11,9 @@ from typing import Any, Literal
 import zenoh
 
 from teleop.errors import TeleopError, UsageError
-from teleop.keys import Credentials
 from teleop.link.connection_guard import HANDSHAKE_TIMEOUT_MS, ConnectionGuard
 from teleop.link.linger import close_at_once
+from teleop.security import Credentials
 
 RETRY_MS = 100  # between attempts to connect to a peer
 QUEUE = 16  # messages of one priority waiting to be sent to one peer

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from teleop.clock import quiet_garbage
-from teleop.keys import Office
-from teleop.keys.local import local_credentials
 from teleop.link.inbox import Inbox
 from teleop.link.network import declare_publisher, open_session
-from teleop.process import SUPERVISED, die_with_launcher, module_command
-from teleop.realtime import RealtimeConfig, enter_loop, go_realtime
+from teleop.runtime.clock import quiet_garbage
+from teleop.runtime.process import SUPERVISED, die_with_launcher, module_command
+from teleop.runtime.realtime import RealtimeConfig, enter_loop, go_realtime
+from teleop.security import Office
+from teleop.security.local import local_credentials
 
 PERIOD_S = 1e-3  # between two commands, as in a 1 kHz session
 PATIENCE_S = 0.05  # timeout of an answer

@@ -1,9 +1,9 @@
 """The credentials that the config of a link asks for."""
 
-from teleop.keys import Credentials, Office
-from teleop.keys import credentials as stored
-from teleop.keys.local import local_credentials
 from teleop.link.config import LinkConfig
+from teleop.security import Credentials, Office
+from teleop.security import credentials as stored
+from teleop.security.local import local_credentials
 
 
 def credentials_of(config: LinkConfig, session: str, office: Office) -> Credentials | None:

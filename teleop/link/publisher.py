@@ -10,9 +10,9 @@ from typing import Any
 
 import zenoh
 
-from teleop.clock import now_ns
-from teleop.link.keyring import Seals
 from teleop.link.network import declare_publisher
+from teleop.runtime.clock import now_ns
+from teleop.security.keyring import Seals
 
 
 def sampled_key(key: str) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from teleop.clock import now_ns
+from teleop.runtime.clock import now_ns
 
 
 class RateLimit:

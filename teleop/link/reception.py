@@ -6,10 +6,10 @@ from hmac import compare_digest
 from typing import Any, Generic, TypeVar
 
 from teleop.link.inbox import Arrived
-from teleop.link.keyring import Verdict, verdict
-from teleop.messages import Head, Message, MessageError
-from teleop.packet import Packet
-from teleop.topics import Topic
+from teleop.messages.messages import Head, Message, MessageError
+from teleop.messages.packet import Packet
+from teleop.messages.topics import Topic
+from teleop.security.keyring import Verdict, verdict
 
 M = TypeVar("M", bound=Message)
 
@@ -164,7 +164,7 @@ class Latest(Generic[M]):
 
     A clock that is set needs no restart. Numbers rise, so a stamp below the one before was made by
     a clock set back: `least` is reset. So it is if the loop finds in another way, by the round trip
-    (`teleop.link_health`), that messages look too old because a clock was set (`clock_was_set`).
+    (`teleop.link.health`), that messages look too old because a clock was set (`clock_was_set`).
     For `SETTLE_NS` after that `settles` is true: all messages count as old, and the session must
     hold. A clock set forward lowers `least` by itself. Jumps are counted.
 

@@ -12,14 +12,14 @@ from typing import Any
 
 import zenoh
 
-from teleop.keys import CertificateError, NotYetValidError
 from teleop.link.admission import Admission
 from teleop.link.challenge import Asker, Challenger, Responder
-from teleop.link.handshake import Handshake, PairKeys, Peer, SignatureError
-from teleop.link.keyring import Keyring
-from teleop.link.presence import EXCLUSIVE, LISTENERS, Stage, Token, groups_for, groups_of, root
 from teleop.link.refusals import Refusals
-from teleop.topics import Role
+from teleop.messages.topics import Role
+from teleop.security import CertificateError, NotYetValidError
+from teleop.security.handshake import Handshake, PairKeys, Peer, SignatureError
+from teleop.security.keyring import Keyring
+from teleop.security.presence import EXCLUSIVE, LISTENERS, Stage, Token, groups_for, groups_of, root
 
 TOKENS = 64  # of a group at a time
 VISITS = 1024  # processes whose visits are counted

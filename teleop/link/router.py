@@ -7,16 +7,16 @@ from typing import Any, Self
 import zenoh
 
 from teleop.errors import UsageError
-from teleop.keys import Credentials, Office
-from teleop.keys.authority import AUTHORITY
-from teleop.keys.credentials import stem
-from teleop.keys.identity import ALL_SESSIONS
-from teleop.link.access import access_control
 from teleop.link.config import LinkConfig
 from teleop.link.network import open_session, settings
-from teleop.link.presence import Stage, Token, root
 from teleop.link.protection import credentials_of
-from teleop.topics import Role
+from teleop.messages.topics import Role
+from teleop.security import Credentials, Office
+from teleop.security.access import access_control
+from teleop.security.authority import AUTHORITY
+from teleop.security.credentials import stem
+from teleop.security.identity import ALL_SESSIONS
+from teleop.security.presence import Stage, Token, root
 
 Presence = Callable[[str, Role, bool], None]
 """Called with a session, a role, and whether a process of it has come, or else gone."""

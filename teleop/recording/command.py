@@ -15,24 +15,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from teleop.clock import now_ns
-from teleop.config import RECORDING
+from teleop.config.loading import RECORDING
+from teleop.config.options import add_options
+from teleop.config.strict_yaml import read_text
 from teleop.errors import TeleopError
 from teleop.link import Link
-from teleop.options import add_options
-from teleop.output_file import SharedFolder
-from teleop.process import Stop, supervised, write_summary
-from teleop.realtime import limit_computing
+from teleop.messages.topics import TOPICS, Role
 from teleop.recording.config import RecordConfig
 from teleop.recording.priority import go_first
 from teleop.recording.progress import Progress
 from teleop.recording.reader import recorded_config
 from teleop.recording.recorder import BATCH, GRACE_NS, Recorder
 from teleop.recording.writer import RecordingWriter
-from teleop.run_config import load_section
-from teleop.status_line import StatusLine
-from teleop.strict_yaml import read_text
-from teleop.topics import TOPICS, Role
+from teleop.runtime.clock import now_ns
+from teleop.runtime.output_file import SharedFolder
+from teleop.runtime.process import Stop, supervised, write_summary
+from teleop.runtime.realtime import limit_computing
+from teleop.runtime.status_line import StatusLine
+from teleop.session.config import load_section
 
 SUPERVISED_GRACE_NS = 3_000_000_000  # the launcher stops us last: the sides have left, or soon will
 # Each message that arrives needs the interpreter. While a batch is written, 180 a second get it at

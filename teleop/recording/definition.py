@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from teleop.messages import ENCAPSULATION
+from teleop.messages.messages import ENCAPSULATION
 
 _NUMPY = {
     "bool": "?", "byte": "u1", "char": "u1",

@@ -17,5 +17,5 @@ def channel_name(topic: str) -> str:
 
 
 def topic_in(channel: Channel) -> str:
-    """Return the topic's name in `teleop.topics`."""
+    """Return the topic's name in `teleop.messages.topics`."""
     return channel.topic.removeprefix("/")

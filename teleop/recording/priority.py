@@ -3,7 +3,7 @@
 import os
 from contextlib import suppress
 
-from teleop.realtime import share_heaps
+from teleop.runtime.realtime import share_heaps
 
 NICE = -5  # where real-time scheduling is not allowed, but this is
 

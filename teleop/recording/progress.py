@@ -1,7 +1,7 @@
 """What a recorder tells while it runs: how far it is behind, and what is missing."""
 
-from teleop.process import STATUS, supervised
-from teleop.status_line import StatusLine
+from teleop.runtime.process import STATUS, supervised
+from teleop.runtime.status_line import StatusLine
 
 SHOWN_NS = 500_000_000  # between two messages to the launcher
 BEHIND_NS, CAUGHT_UP_NS = 1_000_000_000, 200_000_000  # lag that is told, and when it is over

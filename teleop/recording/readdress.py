@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from teleop.messages.topics import TOPICS, Role, Topic
 from teleop.recording.reader import RecordedMessage
-from teleop.topics import TOPICS, Role, Topic
 
 _TOPICS = {topic.name: topic for topic in TOPICS}
 

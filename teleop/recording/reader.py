@@ -15,6 +15,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
+from teleop.config.strict_yaml import SIZE_MAX
 from teleop.recording.definition import dtype_of
 from teleop.recording.names import (
     CONFIG_ATTACHMENT,
@@ -26,7 +27,6 @@ from teleop.recording.names import (
     topic_in,
 )
 from teleop.recording.scan import MESSAGE_HEAD, RecordingError, Scan
-from teleop.strict_yaml import SIZE_MAX
 
 ROWS_MAX = 1 << 32
 """Bytes of the columns of a topic, in memory."""
@@ -198,7 +198,7 @@ def read_columns(
     path : str or Path
         The recording.
     topic : str
-        Name of the topic, as in `teleop.topics`.
+        Name of the topic, as in `teleop.messages.topics`.
     names : sequence of str, optional
         The fields to read; fewer fields take less memory. All by default.
     doubt : callable, optional

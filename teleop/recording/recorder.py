@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from teleop.link import ReceivedMessage
-from teleop.messages import LoopReport
+from teleop.messages.messages import LoopReport
+from teleop.messages.topics import REPORT, TOPICS, Role, Topic, role_name
 from teleop.recording.writer import RecordingWriter
-from teleop.topics import REPORT, TOPICS, Role, Topic, role_name
 
 BATCH = 500  # messages of one step; none arrives meanwhile, and they are in memory twice
 QUIET_NS = 1_000_000_000  # without a message at the end: what has not come by then does not come

@@ -19,21 +19,21 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
-from teleop import own_endpoints
-from teleop.clock import now_ns
-from teleop.config import load
+from teleop.config.loading import load
+from teleop.config.options import add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
-from teleop.messages import LAYOUT
-from teleop.options import add_options
-from teleop.process import Stop, module_command, print_warning
+from teleop.messages.messages import LAYOUT
+from teleop.messages.topics import HAND, Role
 from teleop.recording.readdress import Readdress
 from teleop.recording.reader import RecordingInfo, open_recording, read_messages
 from teleop.recording.scan import RecordingError
-from teleop.run_config import RunConfig
-from teleop.running_sessions import registered
-from teleop.status_line import StatusLine
-from teleop.topics import HAND, Role
+from teleop.runtime.clock import now_ns
+from teleop.runtime.process import Stop, module_command, print_warning
+from teleop.runtime.status_line import StatusLine
+from teleop.session import own_endpoints
+from teleop.session.config import RunConfig
+from teleop.session.running_sessions import registered
 from teleop.view.config import ViewConfig
 
 _LOOK_S = 0.05  # [s] between checks of stop, presence and progress

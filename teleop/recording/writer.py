@@ -17,10 +17,11 @@ from typing import Any, NoReturn, Self, cast
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
+from teleop.config.strict_yaml import SIZE_MAX
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
-from teleop.messages import LAYOUT
-from teleop.process import supervised
+from teleop.messages.messages import LAYOUT
+from teleop.messages.topics import Topic
 from teleop.recording.chunk_indices import ChunkIndices, MetadataIndices
 from teleop.recording.config import RecordConfig
 from teleop.recording.gaps import Gaps
@@ -34,8 +35,7 @@ from teleop.recording.names import (
     VERSIONS_METADATA,
     channel_name,
 )
-from teleop.strict_yaml import SIZE_MAX
-from teleop.topics import Topic
+from teleop.runtime.process import supervised
 
 _VERSIONS_OF = ("tendon-teleop", "eclipse-zenoh", "mcap", "numpy", "numba")
 _COMPRESSION = {

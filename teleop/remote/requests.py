@@ -4,12 +4,12 @@ from collections import deque
 from typing import NamedTuple
 
 from teleop.link import Link, ReceivedMessage
-from teleop.messages import STOP_ACTIONS, EmergencyStop, Setting, text_bytes, text_of
+from teleop.messages.messages import STOP_ACTIONS, EmergencyStop, Setting, text_bytes, text_of
+from teleop.messages.topics import SETTING, STOP, Role, role_name
 from teleop.remote import watches
 from teleop.remote.stop_socket import StopSocket
 from teleop.remote.watches import ArmedWatch, Beat
-from teleop.session import Reason, SessionOutline, State
-from teleop.topics import SETTING, STOP, Role, role_name
+from teleop.session.state_machine import Reason, SessionOutline, State
 
 SETTINGS, SETTINGS_WAITING = 4, 32  # requests: in a tick, and waiting for one
 CALL, RESET, WATCH, LEAVE = range(len(STOP_ACTIONS))

@@ -10,13 +10,13 @@ The master answers with the new value or the reason of a refusal. The config fil
 import argparse
 import time
 
+from teleop.config.options import add_option, add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
-from teleop.messages import TEXT_BYTES, Answer, Setting, text_bytes, text_of
-from teleop.options import add_option, add_options
-from teleop.run_config import load_shared
-from teleop.running_sessions import describe_absence
-from teleop.topics import ANSWER, SETTING, Role
+from teleop.messages.messages import TEXT_BYTES, Answer, Setting, text_bytes, text_of
+from teleop.messages.topics import ANSWER, SETTING, Role
+from teleop.session.config import load_shared
+from teleop.session.running_sessions import describe_absence
 
 PATIENCE_S = 5.0
 

@@ -16,9 +16,8 @@ once; `q`, then Enter, ends the watch without a stop.
 
 import argparse
 
-from teleop import running_sessions
+from teleop.config.options import add_options
 from teleop.errors import TeleopError, UsageError
-from teleop.options import add_options
 from teleop.remote.stop_socket import (
     SILENT,
     STOPPED,
@@ -26,6 +25,7 @@ from teleop.remote.stop_socket import (
     request_local,
     sessions_with_sockets,
 )
+from teleop.session import running_sessions
 
 DEFAULT_REASON = "teleop stop"
 
@@ -51,11 +51,11 @@ def main(args: argparse.Namespace) -> int:
         if _settle(answers, args.reset):
             return _report(local, args.reset)
     # slow to import; what is above does not need it
-    from teleop.realtime import ordinary_scheduling
+    from teleop.runtime.realtime import ordinary_scheduling
 
     with ordinary_scheduling():
         from teleop.remote import stop_over_link
-        from teleop.run_config import load_shared
+        from teleop.session.config import load_shared
 
     if args.watch:
         return stop_over_link.watch_session(load_shared(args), args.why)
@@ -87,7 +87,9 @@ def _session_of(args: argparse.Namespace) -> str:
     if args.session:
         return str(args.session)
     if _is_named(args):
-        from teleop.config import stated_keys  # slow to import, and not needed without options
+        from teleop.config.loading import (
+            stated_keys,  # slow to import, and not needed without options
+        )
 
         stated = stated_keys(args.config, args.overrides).get("session")
         name = stated if isinstance(stated, str) else ""

@@ -8,13 +8,13 @@ from typing import Any
 
 from teleop.errors import TeleopError
 from teleop.link import Link
-from teleop.process import Stop
+from teleop.messages.topics import COMMAND, STATE, Role, Topic
 from teleop.remote.requests import CALL, LEAVE, RESET, WATCH, call_reset, call_stop
 from teleop.remote.stop_socket import StopSocket
 from teleop.remote.watches import BEAT_S, SILENCE_S
-from teleop.run_config import RunConfig
-from teleop.session import Reason, State
-from teleop.topics import COMMAND, STATE, Role, Topic
+from teleop.runtime.process import Stop
+from teleop.session.config import RunConfig
+from teleop.session.state_machine import Reason, State
 
 PATIENCE_S = 3.0  # timeout for the answers of all sides
 LEAST_S = 0.4  # time for a second side to appear, after the first

@@ -21,7 +21,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from teleop.running_sessions import own_folders, usable_folders
+from teleop.session.running_sessions import own_folders, usable_folders
 
 ANSWER_S = 2.0  # [s] timeout for the answers of all processes; they take milliseconds
 REPEAT_S = 0.02  # [s] between two requests: a peer's state in an answer may still be the old one

@@ -23,15 +23,15 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.units import LINEAR
-from teleop import strict_yaml
+from teleop.config import strict_yaml
 from teleop.data import bounds
 from teleop.data.channel_names import standard
 from teleop.errors import UsageError
-from teleop.process import print_warning
 from teleop.recording.names import SESSION_METADATA
 from teleop.recording.scan import MESSAGE_HEAD, Scan
 from teleop.ros import cdr
 from teleop.ros.standard import JointState, WrenchStamped
+from teleop.runtime.process import print_warning
 
 ACTUATORS, BENCH = "actuators/measured_js", "bench/measured_js"
 METADATA = "metadata.yaml"

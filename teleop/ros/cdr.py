@@ -9,7 +9,7 @@ import struct
 from typing import Any, TypeVar
 
 from teleop.errors import TeleopError
-from teleop.messages import ENCAPSULATION
+from teleop.messages.messages import ENCAPSULATION
 from teleop.ros.interface import Field, Interface, interface_of
 
 T = TypeVar("T")

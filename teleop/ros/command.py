@@ -13,18 +13,18 @@ its device is `{type: ros}`. See docs/ros.md.
 import argparse
 import time
 
+from teleop.config.options import add_options
 from teleop.link import Link
 from teleop.link.ros_session import router_listens
-from teleop.options import add_options
-from teleop.output_file import OutputFolder
-from teleop.process import Stop, let_loops_first, supervised, write_summary
+from teleop.messages.topics import Role
 from teleop.recording.names import SCHEMA_PACKAGE
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.node import RosNode
 from teleop.ros.package import write_package
 from teleop.ros.publishers import Publishers
-from teleop.run_config import RunConfig, load_section
-from teleop.topics import Role
+from teleop.runtime.output_file import OutputFolder
+from teleop.runtime.process import Stop, let_loops_first, supervised, write_summary
+from teleop.session.config import RunConfig, load_section
 
 _LOOK_S = 0.5  # [s] between two looks for the router
 

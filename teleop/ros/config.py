@@ -3,11 +3,11 @@
 import re
 from dataclasses import dataclass
 
+from teleop.config.suggestions import did_you_mean
 from teleop.errors import UsageError
 from teleop.link.config import Address, Endpoint, LinkConfig
 from teleop.ros.graph import is_name
 from teleop.ros.outputs import OUTPUTS
-from teleop.suggestions import did_you_mean
 
 ALL = tuple(output.name for output in OUTPUTS)
 LARGEST_DOMAIN = 232  # of ROS 2

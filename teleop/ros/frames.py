@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from estimator.array_types import Array
-from teleop.messages import MAX_SECTIONS, Sheath
+from teleop.messages.messages import MAX_SECTIONS, Sheath
 from teleop.ros.outputs import frame
 from teleop.ros.standard import (
     Header,

@@ -3,14 +3,14 @@
 A type is a frozen dataclass with the class variable `ros_name` and fields annotated with one of the
 types below, or with another such dataclass. From that one declaration come the CDR bytes
 (`teleop.ros.cdr`), the type hash (`teleop.ros.type_hash`) and the `.msg` text. The messages of
-`teleop.messages` are types of the package `tendon_teleop`.
+`teleop.messages.messages` are types of the package `tendon_teleop`.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from teleop.messages import Message
+from teleop.messages.messages import Message
 from teleop.recording.names import SCHEMA_PACKAGE
 
 

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import Any, Self
 
-from teleop.clock import now_ns
 from teleop.link.ros_session import RosSamples, RosSession
 from teleop.ros import graph
 from teleop.ros.graph import RELIABLE, Endpoint, Kind, Node, Qos
+from teleop.runtime.clock import now_ns
 
 Receive = Callable[[bytes, bytes, int], None]
 """Takes the bytes of a sample, the global id of its publisher, and when it was sent [ns]."""

@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from teleop.messages import MAX_JOINTS, Command, Hand, Message, SlaveState, TendonState
+from teleop.messages.messages import MAX_JOINTS, Command, Hand, Message, SlaveState, TendonState
+from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Topic
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.standard import (
     DiagnosticArray,
@@ -22,8 +23,7 @@ from teleop.ros.standard import (
     Wrench,
     WrenchStamped,
 )
-from teleop.session import State
-from teleop.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Topic
+from teleop.session.state_machine import State
 
 LIVE, EVENTS = Qos(BEST_EFFORT, 1), Qos(RELIABLE, 10)
 

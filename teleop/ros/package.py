@@ -5,11 +5,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from teleop.errors import UsageError
-from teleop.messages import MESSAGES, Message
-from teleop.messages_page import field_comments
-from teleop.process import write_whole
+from teleop.messages.messages import MESSAGES, Message
+from teleop.messages.page import field_comments
 from teleop.recording.names import SCHEMA_PACKAGE
 from teleop.ros.interface import interface_of
+from teleop.runtime.process import write_whole
 
 _MANIFEST = """<?xml version="1.0"?>
 <package format="3">

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from teleop.clock import Grid
 from teleop.link import Latest, Link, ReceivedMessage
-from teleop.messages import MAX_JOINTS, Event, LoopReport, Sheath, SlaveState
+from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, SlaveState
+from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
 from teleop.ros import cdr
 from teleop.ros.command_topics import CommandTopics
 from teleop.ros.config import RosConfig
@@ -13,7 +13,7 @@ from teleop.ros.frames import sheath_frames
 from teleop.ros.node import RosNode, RosPublisher
 from teleop.ros.outputs import EVENTS, OUTPUTS, Naming, Output, full_name
 from teleop.ros.reports import SIDES, diagnostics
-from teleop.topics import EVENT, REPORT, SHEATH, STATE, Role, Topic
+from teleop.runtime.clock import Grid
 
 SLOW_HZ = 10.0  # [Hz] of states and frames
 REPORTS_HZ = 2.0  # [Hz] of diagnostics

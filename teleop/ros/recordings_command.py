@@ -11,12 +11,12 @@ import argparse
 from pathlib import Path
 
 from teleop.errors import UsageError
-from teleop.output_file import NewFolder
 from teleop.recording.reader import open_recording
 from teleop.recording.replay import print_doubts, require_playable
 from teleop.ros.bag_writer import BagWriter
 from teleop.ros.graph import is_name
 from teleop.ros.to_bag import convert
+from teleop.runtime.output_file import NewFolder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

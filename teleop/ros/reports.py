@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from teleop.messages import Event, LoopReport, text_of
+from teleop.messages.messages import Event, LoopReport, text_of
+from teleop.messages.topics import Role
 from teleop.ros.standard import DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time
-from teleop.session import State, reason_of
-from teleop.topics import Role
+from teleop.session.state_machine import State, reason_of
 
 OK, WARN, ERROR, STALE = range(4)  # levels of diagnostic_msgs/msg/DiagnosticStatus
 SILENT_NS = 2_000_000_000  # [ns] without a report, which come twice a second

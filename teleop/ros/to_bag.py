@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from teleop.messages import MAX_JOINTS, Event, LoopReport, Sheath, TendonState
+from teleop.messages.messages import MAX_JOINTS, Event, LoopReport, Sheath, TendonState
+from teleop.messages.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS, Role
 from teleop.recording.reader import RecordedMessage, RecordingInfo, read_messages
 from teleop.ros.bag_writer import BagWriter
 from teleop.ros.frames import sheath_frames
@@ -21,7 +22,6 @@ from teleop.ros.outputs import (
 )
 from teleop.ros.reports import SIDES, diagnostics
 from teleop.ros.standard import Header, JointState, Time
-from teleop.topics import EVENT, REPORT, SHEATH, STATE, TENDONS, TOPICS, Role
 
 BENCH = "slave/bench/measured_js"
 _TOPICS = {topic.name: topic for topic in TOPICS}

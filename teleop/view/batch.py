@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from teleop.messages import LAYOUT, MessageError
-from teleop.topics import Topic
+from teleop.messages.messages import LAYOUT, MessageError
+from teleop.messages.topics import Topic
 
 AnyTopic = Topic[Any]
 Rows = NDArray[np.void]  # one row a message, its fields those of the message's dtype

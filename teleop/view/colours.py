@@ -25,7 +25,7 @@ HAND, ASKED, HOUSING, FRONT = 0xCC79A7FF, 0xA8A8A8FF, 0x00B583FF, 0xFF4B4BFF
 SECOND = 0xE5D86BFF  # the estimate of a joint's other tendon, in T(x)
 BODY, ENVIRONMENT = 0xD8D8D8FF, 0xB4654ACC
 
-# index into teleop.messages.PHASE_NAMES: slack, virgin, pull, pull to release, release, ...
+# index into PHASE_NAMES: slack, virgin, pull, pull to release, release, ...
 PHASES = (0x9A9A9AFF, 0xF0F0F0FF, 0xD55E00FF, 0xF0E442FF, 0x4A90FFFF, 0x4FD1C5FF)
 # a session's states by name
 STATES = {

@@ -23,12 +23,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from teleop.config import RECORDING
+from teleop.config.loading import RECORDING
+from teleop.config.options import ViewMode, add_options
 from teleop.errors import TeleopError, UsageError
 from teleop.link import Link
-from teleop.options import ViewMode, add_options
-from teleop.output_file import OutputFile
-from teleop.process import (
+from teleop.messages.topics import TOPICS, Role
+from teleop.recording.reader import open_recording
+from teleop.recording.replay import adopt_config, print_doubts, require_playable
+from teleop.runtime.output_file import OutputFile
+from teleop.runtime.process import (
     Stop,
     has_display,
     let_loops_first,
@@ -37,10 +40,7 @@ from teleop.process import (
     wait_in_standby,
     write_summary,
 )
-from teleop.recording.reader import open_recording
-from teleop.recording.replay import adopt_config, print_doubts, require_playable
-from teleop.run_config import RunConfig, load_section
-from teleop.topics import TOPICS, Role
+from teleop.session.config import RunConfig, load_section
 from teleop.view.config import LAYOUTS, ViewConfig
 from teleop.view.feed import Discard, FeedCounts, Messages, Show, from_link, from_recording
 from teleop.view.foxglove_server import FoxgloveServer

@@ -5,8 +5,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
-from teleop.config import MAY_BE_INFINITE
-from teleop.topics import COMMAND, HAND, LEDGER, STATE, TENDONS, TOPICS, Topic
+from teleop.config.loading import MAY_BE_INFINITE
+from teleop.messages.topics import COMMAND, HAND, LEDGER, STATE, TENDONS, TOPICS, Topic
 
 Layout = Literal["surgeon", "experiment", "presentation"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)

@@ -3,8 +3,18 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from teleop.messages import STAGE_NAMES
-from teleop.topics import COMMAND, HAND, LATENCY, LEDGER, LINK, REPORT, STATE, TENDONS, Topic
+from teleop.messages.messages import STAGE_NAMES
+from teleop.messages.topics import (
+    COMMAND,
+    HAND,
+    LATENCY,
+    LEDGER,
+    LINK,
+    REPORT,
+    STATE,
+    TENDONS,
+    Topic,
+)
 from teleop.view import colours
 
 STAGE_COLOURS = (colours.HAND, colours.HOUSING, colours.ESTIMATE, colours.ASKED, colours.TRUTH)

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from teleop.clock import Grid
 from teleop.link import ReceivedMessage
-from teleop.messages import MessageError
-from teleop.process import Stop, beat
+from teleop.messages.messages import MessageError
+from teleop.messages.topics import PROFILE, TOPICS
 from teleop.recording.reader import read_messages
 from teleop.recording.scan import RecordingError
-from teleop.topics import PROFILE, TOPICS
+from teleop.runtime.clock import Grid
+from teleop.runtime.process import Stop, beat
 from teleop.view.batch import AnyTopic, Rows, decode
 from teleop.view.curves import CURVES
 from teleop.view.pacing import Pacing

@@ -19,8 +19,8 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
+from teleop.messages.topics import TOPICS
 from teleop.recording.names import SCHEMA_PACKAGE, channel_name
-from teleop.topics import TOPICS
 from teleop.view.feed import Messages
 from teleop.view.local_server import GuardedHandler, LocalServer
 

@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 
 from estimator.array_types import Array
-from teleop.topics import COMMAND, HAND, STATE, TENDONS
+from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.view import colours
 from teleop.view.batch import AnyTopic, Rows, Thinning
 from teleop.view.columns import columns

@@ -3,9 +3,9 @@
 import numpy as np
 import rerun as rr
 
-from teleop.messages import STOP_ACTIONS, text_of
-from teleop.session import State
-from teleop.topics import ANSWER, EVENT, SETTING, STOP, Role, role_name
+from teleop.messages.messages import STOP_ACTIONS, text_of
+from teleop.messages.topics import ANSWER, EVENT, SETTING, STOP, Role, role_name
+from teleop.session.state_machine import State
 from teleop.view.batch import AnyTopic, Rows
 from teleop.view.colours import STATES
 from teleop.view.sender import Sender

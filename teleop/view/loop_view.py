@@ -3,7 +3,7 @@
 import numpy as np
 import rerun as rr
 
-from teleop.messages import PHASE_NAMES
+from teleop.messages.messages import PHASE_NAMES
 from teleop.view.batch import Rows
 from teleop.view.colours import PHASES
 from teleop.view.columns import columns

@@ -14,8 +14,8 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from estimator.array_types import Array
-from teleop.clock import now_ns
-from teleop.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
+from teleop.messages.topics import COMMAND, HAND, LINK, REPORT, STATE, Role
+from teleop.runtime.clock import now_ns
 from teleop.view.batch import AnyTopic, Paced, Rows, split
 from teleop.view.colours import PLAIN, STATES, force_colour, quality_colour
 from teleop.view.columns import columns

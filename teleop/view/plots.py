@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from teleop.topics import HAND, LEDGER, STATE, TENDONS, Role, role_name
+from teleop.messages.topics import HAND, LEDGER, STATE, TENDONS, Role, role_name
 from teleop.view.batch import AnyTopic, Rows, Thinning, split
 from teleop.view.colours import BAND, TRUTH, lighter
 from teleop.view.columns import columns

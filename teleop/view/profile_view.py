@@ -4,7 +4,7 @@ import numpy as np
 import rerun as rr
 
 from estimator.array_types import Array
-from teleop.messages import PROFILE_POINTS
+from teleop.messages.messages import PROFILE_POINTS
 from teleop.view.band import tension_band
 from teleop.view.batch import Rows
 from teleop.view.colours import BAND, ESTIMATE, FRONT, SECOND, rgba

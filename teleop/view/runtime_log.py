@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from teleop.user_folders import state_folder
+from teleop.runtime.user_folders import state_folder
 
 _STDERR = 2
 _LARGEST = 1_000_000  # [bytes] after which the file begins anew

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import rerun as rr
 
-from teleop.topics import HAND, PROFILE, SHEATH, STATE, TENDONS, Role
+from teleop.messages.topics import HAND, PROFILE, SHEATH, STATE, TENDONS, Role
 from teleop.view.batch import AnyTopic, Rows, Thinning, split
 from teleop.view.config import ViewConfig
 from teleop.view.legend import draw_stage

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from estimator.array_types import Array
 from teleop.errors import UsageError
-from teleop.output_file import replacing
+from teleop.runtime.output_file import replacing
 
 APPLICATION = "teleop"
 TIMELINE = "time"

@@ -1,7 +1,7 @@
 """The known sheaths: shapes, joints and places in the scene."""
 
 from estimator.array_types import Array
-from teleop.messages import PROFILE_POINTS
+from teleop.messages.messages import PROFILE_POINTS
 from teleop.view.band import friction_along
 from teleop.view.batch import Rows
 from teleop.view.config import ViewConfig

@@ -14,10 +14,10 @@ from typing import Self
 
 import rerun as rr
 
+from teleop.config.options import ViewMode
 from teleop.errors import UsageError
-from teleop.options import ViewMode
-from teleop.process import has_display
-from teleop.scratch_folder import ScratchFolder
+from teleop.runtime.process import has_display
+from teleop.runtime.scratch_folder import ScratchFolder
 from teleop.view.config import ViewConfig
 from teleop.view.layouts import blueprint
 from teleop.view.page import Page

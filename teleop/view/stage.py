@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimator.array_types import Array
-from teleop.messages import PROFILE_POINTS
+from teleop.messages.messages import PROFILE_POINTS
 from teleop.view.config import ViewConfig
 from teleop.view.shape import centreline
 

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from teleop.session import Reason, State
-from teleop.summary import FROM_PEER
-from teleop.topics import Role, role_name
+from teleop.messages.topics import Role, role_name
+from teleop.session.state_machine import Reason, State
+from teleop.session.summary import FROM_PEER
 
 # the first of these that a side is in is that of the session
 _RANK = (

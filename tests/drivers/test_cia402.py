@@ -35,7 +35,7 @@ from slave.rig import RigFault
 from slave.rigs.hardware import HardwareRig
 from slave.warm_up import prepare
 from teleop.remote.requests import CALL
-from teleop.session import Reason, State
+from teleop.session.state_machine import Reason, State
 from tests.drivers.bench import engage, follow, opened, read_for, read_some, rig_config, wait_until
 from tests.drivers.models.drives import DISABLED, ENABLED, FAULT, QUICK_STOP, Drives, SlcanAdapter
 from tests.drivers.models.line import PseudoPort

@@ -8,7 +8,7 @@ import pytest
 from slave.config import SlaveConfig
 from slave.rig import RigFault
 from slave.rigs.hardware import Transmission
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import UsageError
 from tests.drivers.bench import (
     dynamixel,

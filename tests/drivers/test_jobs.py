@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.rigs import jobs
+from studies.rigs import jobs
 from tests.drivers.models.board import COMPILER
 
 pytestmark = [

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import denial
-from benchmarks.denial import DECLARED_MIN, TableFlood
-from benchmarks.hidden.scales import Answer, unlike
-from benchmarks.rigs.jobs import require_stopped
+from studies import denial
+from studies.denial import DECLARED_MIN, TableFlood
+from studies.hidden.scales import Answer, unlike
+from studies.rigs.jobs import require_stopped
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "studies"
 MODULES = [
     ".".join(path.relative_to(BENCHMARKS).with_suffix("").parts)
     for path in sorted(BENCHMARKS.rglob("*.py"))
@@ -21,7 +21,7 @@ MODULES = [
 @pytest.mark.parametrize("name", MODULES)
 def test_a_benchmark_can_be_imported(name, monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))  # as for a script of that folder
-    importlib.import_module(f"benchmarks.{name}")
+    importlib.import_module(f"studies.{name}")
 
 
 def test_a_number_that_only_one_size_of_a_bench_has_is_a_difference():

@@ -13,7 +13,7 @@ RIG = """
 from pathlib import Path
 from slave.config import SlaveConfig
 from slave.rigs import open_rig
-from teleop.config import load
+from teleop.config.loading import load
 import numpy as np
 
 config = load(None, SlaveConfig, "slave", ["slave.rig={type: %s, stiffness: 1500}"])
@@ -25,7 +25,7 @@ print(rig.name, sample.proximal_tension[0])
 DEVICE = """
 from master.config import MasterConfig
 from master.devices import open_device
-from teleop.config import load
+from teleop.config.loading import load
 
 config = load(None, MasterConfig, "master", ["master.device={type: %s, frequency: 0.25}"])
 device = open_device(config.device)
@@ -36,7 +36,7 @@ from pathlib import Path
 import numpy as np
 from estimator.diagnosis.dataset import Model
 from teleop.data import model_file
-from teleop.tools.diagnose.effect_choice import parse_effects
+from teleop.cli.diagnose.effect_choice import parse_effects
 
 (effect,) = parse_effects("%s")
 path = Path("model.yaml")
@@ -104,8 +104,8 @@ def test_its_effect_is_chosen_saved_and_loaded(installed, tmp_path, name):
 )
 def test_a_mistake_is_one_line_that_names_the_place(installed, tmp_path, rig, said):
     code = f"""
-from teleop.app import cli
-assert cli.main(["slave", "--allow-imports", "--set", "slave.rig={rig}"]) == 2
+from teleop.cli import commands
+assert commands.main(["slave", "--allow-imports", "--set", "slave.rig={rig}"]) == 2
 """
     ended = subprocess.run(
         [sys.executable, "-c", code],

@@ -32,7 +32,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 from pyarrow import parquet
 
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.ros import cdr
 from teleop.ros.standard import Header, JointState, Time, Vector3, Wrench, WrenchStamped
 from tests.fuzz.cases import COLUMNS, CONFIGS, Fuzz, recording_bytes
@@ -505,7 +505,7 @@ def run(case: BadInput) -> tuple[object, str]:
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         try:
-            code = cli.main(case.words)
+            code = commands.main(case.words)
         except SystemExit as end:
             code = end.code
     return code, said.getvalue()

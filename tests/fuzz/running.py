@@ -3,10 +3,10 @@
 import importlib
 import sys
 
-from teleop.app.launch.command import SECTIONS
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import UsageError
-from teleop.run_config import RunConfig
+from teleop.launch.command import SECTIONS
+from teleop.session.config import RunConfig
 
 HANG_CPU_S, HANG_S = 20.0, 900  # of processor time, and in all; a case takes 20 ms
 

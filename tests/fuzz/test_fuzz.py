@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.app import cli
+from teleop.cli import commands
 from tests.fuzz.cases import Case, Fuzz
 from tests.fuzz.running import HANG_CPU_S, HANG_S, check, contents, hang, load_all
 
@@ -24,7 +24,7 @@ def run(case: Case, capfd):
     if case.words[:1] == ["load"]:
         return load_all(Path(case.words[1])), capfd.readouterr().err
     try:
-        code = cli.main(case.words)
+        code = commands.main(case.words)
     except SystemExit as end:  # argparse, after --help
         code = end.code
     return code, capfd.readouterr().err

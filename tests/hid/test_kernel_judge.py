@@ -2,8 +2,8 @@
 
 import pytest
 
-from benchmarks.kernel.cases import CASES
-from benchmarks.kernel.judge import Sent, WrongError, echoes, reports_lost
+from studies.kernel.cases import CASES
+from studies.kernel.judge import Sent, WrongError, echoes, reports_lost
 from tests.hid.virtual.device import Push
 
 BOARD, PAD = CASES[0], next(case for case in CASES if case.name == "dualsense")

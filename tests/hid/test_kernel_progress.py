@@ -1,6 +1,6 @@
 """The kernel run waits for a machine as long as results come, and no longer."""
 
-from benchmarks.kernel.__main__ import HANGING_S, SILENCE_MAX_S, follow
+from studies.kernel.__main__ import HANGING_S, SILENCE_MAX_S, follow
 
 
 class World:

@@ -6,7 +6,7 @@ import numpy as np
 
 from estimator.records import one
 from master.hand_input import HandInput, fill, fill_axes
-from teleop.messages import MAX_JOINTS, Message
+from teleop.messages.messages import MAX_JOINTS, Message
 
 
 def message_records(cls: type[Message]) -> Any:

@@ -12,10 +12,10 @@ from master.feedback import FeedbackConfig
 from master.gate import GateConfig
 from master.hand_input import fill
 from master.settings_record import SettingsRecord
-from teleop import session
 from teleop.coupling import Bilateral
-from teleop.messages import MAX_JOINTS, Command, SlaveState, padded
-from teleop.session import Reason, State
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState, padded
+from teleop.session import state_machine
+from teleop.session.state_machine import Reason, State
 from tests.master.records import message_record, message_records
 
 MS = 1_000_000
@@ -109,7 +109,7 @@ class Run:
             self.answered(hand(engage=False), State.READY)
         self.answered(hand(), State.READY)
         self.answered(hand())
-        assert session.may_render(self.memory.session)
+        assert state_machine.may_render(self.memory.session)
         return self
 
     @property
@@ -118,7 +118,7 @@ class Run:
 
     @property
     def session(self):
-        return session.outline(self.memory.session)
+        return state_machine.outline(self.memory.session)
 
     @property
     def state(self):

@@ -71,7 +71,10 @@ def test_what_is_right_is_passed_on_as_it_is(pressed):
         (HandState(FOUR, FOUR, None), "engage is None, must be a bool"),
         (HandState(FOUR, FOUR, "off"), "engage is 'off', must be a bool"),
         (HandState(FOUR, FOUR, True, clutch=np.nan), "clutch is nan, must be a bool"),
-        (HandState(FOUR, FOUR, True, stop=np.zeros(1)), r"stop is array\(\[0\.\]\), must be a bool"),
+        (
+            HandState(FOUR, FOUR, True, stop=np.zeros(1)),
+            r"stop is array\(\[0\.\]\), must be a bool",
+        ),
         (HandState(FOUR, FOUR, True, stronger=4), "stronger is 4, must be a bool"),
     ],
 )

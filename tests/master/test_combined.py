@@ -12,9 +12,9 @@ from master.devices.hid import search
 from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.device import HidDevice
 from master.devices.virtual import VirtualConfig, VirtualDevice
-from teleop.app.launch.supervisor import wait_for
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import UsageError
+from teleop.launch.supervisor import wait_for
 from tests.hid import descriptors
 from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.openffboard import OpenFFBoard

@@ -14,8 +14,7 @@ from master.devices.extension import DeviceExtension
 from master.devices.hid.config import AxisConfig, ButtonsConfig
 from master.devices.references import Reaches
 from master.devices.virtual import VirtualConfig
-from teleop.app import cli
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import UsageError
 
 DOCS = Path(__file__).parents[2] / "docs" / "devices.md"
@@ -158,7 +157,7 @@ def test_devices_that_have_more_axes_together_than_joints_are_named_and_closed(a
 
 
 def test_defaults_are_written_as_they_are_read(tmp_path):
-    from teleop.config import as_tree
+    from teleop.config.loading import as_tree
 
     text = yaml.safe_dump({"master": as_tree(MasterConfig())})
     assert load(written(tmp_path, text), MasterConfig, "master") == MasterConfig()
@@ -217,5 +216,5 @@ def test_a_rate_that_does_not_go_with_the_rest_is_one_line_before_anything_start
     words = [word for override in overrides for word in ("--set", override)]
     commands = {complaint.removeprefix("--set ").partition(".")[0], "run"}
     for command in sorted(commands):
-        assert cli.main([command, *words]) == 2
+        assert commands.main([command, *words]) == 2
         assert capsys.readouterr().err.strip().removeprefix("teleop: ") == complaint

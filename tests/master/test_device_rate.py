@@ -24,8 +24,8 @@ from teleop.coupling import (
     WaveConfig,
     bilateral_settings,
 )
-from teleop.messages import MAX_JOINTS, Command, SlaveState
-from teleop.session import State
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
+from teleop.session.state_machine import State
 from tests.master.records import message_records
 
 EPOCH = 1_700_000_000 * 10**9

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from estimator.records import as_record
 from master import feedback
 from master.feedback import FeedbackConfig
-from teleop.force_attenuation import ConfidenceConfig, attenuate
-from teleop.messages import MAX_JOINTS, SlaveState, padded
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate
+from teleop.messages.messages import MAX_JOINTS, SlaveState, padded
 from tests.master.records import eight, message_record
 
 FORCES = st.floats(-100.0, 100.0)

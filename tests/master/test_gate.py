@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from estimator.records import as_record
 from master import gate
 from master.gate import FADE_S, GateConfig, GateFlags
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 from tests.anything import CASES, Anything
 from tests.master.records import eight
 

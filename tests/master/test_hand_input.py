@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from estimator.records import one
 from master.device import HandState
 from master.hand_input import HandInput, all_finite, fill
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 from tests.master.records import eight
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)

@@ -15,7 +15,7 @@ from master.local import WorkspaceLimits
 from master.operator import OperatorConfig, operator_settings
 from teleop.coupling import Bilateral
 from teleop.coupling.config import PassivityConfig
-from teleop.session import State
+from teleop.session.state_machine import State
 from tests.master.records import eight, hand_record
 from tests.master.run import CONFIG, MS, Run, answer, hand
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from master.config import MasterConfig
 from master.device import HandState
 from master.gate import FADE_S, GateConfig, GateFlags
-from teleop import session
 from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
 from teleop.link import NEVER_NS
-from teleop.session import Inputs, Reason, Session, State
+from teleop.session import state_machine
+from teleop.session.state_machine import Inputs, Reason, Session, State
 from tests.master.run import EPOCH, MS, Run, answer, hand
 
 
@@ -361,6 +361,6 @@ def test_with_a_real_slave_session_and_an_outage_the_force_ends_in_time(outages,
             peer_state=asked.state if asked else State.OFF,
             engage=asked is not None and asked.state == State.ENGAGED,
         )
-        session.step(slave, inputs, 1e-3)
+        state_machine.step(slave, inputs, 1e-3)
         to_master.append(answer(now, slave.state, 3.0, command[0]) if command else None)
     assert felt > 0

@@ -9,8 +9,8 @@ from estimator.records import one
 from master import operator
 from master.device import HandState
 from master.operator import OperatorConfig, OperatorMemory, operator_settings
-from teleop.messages import MAX_JOINTS, SlaveState, padded
-from teleop.session import Reason
+from teleop.messages.messages import MAX_JOINTS, SlaveState, padded
+from teleop.session.state_machine import Reason
 from tests.master.records import eight, hand_record, message_record
 
 CONFIG = OperatorConfig(position_scale=0.25)

@@ -13,10 +13,10 @@ from master import loop
 from master.config import MasterConfig
 from master.device import HandState
 from master.gate import GateConfig, GateFlags
-from teleop import session
 from teleop.coupling import Bilateral, PassivityConfig, WaveConfig
-from teleop.messages import Command, Hand
-from teleop.session import Reason, State
+from teleop.messages.messages import Command, Hand
+from teleop.session import state_machine
+from teleop.session.state_machine import Reason, State
 from tests.master.records import hand_record, message_record, message_records
 from tests.master.run import CONFIG, MS, Run, answer, hand
 
@@ -121,7 +121,7 @@ def test_a_slave_that_engages_meanwhile_is_felt_from_the_next_tick_on(coupling):
         run.tick(hand(engage=engage), told(State.READY))
     assert run.state == State.ENGAGED
     output = run.tick(hand(), told(State.READY), later=told(State.ENGAGED))
-    assert session.may_render(run.memory.session)
+    assert state_machine.may_render(run.memory.session)
     assert output.force == (0.0,)
     assert output.verdict & GateFlags.NOT_ENGAGED
     assert not run.memory.coupling.coupled
@@ -249,7 +249,7 @@ def test_whatever_comes_between_the_phases_the_force_is_safe(bilateral, script):
         run.tick(hand(engage=engage), told((1, 0.0, 0, 7, 0.0))[0])
     for _ in range(2):
         run.tick(hand(), told((2, 5.0, 0, 7, 0.0))[0])
-    assert session.may_render(run.memory.session)
+    assert state_machine.may_render(run.memory.session)
     for the_hand, first, second, faulty in script:
         fault = Reason.DEVICE_FAULT if faulty and the_hand is None else Reason.NONE
         state, age = told(first)

@@ -11,7 +11,7 @@ from master.config import MasterConfig
 from master.device import HandState
 from master.operator import OperatorConfig, operator_settings
 from master.presence import Presence
-from teleop.session import Reason, State
+from teleop.session.state_machine import Reason, State
 from tests.master.records import hand_record
 from tests.master.run import Run
 

@@ -10,13 +10,11 @@ from master.device import DeviceFault, DeviceLost, HandState
 from master.devices.virtual import VirtualConfig
 from master.gate import FADE_S
 from master.process import LATE_ANSWERS, TRY_EVERY, WAIT, Master
-from teleop.clock import Grid, now_ns
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Latest, ReceivedMessage
 from teleop.link.refusals import Refusals
-from teleop.loop_process import run
-from teleop.messages import (
+from teleop.messages.messages import (
     NO_TOPICS,
     STAGE_NAMES,
     Command,
@@ -33,9 +31,7 @@ from teleop.messages import (
     text_bytes,
     text_of,
 )
-from teleop.remote.requests import CALL, RESET, RequestListener
-from teleop.session import Reason, State, outline
-from teleop.topics import (
+from teleop.messages.topics import (
     ANSWER,
     COMMAND,
     EVENT,
@@ -49,6 +45,10 @@ from teleop.topics import (
     STOP,
     Role,
 )
+from teleop.remote.requests import CALL, RESET, RequestListener
+from teleop.runtime.clock import Grid, now_ns
+from teleop.session.loop_process import run
+from teleop.session.state_machine import Reason, State, outline
 from tests.one_side import arguments_of, without_traces
 
 

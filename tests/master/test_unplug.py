@@ -13,13 +13,13 @@ from master.devices.hid.device import HidDevice
 from master.devices.hid.signs import ForceSign, Signs
 from master.feedback import FeedbackConfig
 from master.process import Master
-from teleop.clock import Grid
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.link import Link
+from teleop.messages.topics import STATE, Role
 from teleop.remote.requests import call_reset
-from teleop.run_config import RunConfig
-from teleop.session import Reason, State
-from teleop.topics import STATE, Role
+from teleop.runtime.clock import Grid
+from teleop.session.config import RunConfig
+from teleop.session.state_machine import Reason, State
 from tests.hid import descriptors
 from tests.hid.fake_hidraw import QUEUE
 from tests.hid.virtual.openffboard import OpenFFBoardWheel

@@ -26,8 +26,8 @@ from slave.rigs.simulated.simulated import (
     TendonPlantConfig,
 )
 from slave.tendons import EstimatedTendon, rig_layout
-from teleop.messages import MAX_JOINTS, MAX_TENDONS
-from teleop.session import Reason
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
+from teleop.session.state_machine import Reason
 
 Array = NDArray[np.float64]
 Command = Callable[[float], tuple[float, float]]  # [s] to travel [m] and its velocity [m/s]

@@ -65,7 +65,7 @@ def session():
     from master import process as master_process
     from slave.config import SlaveConfig
     from slave.warm_up import prepare
-    from teleop.config import load
+    from teleop.config.loading import load
     from tests.tick.session import ARM, Session
 
     prepare(load(ARM, SlaveConfig, "slave", ()), with_dynamics=False)

@@ -13,11 +13,11 @@ from slave.loop import RigModel
 from slave.loop_records import SlaveMemory, TickInput
 from slave.rig import RigSample
 from slave.samples import sample_rows
-from teleop import session
 from teleop.coupling import Bilateral
-from teleop.messages import Command, SlaveState
-from teleop.packet import Packet
-from teleop.session import Reason, SessionOutline, State
+from teleop.messages.messages import Command, SlaveState
+from teleop.messages.packet import Packet
+from teleop.session import state_machine
+from teleop.session.state_machine import Reason, SessionOutline, State
 
 DT = 0.001  # [s]
 
@@ -100,7 +100,7 @@ class SlaveBench:
     @property
     def session(self) -> SessionOutline:
         """State and reason of the session."""
-        return session.outline(self.memory.session)
+        return state_machine.outline(self.memory.session)
 
     @property
     def state(self) -> State:

@@ -14,7 +14,7 @@ from slave.drivers.cia402.config import Cia402Config
 from slave.drivers.driver import Channels, DriverFault
 from slave.gate import GateConfig
 from slave.rig import RigSample
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
 
 MOVE = Move(0.5e-3, 2.0)
@@ -200,7 +200,7 @@ def test_a_move_that_is_not_small_is_refused_before_the_rig_is_opened(monkeypatc
 
 @pytest.mark.parametrize("action", ["scan", "reset"])
 def test_a_rig_without_buses_is_told_in_a_line(capsys, action):
-    assert cli.main(["rig", action, "--set", "slave.rig={type: simulated}"]) == 2
+    assert commands.main(["rig", action, "--set", "slave.rig={type: simulated}"]) == 2
     assert "slave.rig.type: simulated has no buses" in capsys.readouterr().err
 
 
@@ -222,7 +222,7 @@ HARDWARE = (
 
 def test_a_scan_that_finds_nothing_fails(monkeypatch, capsys):
     monkeypatch.setattr(configs, "scan", lambda _: iter(()))
-    assert cli.main(["rig", "scan", "--set", HARDWARE]) == 1
+    assert commands.main(["rig", "scan", "--set", HARDWARE]) == 1
     assert "rig: microcontroller: nothing answers" in capsys.readouterr().err
 
 

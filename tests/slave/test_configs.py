@@ -10,8 +10,8 @@ from master.config import MasterConfig
 from slave.calibration import file
 from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs import open_rig
-from teleop.app import cli
-from teleop.config import as_tree, load
+from teleop.cli import commands
+from teleop.config.loading import as_tree, load
 from teleop.errors import UsageError
 
 FOLDER = Path(__file__).parents[2] / "configs"
@@ -59,7 +59,7 @@ def test_an_override_of_one_joint_or_tendon_changes_no_other(name, key, value):
 
 def calibrate(name, out, options):
     words = ["--config", str(FOLDER / f"{name}.yaml"), *options, "--set", "rate_hz=500"]
-    return cli.main(["calibrate", *words, "--quick", "--together", "--out", str(out)])
+    return commands.main(["calibrate", *words, "--quick", "--together", "--out", str(out)])
 
 
 def of_each(name):

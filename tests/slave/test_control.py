@@ -16,7 +16,7 @@ from slave import control
 from slave.control import Control, ControlConfig, JointEstimate
 from slave.control.joint import fuse_travel
 from slave.tendons import EstimatedTendon, rig_layout
-from teleop.messages import MAX_JOINTS, MAX_TENDONS
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 
 CONFIG = ControlConfig(lead=0.010)
 DT = 0.001

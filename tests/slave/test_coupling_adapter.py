@@ -12,9 +12,9 @@ from slave import coupling_adapter
 from slave.control import JointEstimate
 from teleop import coupling
 from teleop.coupling import Bilateral, PassivityConfig, Side
-from teleop.force_attenuation import ConfidenceConfig
-from teleop.messages import MAX_JOINTS, SlaveState, padded
-from teleop.packet import packet
+from teleop.coupling.force_attenuation import ConfidenceConfig
+from teleop.messages.messages import MAX_JOINTS, SlaveState, padded
+from teleop.messages.packet import packet
 
 FORCES = st.floats(-60.0, 60.0)
 RULE = ConfidenceConfig()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.app import cli
+from teleop.cli import commands
 
 RIGS = Path(__file__).parents[2] / "docs" / "rigs.md"
 FREE = "slave.rig.joints.0.environment={type: free}"
@@ -22,13 +22,13 @@ def config(tmp_path_factory):
 
 def test_the_rig_of_the_page_is_simulated_and_its_model_is_right(config, tmp_path, capsys):
     data = str(tmp_path / "data.csv")
-    assert cli.main(["simulate", str(config), "--out", data, "--duration", "6"]) == 0
+    assert commands.main(["simulate", str(config), "--out", data, "--duration", "6"]) == 0
     capsys.readouterr()
-    assert cli.main(["estimate", data, "--config", str(config)]) == 0
+    assert commands.main(["estimate", data, "--config", str(config)]) == 0
     assert re.search(r"RMSE 0\.0\d+ N", capsys.readouterr().out)
 
 
 def test_the_rig_of_the_page_is_calibrated_as_the_page_says(config, tmp_path):
     assert FREE in RIGS.read_text()
     words = ["calibrate", "--config", str(config), "--set", FREE, "--quick"]
-    assert cli.main([*words, "--out", str(tmp_path / "calibration.yaml")]) == 0
+    assert commands.main([*words, "--out", str(tmp_path / "calibration.yaml")]) == 0

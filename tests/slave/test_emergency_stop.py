@@ -3,12 +3,12 @@
 import pytest
 
 from slave.process import Past
-from teleop.clock import now_ns
 from teleop.link import ReceivedMessage
-from teleop.messages import EmergencyStop, text_bytes
+from teleop.messages.messages import EmergencyStop, text_bytes
+from teleop.messages.topics import STATE, STOP, Role
 from teleop.remote.requests import CALL, RESET
-from teleop.session import Reason, State
-from teleop.topics import STATE, STOP, Role
+from teleop.runtime.clock import now_ns
+from teleop.session.state_machine import Reason, State
 from tests.slave.test_process import (
     CONFIG,
     START,

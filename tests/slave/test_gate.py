@@ -14,7 +14,7 @@ from slave import gate
 from slave.control import JointEstimate
 from slave.gate import GateConfig, GateFlags, Reach
 from slave.tendons import rig_layout
-from teleop.messages import MAX_JOINTS, MAX_TENDONS
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS
 from tests.anything import CASES, Anything
 
 LIMITS = GateConfig(displacement_min=-0.005, displacement_max=0.06, speed_max=0.1, tension_max=25.0)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slave.initial_position import InitialPosition, age, known, start, take
-from teleop.messages import MAX_TENDONS
+from teleop.messages.messages import MAX_TENDONS
 
 AGE_MAX = 0.1
 NONE = np.full(MAX_TENDONS, math.nan)

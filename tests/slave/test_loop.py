@@ -17,9 +17,9 @@ from slave.gate import GateConfig, GateFlags
 from slave.loop_records import NO_POSITION, NO_SAMPLE, NOT_CALIBRATED, EstimatedSample
 from slave.rig import RigSample
 from slave.samples import _fill_row, fill_sample
-from teleop import session
-from teleop.messages import MAX_JOINTS, MAX_TENDONS, Command
-from teleop.session import Reason, State
+from teleop.messages.messages import MAX_JOINTS, MAX_TENDONS, Command
+from teleop.session import state_machine
+from teleop.session.state_machine import Reason, State
 from tests.slave.slave_bench import DT, SlaveBench
 
 CONFIG = SlaveConfig(
@@ -499,7 +499,7 @@ def test_whatever_comes_in_the_motors_stay_within_their_limits(displacement, tic
                 assert output.verdict == GateFlags.HELD | GateFlags.YIELDED
                 assert output.motor[0] < was
                 assert tension >= limits.tension_max
-                assert session.may_yield(slave.memory.session)
+                assert state_machine.may_yield(slave.memory.session)
 
 
 def test_arrays_of_any_kind_are_taken_without_compiling_anew():

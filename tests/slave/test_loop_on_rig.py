@@ -16,9 +16,9 @@ from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.plant.effects import FrictionStep, StuckCell
 from slave.rigs.simulated.plant.environment import FreeConfig, TissueConfig, WallConfig
 from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
-from teleop.config import load
-from teleop.messages import MAX_JOINTS, Command
-from teleop.session import Reason, State
+from teleop.config.loading import load
+from teleop.messages.messages import MAX_JOINTS, Command
+from teleop.session.state_machine import Reason, State
 from tests.slave.control_bench import joint
 from tests.slave.slave_bench import DT, SlaveBench
 

@@ -14,11 +14,11 @@ from slave import model_files
 from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.process import introduced
 from slave.tendon_config import TendonConfig
-from teleop.app import cli
-from teleop.config import load
+from teleop.cli import commands
+from teleop.config.loading import load
 from teleop.data.table import read_table, write_table
 from teleop.errors import UsageError
-from tests import hidden
+from tests.studies import hidden
 
 JOINTS = ((0, 1), (2, 3))
 PAGE = Path(__file__).parents[2] / "docs" / "diagnosis.md"
@@ -77,12 +77,12 @@ def true_model(data, tmp_path):
 
 def summary_of(tmp_path, *words):
     out = tmp_path / "summary.json"
-    assert cli.main(["estimate", *map(str, words), "--json", str(out), "--force"]) == 0
+    assert commands.main(["estimate", *map(str, words), "--json", str(out), "--force"]) == 0
     return json.loads(out.read_text())
 
 
 def one_line(capsys, *words):
-    assert cli.main([*map(str, words)]) == 2
+    assert commands.main([*map(str, words)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     return line
 

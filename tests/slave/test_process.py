@@ -20,12 +20,10 @@ from slave.process import SlaveProcess
 from slave.rig import RigFault, RigFinished, RigSample
 from slave.rigs.simulated.simulated import SimulatedRigConfig
 from slave.samples import estimate_with_dynamics
-from teleop.clock import EventClock, now_ns
 from teleop.errors import PeerError, TeleopError, UsageError
 from teleop.link import Latest, ReceivedMessage
 from teleop.link.refusals import Refusals
-from teleop.loop_process import run
-from teleop.messages import (
+from teleop.messages.messages import (
     MAX_JOINTS,
     NO_TOPICS,
     Command,
@@ -34,10 +32,7 @@ from teleop.messages import (
     text_bytes,
     text_of,
 )
-from teleop.remote.requests import CALL, RESET, RequestListener
-from teleop.remote.stop_socket import LocalRequest
-from teleop.session import Reason, State, outline
-from teleop.topics import (
+from teleop.messages.topics import (
     COMMAND,
     EVENT,
     LEDGER,
@@ -51,6 +46,11 @@ from teleop.topics import (
     TENDONS,
     Role,
 )
+from teleop.remote.requests import CALL, RESET, RequestListener
+from teleop.remote.stop_socket import LocalRequest
+from teleop.runtime.clock import EventClock, now_ns
+from teleop.session.loop_process import run
+from teleop.session.state_machine import Reason, State, outline
 from tests.one_side import arguments_of, without_traces
 
 TENDON = TendonConfig(effective_friction=0.8)

@@ -2,7 +2,7 @@
 
 from estimator.law.transmission import Phase
 from estimator.online.online import Status
-from teleop.messages import PHASE_NAMES, STATUS_NAMES
+from teleop.messages.messages import PHASE_NAMES, STATUS_NAMES
 
 
 def test_the_bits_of_a_status_have_the_estimators_names_and_places():

@@ -9,7 +9,7 @@ from slave.config import SlaveConfig
 from slave.loop_records import NO_POSITION, NO_SAMPLE, NOT_CALIBRATED, NOT_READY_TEXT
 from slave.telemetry import Telemetry, calibrating
 from slave.tendon_config import TendonConfig
-from teleop.session import Reason, State
+from teleop.session.state_machine import Reason, State
 from tests.slave.slave_bench import SlaveBench
 
 JOINTS = ((0, 1), (2,))

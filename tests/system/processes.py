@@ -13,12 +13,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
 
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 from teleop.link import Link, LinkConfig
-from teleop.messages import Hand, SlaveState
-from teleop.process import SUPERVISED
-from teleop.session import State
-from teleop.topics import HAND, STATE, Role
+from teleop.messages.messages import Hand, SlaveState
+from teleop.messages.topics import HAND, STATE, Role
+from teleop.runtime.process import SUPERVISED
+from teleop.session.state_machine import State
 
 START_S = 120.0  # the first start of all compiles
 OURS = os.environ | {SUPERVISED: str(os.getpid())}  # environment of processes that end with us

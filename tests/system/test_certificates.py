@@ -13,14 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from teleop.app import cli
-from teleop.app.launch.supervisor import wait_for
-from teleop.keys import Identity, Office
-from teleop.keys.authority import REVOKED, Authority
+from teleop.cli import commands
+from teleop.launch.supervisor import wait_for
 from teleop.link import Link, Listener
-from teleop.messages import Event, text_of
-from teleop.session import State
-from teleop.topics import EVENT, STATE, Role
+from teleop.messages.messages import Event, text_of
+from teleop.messages.topics import EVENT, STATE, Role
+from teleop.security import Identity, Office
+from teleop.security.authority import REVOKED, Authority
+from teleop.session.state_machine import State
 from tests.system.namespaces import Network, require_namespaces
 from tests.system.processes import OURS, START_S, Processes, ended_well, free_ports
 from tests.teleop.keys.folder import make_keys, put
@@ -37,10 +37,10 @@ def issue(folder: Path, out: str, *roles: str, session: str = SESSION) -> Path:
     """Keys by the command, of one authority per folder."""
     home = folder / "authority"
     if not home.exists():
-        assert cli.main(["keys", "init", str(home)]) == 0
+        assert commands.main(["keys", "init", str(home)]) == 0
     words = [word for role in roles for word in ("--role", role)]
     out_folder = folder / out
-    assert cli.main(
+    assert commands.main(
         ["keys", "issue", str(home), "--session", session, "--out", str(out_folder), *words]
     ) == 0  # fmt: skip
     return out_folder
@@ -49,7 +49,7 @@ def issue(folder: Path, out: str, *roles: str, session: str = SESSION) -> Path:
 def revoke(folder: Path, keys: Path, name: str) -> None:
     """Revoke a certificate by the command, and bring the list to the keys."""
     home = folder / "authority"
-    assert cli.main(["keys", "revoke", str(home), str(keys / f"{name}.pem")]) == 0
+    assert commands.main(["keys", "revoke", str(home), str(keys / f"{name}.pem")]) == 0
     shutil.copy(home / REVOKED, keys / REVOKED)
 
 

@@ -5,18 +5,10 @@ import shutil
 
 import numpy as np
 
-from benchmarks.faults.bench import HELD, PERIOD, FaultSession
-from benchmarks.faults.campaign import failures, harm
-from benchmarks.faults.judge import (
-    FRESH_NS,
-    CampaignResult,
-    Ticks,
-    judge,
-    onsets,
-    silences,
-    unasked,
-)
-from benchmarks.faults.kinds import Fault
+from studies.faults.bench import HELD, PERIOD, FaultSession
+from studies.faults.campaign import failures, harm
+from studies.faults.judge import FRESH_NS, CampaignResult, Ticks, judge, onsets, silences, unasked
+from studies.faults.kinds import Fault
 
 LIMIT_S = 0.050  # what a side has, counted from the last fresh message it heard
 RATE = "rate_hz=250"  # five processes with a 1 kHz loop each are more than two slow cores carry

@@ -5,10 +5,10 @@ import os
 import numpy as np
 import pytest
 
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
+from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.recording.reader import read_columns
-from teleop.session import State
-from teleop.topics import COMMAND, HAND, STATE, TENDONS
+from teleop.session.state_machine import State
 from tests.system.processes import START_S, Processes, pause
 
 LIMIT_NS = 50_000_000  # what the other side has to be safe, counted from the last message sent

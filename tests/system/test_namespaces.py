@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from teleop.app import cli
-from teleop.app.launch.supervisor import wait_for
-from teleop.clock import now_ns
+from teleop.cli import commands
+from teleop.launch.supervisor import wait_for
+from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from teleop.recording.reader import open_recording, read_columns
-from teleop.session import State
-from teleop.topics import COMMAND, HAND, STATE, TENDONS
+from teleop.runtime.clock import now_ns
+from teleop.session.state_machine import State
 from tests.system.namespaces import Network, require_namespaces
 from tests.system.processes import START_S, pause
 
@@ -113,7 +113,7 @@ class Theatre:
 def issue_keys(folder: Path) -> None:
     """Make an authority, and the keys of each process in a folder of its own."""
     authority = str(folder / "authority")
-    assert cli.main(["keys", "init", authority]) == 0
+    assert commands.main(["keys", "init", authority]) == 0
     for command, role, session in (
         ("master", "master", SESSION),
         ("slave", "slave", SESSION),
@@ -122,7 +122,7 @@ def issue_keys(folder: Path) -> None:
         ("router", "router", "all"),
     ):
         keys = ["--role", role, "--session", session, "--out", str(folder / f"{command}-keys")]
-        assert cli.main(["keys", "issue", authority, *keys]) == 0
+        assert commands.main(["keys", "issue", authority, *keys]) == 0
 
 
 def spans(stamps: np.ndarray, truth: np.ndarray) -> list[tuple[int, int]]:

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.data.table import read_table
+from teleop.messages.topics import HAND, TENDONS
 from teleop.recording.reader import open_recording, read_columns
-from teleop.topics import HAND, TENDONS
 from tests.system.test_run import run
 
 ROWS = 900  # of the measured session: 11 s
@@ -19,7 +19,7 @@ def live_and_offline(data, folder, demo_config):
     calibration, estimates = folder / "sheath.yaml", folder / "estimates.csv"
     words = ["estimate", str(data), "--fit", "--save", str(calibration)]
     words += ["--out", str(estimates), "--json", str(folder / "estimate.json")]
-    assert cli.main(words) == 0
+    assert commands.main(words) == 0
     code, out, err = run(
         demo_config,
         folder,
@@ -59,7 +59,7 @@ def test_live_equals_offline_whatever_the_rate_of_the_data(rate, demo_config, tm
     data = tmp_path / "bench.csv"
     words = ["simulate", str(demo_config), "--out", str(data), "--profile", "nested"]
     words += ["--duration", "4", "--rate", rate, "--set", "slave.rig.period=0.0004"]
-    assert cli.main(words) == 0
+    assert commands.main(words) == 0
     offline, recording, estimate, live = live_and_offline(data, tmp_path, demo_config)
     assert_same(offline, recording)
     assert live["slave"]["force_error"] == pytest.approx(estimate["force_error"])

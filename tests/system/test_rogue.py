@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from teleop.app.launch.supervisor import wait_for
-from teleop.keys import Office
-from teleop.keys.local import local_credentials
+from teleop.launch.supervisor import wait_for
 from teleop.link import Link
-from teleop.messages import LAYOUT, Event, SlaveState, text_of
-from teleop.session import State
-from teleop.topics import EVENT, HAND, STATE, Role
+from teleop.messages.messages import LAYOUT, Event, SlaveState, text_of
+from teleop.messages.topics import EVENT, HAND, STATE, Role
+from teleop.security import Office
+from teleop.security.local import local_credentials
+from teleop.session.state_machine import State
 from tests.rogue import ENGAGED, POSITION_AT, RESET, STATE_AT, Rogue, forged, head
 from tests.system.processes import OURS, START_S, Processes
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from teleop.app import cli
+from teleop.cli import commands
 from tests.root import ROOT
 from tests.system.processes import OURS, START_S, free_ports
 from tests.teleop.ros.peers import Heard, peer, router
@@ -14,7 +14,7 @@ from tests.teleop.ros.peers import Heard, peer, router
 
 def test_a_router_on_a_port_of_the_link_is_refused_before_anything_starts(capsys):
     words = ["run", "--view", "none", "--set", "ros.start=true"]
-    assert cli.main([*words, "--set", "link.slave=127.0.0.1:7447"]) == 2
+    assert commands.main([*words, "--set", "link.slave=127.0.0.1:7447"]) == 2
     assert "link.slave has this port" in capsys.readouterr().err
 
 

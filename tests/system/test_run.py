@@ -12,12 +12,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from teleop.app.launch.supervisor import wait_for
-from teleop.messages import MESSAGES
+from teleop.launch.supervisor import wait_for
+from teleop.messages.messages import MESSAGES
+from teleop.messages.topics import HAND, TENDONS, TOPICS, Role
 from teleop.recording.names import channel_name
 from teleop.recording.reader import read_columns
-from teleop.session import Reason, State
-from teleop.topics import HAND, TENDONS, TOPICS, Role
+from teleop.session.state_machine import Reason, State
 from tests.root import ROOT
 from tests.system.processes import OURS, START_S, Processes, free_ports, pause
 
@@ -64,13 +64,10 @@ def test_a_recorded_run_tells_everything(recorded):
         assert summary[role]["final_state"] in {"engaged", "ready"}
     assert summary["master"]["latency_ms"]["n"] > 500
     assert 0 < summary["master"]["latency_ms"]["p50"] <= summary["master"]["latency_ms"]["p99"]
-    complete = not summary["exit_code"]  # of one that lacks messages no other link is measured
-    assert not complete or summary["ping_pong"]["p50_ms"] > 0
     force = summary["slave"]["force_error"]
     assert force["full_scale_N"] > 3.0  # the tip met something
     assert force["mean_percent"] < 2.0
     assert "command to force" in out
-    assert ("ping-pong" in out) == complete
 
     (recording,) = folder.glob("*.mcap")
     tendons = read_columns(recording, TENDONS.name)
@@ -167,7 +164,6 @@ def test_an_early_ctrl_c_is_quiet(demo_config, tmp_path, delay_s):
     assert process.returncode == 130
     assert "Traceback" not in out + err
     assert "killed" not in out
-    assert "ping-pong" not in out
     assert not descendants_of(process.pid)
 
 

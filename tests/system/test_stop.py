@@ -8,10 +8,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
+from teleop.messages.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role
 from teleop.recording.reader import read_columns
-from teleop.session import Reason, State
-from teleop.topics import COMMAND, EVENT, HAND, STATE, STOP, TENDONS, Role
+from teleop.session.state_machine import Reason, State
 from tests.strangers import flooded
 from tests.system.processes import START_S, Processes, pause
 

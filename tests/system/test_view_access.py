@@ -17,7 +17,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 from teleop.view.batch import decode
 from teleop.view.foxglove_server import FoxgloveServer
 from teleop.view.scene import Scene

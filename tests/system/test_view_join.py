@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from teleop.app.launch.supervisor import wait_for
-from teleop.messages import Hand, SlaveState
-from teleop.session import Reason, State
-from teleop.topics import HAND, STATE
+from teleop.launch.supervisor import wait_for
+from teleop.messages.messages import Hand, SlaveState
+from teleop.messages.topics import HAND, STATE
+from teleop.session.state_machine import Reason, State
 from teleop.view.batch import decode
 from teleop.view.colours import STATES
 from teleop.view.scene import Scene

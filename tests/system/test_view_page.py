@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 from teleop.view.batch import decode
 from teleop.view.colours import ESTIMATE, rgba
 from teleop.view.scene import Scene

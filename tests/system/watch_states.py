@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from teleop.link import Link, LinkConfig
-from teleop.session import State
-from teleop.topics import COMMAND, STATE, Role
+from teleop.messages.topics import COMMAND, STATE, Role
+from teleop.session.state_machine import State
 
 
 def main(router: str, keys: str, session: str) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from teleop.link import LinkConfig, ReceivedMessage
-from teleop.messages import Message
-from teleop.topics import Topic
+from teleop.messages.messages import Message
+from teleop.messages.topics import Topic
 
 START_NS = 1_700_000_000_000_000_000
 SENDER = 0x0123_4567_89AB_CDEF
@@ -54,7 +54,7 @@ RUN = textwrap.dedent(
     """
     import argparse, importlib, sys
     from teleop.errors import TeleopError
-    from teleop.process import die_with_parent
+    from teleop.runtime.process import die_with_parent
 
     die_with_parent(int(sys.argv.pop(1)))
     command = importlib.import_module(sys.argv[1])

@@ -9,8 +9,8 @@ from dataclasses import asdict
 import pytest
 
 from teleop.link.reception import CLOCK_JUMP_NS, SETTLE_NS, Latest
-from teleop.messages import Command, Hand, SlaveState
-from teleop.topics import COMMAND
+from teleop.messages.messages import Command, Hand, SlaveState
+from teleop.messages.topics import COMMAND
 
 MS = 1_000_000
 OURS, ANOTHER = 7, 9

@@ -8,8 +8,8 @@ from master import gate as master_gate
 from master.config import MasterConfig
 from slave import gate as slave_gate
 from slave.config import SlaveConfig, config_warnings
-from teleop.bounds import lifted
-from teleop.config import load
+from teleop.config.bounds import lifted
+from teleop.config.loading import load
 from teleop.errors import UsageError
 
 SECTIONS = {

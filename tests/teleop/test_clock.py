@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop import clock
-from teleop.clock import EventClock, Grid, Tick, now_ns, quiet_garbage
+from teleop.runtime import clock
+from teleop.runtime.clock import EventClock, Grid, Tick, now_ns, quiet_garbage
 
 MS = 1_000_000
 

@@ -8,12 +8,12 @@ import time
 from functools import partial
 from pathlib import Path
 
-from teleop.compiling import compiling_beside
+from teleop.runtime.compiling import compiling_beside
 
 COMPILES = """
 import numba
 
-from teleop.compiling import announced
+from teleop.runtime.compiling import announced
 
 @numba.njit(cache=True)
 def add(a, b):
@@ -46,7 +46,7 @@ from functools import partial
 
 import numba
 
-from teleop.compiling import announced
+from teleop.runtime.compiling import announced
 
 def compile_of(kind):
     product(kind(2), kind(3))

@@ -13,11 +13,11 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from teleop.config import MAY_BE_INFINITE, SECTIONS, SHARED, as_tree, load
+from teleop.config.loading import MAY_BE_INFINITE, SECTIONS, SHARED, as_tree, load
+from teleop.config.options import add_options
 from teleop.errors import UsageError
 from teleop.link import LinkConfig
-from teleop.options import add_options
-from teleop.run_config import RunConfig
+from teleop.session.config import RunConfig
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.records import as_record
-from teleop.force_attenuation import ConfidenceConfig, attenuate, certain
+from teleop.coupling.force_attenuation import ConfidenceConfig, attenuate, certain
 
 FORCES = st.floats(-100.0, 100.0)
 RULES = st.builds(

@@ -12,9 +12,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from teleop.messages.topics import STATE, TOPICS
 from teleop.ros.outputs import OUTPUTS
 from teleop.ros.standard import JointState
-from teleop.topics import STATE, TOPICS
 from teleop.view.foxglove_server import FoxgloveServer
 from tests.root import ROOT
 from tests.teleop.recorded import heard

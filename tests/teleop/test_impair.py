@@ -16,19 +16,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.app.launch.supervisor import wait_for
-from teleop.clock import now_ns
 from teleop.errors import TeleopError, UsageError
 from teleop.impair import model
 from teleop.impair.config import DirectionConfig, ImpairConfig, wanted
 from teleop.impair.delay_queue import CAPACITY_BYTES, ENTRY_BYTES, DelayQueue
 from teleop.impair.direction import Direction
 from teleop.impair.model import Fate, StreamState
+from teleop.launch.supervisor import wait_for
 from teleop.link import Link, LinkConfig
 from teleop.link.bridge import send_request
-from teleop.messages import Command, Event, MessageError, SlaveState, text_bytes
-from teleop.process import SUPERVISED
-from teleop.topics import COMMAND, EVENT, STATE, Role
+from teleop.messages.messages import Command, Event, MessageError, SlaveState, text_bytes
+from teleop.messages.topics import COMMAND, EVENT, STATE, Role
+from teleop.runtime.clock import now_ns
+from teleop.runtime.process import SUPERVISED
 from tests.system.processes import free_ports
 
 KEY = model.key_of(1, "to_slave", "command")

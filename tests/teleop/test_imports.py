@@ -7,9 +7,9 @@ import sys
 import pytest
 import yaml
 
-from teleop import extensions
-from teleop.app import cli
-from teleop.tools.diagnose.effect_choice import parse_effects
+from teleop.cli import commands
+from teleop.cli.diagnose.effect_choice import parse_effects
+from teleop.config import extensions
 
 STRANGER = """
 from dataclasses import dataclass
@@ -69,7 +69,7 @@ def test_a_file_that_names_code_is_refused_with_file_key_and_option(
     words, content, key = FILE_USES[use]
     path = tmp_path / "file.yaml"
     path.write_text(yaml.safe_dump(content))
-    assert cli.main(words.format(path).split()) == 2
+    assert commands.main(words.format(path).split()) == 2
     line = capsys.readouterr().err.strip()
     assert line.startswith(f"teleop: {path}: {key}: stranger:")
     assert line.endswith("add --allow-imports")
@@ -78,7 +78,7 @@ def test_a_file_that_names_code_is_refused_with_file_key_and_option(
 
 
 def test_an_effect_on_the_command_line_needs_the_option_too(stranger, capsys):
-    assert cli.main(["diagnose", "data.csv", "--effects", "stranger:CURVE"]) == 2
+    assert commands.main(["diagnose", "data.csv", "--effects", "stranger:CURVE"]) == 2
     assert "--allow-imports" in capsys.readouterr().err
     assert not stranger()
     extensions.allow_imports()
@@ -89,7 +89,7 @@ def test_an_effect_on_the_command_line_needs_the_option_too(stranger, capsys):
 def test_with_the_option_the_code_is_used(stranger, tmp_path, capsys):
     path = tmp_path / "file.yaml"
     path.write_text(yaml.safe_dump({"slave": {"rig": {"type": "stranger:Rig", "speed": 1}}}))
-    assert cli.main(["slave", "--config", str(path), "--allow-imports"]) == 2
+    assert commands.main(["slave", "--config", str(path), "--allow-imports"]) == 2
     assert "slave.rig.speed: unknown key" in capsys.readouterr().err  # of that class
     assert stranger()
 

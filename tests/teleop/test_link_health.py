@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from estimator.records import one
 from teleop.link import Counts
-from teleop.link_health import (
+from teleop.link.health import (
     SPAN_NS,
     Decision,
     Figures,
@@ -19,9 +19,9 @@ from teleop.link_health import (
     step,
     take_figures,
 )
-from teleop.messages import LinkReport
-from teleop.session import Reason
-from teleop.topics import Role
+from teleop.messages.messages import LinkReport
+from teleop.messages.topics import Role
+from teleop.session.state_machine import Reason
 
 MS = 1_000_000
 DT = SPAN_NS * 1e-9

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap_ros2._dynamic import generate_dynamic
 
-from teleop import topics
-from teleop.messages import (
+from teleop.messages import topics
+from teleop.messages.messages import (
     ENCAPSULATION,
     LAYOUT,
     MESSAGES,
@@ -27,7 +27,7 @@ from teleop.messages import (
     text_bytes,
     text_of,
 )
-from teleop.messages_page import page
+from teleop.messages.page import page
 
 HEAD = ("checksum", "layout", "sender", "sequence", "stamp_ns")
 RANGES = {
@@ -130,7 +130,7 @@ def test_the_messages_of_another_version_are_told_from_damaged_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     cls = MESSAGES[0]
-    monkeypatch.setattr("teleop.messages.LAYOUT", 0xABCDEF01)
+    monkeypatch.setattr("teleop.messages.messages.LAYOUT", 0xABCDEF01)
     theirs = cls().pack(1, 2, 3)
     monkeypatch.undo()
     with pytest.raises(MessageError, match=rf"abcdef01, ours is {LAYOUT:08x}") as caught:
@@ -209,4 +209,4 @@ def test_the_checksum_of_the_docs_is_that_of_every_message() -> None:
 
 def test_the_page_in_the_docs_is_current() -> None:
     path = Path(__file__).parents[2] / "docs" / "messages.md"
-    assert path.read_text() == page(), "run: python -m teleop.messages_page > docs/messages.md"
+    assert path.read_text() == page(), "run: python -m teleop.messages.page > docs/messages.md"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from teleop import messages
-from teleop.topics import TOPICS
+from teleop.messages import messages
+from teleop.messages.topics import TOPICS
 
 PAGE = Path(__file__).parents[2] / "docs" / "messages.md"
 PLACED = re.compile(r"\| (\d+) \| `(\w+)` \| (\w+)(?:\[(\d+)\])? \|")  # byte, field, type, count

@@ -2,11 +2,11 @@
 
 import pytest
 
-from teleop.clock import TickStats
 from teleop.link import Counts
-from teleop.meter import REPORT_PERIOD_NS, LoopMeter
-from teleop.session import Reason, SessionOutline, State
-from teleop.topics import Role
+from teleop.messages.topics import Role
+from teleop.runtime.clock import TickStats
+from teleop.session.meter import REPORT_PERIOD_NS, LoopMeter
+from teleop.session.state_machine import Reason, SessionOutline, State
 
 MS = 1_000_000
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from teleop.app import cli
+from teleop.cli import commands
+from teleop.cli.bench.command import BENCHES
 from teleop.errors import UsageError
-from teleop.output_file import (
+from teleop.runtime.output_file import (
     NewFolder,
     Output,
     OutputFile,
@@ -21,7 +22,6 @@ from teleop.output_file import (
     check,
     replacing,
 )
-from teleop.tools.bench.command import BENCHES
 
 # options that name files to be read: every other option with a path must be an Output
 INPUTS = {
@@ -33,10 +33,10 @@ WRITES = {"out", "save", "json", "figure", "supplement", "package", "record", "r
 
 def parsers():
     """Yield the name of each command of the program and its complete parser."""
-    for name in cli.COMMANDS:
-        parser = cli.build_parser(name)
-        (commands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-        yield name, commands.choices[name]
+    for name in commands.COMMANDS:
+        parser = commands.build_parser(name)
+        (subcommands,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+        yield name, subcommands.choices[name]
     for name, (module, _) in BENCHES.items():
         parser = argparse.ArgumentParser()
         importlib.import_module(module).add_arguments(parser)
@@ -217,7 +217,7 @@ def test_a_pipe_is_written_to(tmp_path):
         ["view", "--out", "FOLDER/x.csv"],
         ["devices", "dump", "--out", "OTHER"],
         ["recordings", "to-ros2", "DATA", "--out", "FOLDER"],
-        ["bench", "paper", "--json", "OTHER"],
+        ["bench", "loop", "--json", "OTHER"],
     ],
 )
 def test_commands_refuse_in_one_line_and_harm_nothing(tmp_path, capsys, words):
@@ -230,6 +230,6 @@ def test_commands_refuse_in_one_line_and_harm_nothing(tmp_path, capsys, words):
         for key, name in [next(((k, n) for k, n in places.items() if word.startswith(k)), ("", ""))]
     ]
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    assert cli.main(named) == 2
+    assert commands.main(named) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before

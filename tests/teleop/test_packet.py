@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.messages import MESSAGES, Command, Message, MessageError, SlaveState
-from teleop.packet import Packet, crc32, packet
+from teleop.messages.messages import MESSAGES, Command, Message, MessageError, SlaveState
+from teleop.messages.packet import Packet, crc32, packet
 
 
 def some(cls: type[Message], seed: int) -> Message:

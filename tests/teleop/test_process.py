@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from teleop.errors import TeleopError, UsageError
-from teleop.output_file import OutputFile
-from teleop.process import (
+from teleop.runtime.output_file import OutputFile
+from teleop.runtime.process import (
     SUPERVISED,
     Stop,
     die_with_launcher,
@@ -71,7 +71,7 @@ def test_an_interruption_that_python_ignores_is_delivered_again():
 
 STOPPING = """
 import signal, sys
-from teleop.process import Stop
+from teleop.runtime.process import Stop
 stop = Stop()
 signal.raise_signal(getattr(signal, sys.argv[1]))
 print(stop(), stop.reason)
@@ -92,7 +92,7 @@ def test_under_nohup_a_loop_outlives_its_terminal():
 INTERRUPTED_COMMAND = """
 import signal, sys
 from teleop import __main__ as program
-from teleop.app import cli
+from teleop.cli import commands
 
 def main(begin):
     begin()
@@ -101,7 +101,7 @@ def main(begin):
     finally:
         print("closed")
 
-cli.main = main
+commands.main = main
 sys.exit(program.main())
 """
 
@@ -150,7 +150,7 @@ def test_who_was_started_by_a_process_that_has_ended_ends_too(monkeypatch):
 
 CHILD = """
 import os, sys, time
-from teleop.process import die_with_launcher
+from teleop.runtime.process import die_with_launcher
 print(os.getpid(), flush=True)
 die_with_launcher()
 time.sleep(60)

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop import realtime
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import UsageError
-from teleop.realtime import (
+from teleop.runtime import realtime
+from teleop.runtime.realtime import (
     FEWEST_CORES,
     FEWEST_OTHERS,
     HARD_LIMIT_US,
@@ -22,7 +22,7 @@ from teleop.realtime import (
     divide_cores,
     unmodified_code,
 )
-from teleop.run_config import RunConfig
+from teleop.session.config import RunConfig
 
 CORES = st.sets(st.integers(0, 63), max_size=16)
 LIMIT = st.one_of(st.just(resource.RLIM_INFINITY), st.integers(0, 10_000_000))
@@ -176,10 +176,10 @@ IMPORTED = """
 import contextlib, importlib, sys
 
 if sys.argv[1] == "--help":
-    from teleop.app import cli
+    from teleop.cli import commands
 
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(None):
-        cli.main(["--help"])
+        commands.main(["--help"])
 else:
     importlib.import_module(sys.argv[1])
 print(*sys.modules)
@@ -206,7 +206,8 @@ def test_a_process_imports_only_what_it_needs(what, absent):
 
 
 def test_numeric_libraries_compute_in_one_thread_unless_told_otherwise():
-    code = "import os; from teleop.app import cli; cli.main(['run', '--config', 'none.yaml'])\n"
+    code = "import os; from teleop.cli import commands\n"
+    code += "commands.main(['run', '--config', 'none.yaml'])\n"
     code += "print(os.environ['OPENBLAS_NUM_THREADS'], os.environ['NUMBA_NUM_THREADS'])"
     ended = subprocess.run(
         [sys.executable, "-c", code],

@@ -10,21 +10,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.app import cli
-from teleop.app.launch import command
-from teleop.app.launch.supervisor import Supervisor, ends
+from teleop.cli import commands
 from teleop.errors import TeleopError
+from teleop.launch import command
+from teleop.launch.supervisor import Supervisor, ends
 from teleop.link import Link, ReceivedMessage, message_queue
 from teleop.link.listener import Listener
 from teleop.link.message_queue import capacity_bytes
-from teleop.messages import LoopReport, TendonState
+from teleop.messages.messages import LoopReport, TendonState
+from teleop.messages.topics import EVENT, REPORT, STATE, TENDONS, TOPICS, Role, Topic
 from teleop.recording import recorder as recorders
 from teleop.recording.config import RecordConfig
 from teleop.recording.progress import status_text
 from teleop.recording.reader import open_recording, read_columns
 from teleop.recording.recorder import GRACE_NS, QUIET_NS, Recorder
 from teleop.recording.writer import RecordingWriter
-from teleop.topics import EVENT, REPORT, STATE, TENDONS, TOPICS, Role, Topic
 from tests.teleop.recorded import START_NS, free_link, start
 
 MS = 1_000_000
@@ -241,10 +241,10 @@ def test_the_launcher_waits_for_a_recorder_that_makes_progress_and_ends_with_its
     said: list[str] = []
     family = Supervisor(tmp_path, lambda _name, line: said.append(line))
     spawn = subprocess.Popen
-    monkeypatch.setattr("teleop.app.launch.supervisor._DRAINING_PATIENCE_S", 0.5)
-    monkeypatch.setattr("teleop.app.launch.supervisor._LONGEST_S", 0.1)
+    monkeypatch.setattr("teleop.launch.supervisor._DRAINING_PATIENCE_S", 0.5)
+    monkeypatch.setattr("teleop.launch.supervisor._LONGEST_S", 0.1)
     monkeypatch.setattr(
-        "teleop.app.launch.supervisor.subprocess.Popen",
+        "teleop.launch.supervisor.subprocess.Popen",
         lambda _words, **options: spawn([sys.executable, "-c", TELL_AND_END], **options),
     )
     child = family.start("record", [])
@@ -306,7 +306,7 @@ def test_every_command_says_what_is_wrong_with_a_recording(
     link = free_link()
     ends_of = ["--set", f"link.master={link.master}", "--set", f"link.slave={link.slave}"]
     further = ends_of if words[0] in ("replay", "view") else []
-    cli.main([word.format(path) for word in words] + further)
+    commands.main([word.format(path) for word in words] + further)
     said = [line for line in capsys.readouterr().err.splitlines() if how in line]
     assert len(said) == 1
     assert said[0].startswith("WARNING: ")

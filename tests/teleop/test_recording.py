@@ -22,11 +22,11 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
-from teleop.config import stated_keys
+from teleop.config.loading import stated_keys
 from teleop.errors import TeleopError, UsageError
 from teleop.link import ReceivedMessage
-from teleop.messages import LAYOUT, MESSAGES
-from teleop.process import SUPERVISED
+from teleop.messages.messages import LAYOUT, MESSAGES
+from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
 from teleop.recording import reader
 from teleop.recording.config import RecordConfig
 from teleop.recording.definition import dtype_of
@@ -40,7 +40,7 @@ from teleop.recording.reader import (
 )
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import RecordingWriter
-from teleop.topics import COMMAND, EVENT, STATE, TENDONS, TOPICS
+from teleop.runtime.process import SUPERVISED
 from tests.teleop.recorded import START_NS, heard
 
 
@@ -470,11 +470,11 @@ KILLED = textwrap.dedent(
     """
     import sys, time
     import numpy as np
-    from teleop.clock import now_ns
+    from teleop.runtime.clock import now_ns
     from teleop.link import ReceivedMessage
     from teleop.recording.config import RecordConfig
     from teleop.recording.writer import RecordingWriter
-    from teleop.topics import STATE
+    from teleop.messages.topics import STATE
     from tests.teleop.recorded import SENDER
 
     writer = RecordingWriter(RecordConfig(directory=sys.argv[1]), "killed", now_ns())

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from teleop.clock import now_ns
 from teleop.errors import PeerError
 from teleop.link import Link, ReceivedMessage
-from teleop.messages import Event
+from teleop.messages.messages import Event
+from teleop.messages.topics import COMMAND, EVENT, STATE, TOPICS, Role
 from teleop.recording import writer as writer_module
 from teleop.recording.config import RecordConfig
 from teleop.recording.gaps import Gaps
@@ -21,7 +21,7 @@ from teleop.recording.reader import RecordedMessage, open_recording, read_column
 from teleop.recording.replay import Player, require_playable
 from teleop.recording.scan import RecordingError
 from teleop.recording.writer import RecordingWriter
-from teleop.topics import COMMAND, EVENT, STATE, TOPICS, Role
+from teleop.runtime.clock import now_ns
 from tests.teleop.recorded import START_NS, free_link, heard, start
 
 NONCES = {Role.MASTER: 0xAAAA, Role.SLAVE: 0xBBBB}

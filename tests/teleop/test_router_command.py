@@ -14,14 +14,14 @@ import zenoh
 from docs.topology_drawings import DRAWINGS, IMAGES
 from master.config import MasterConfig
 from slave.config import SlaveConfig
-from teleop.app import cli
-from teleop.config import load
+from teleop.cli import commands
+from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.link import Link, LinkConfig
-from teleop.router.command import protection, router_config
-from teleop.router.config import DEFAULT, RouterConfig
-from teleop.run_config import RunConfig
-from teleop.topics import COMMAND, Role
+from teleop.link.router_command import protection, router_config
+from teleop.link.router_config import DEFAULT, RouterConfig
+from teleop.messages.topics import COMMAND, Role
+from teleop.session.config import RunConfig
 from tests.root import ROOT
 from tests.system.processes import OURS, free_ports
 from tests.teleop.link.bench import wait_until
@@ -116,19 +116,19 @@ def test_commands_of_the_page_are_understood():
     assert len(found) > 20
     for line in found:
         command = line.split()[1:]
-        cli.build_parser(command[0]).parse_args(command)
+        commands.build_parser(command[0]).parse_args(command)
 
 
 def test_zenohd_takes_the_same_settings_as_a_file(tmp_path, capsys):
     authority, keys = str(tmp_path / "authority"), tmp_path / "keys"
-    assert cli.main(["keys", "init", authority]) == 0
+    assert commands.main(["keys", "init", authority]) == 0
     for role, session in (("slave", "a"), ("viewer", "a"), ("router", "all")):
         issue = ["keys", "issue", authority, "--role", role, "--session", session]
-        assert cli.main([*issue, "--out", str(keys)]) == 0
+        assert commands.main([*issue, "--out", str(keys)]) == 0
     (port,) = free_ports(1)
     capsys.readouterr()
     command = ["router", "--zenohd", "--session", "a", "--listen", f"127.0.0.1:{port}"]
-    assert cli.main([*command, "--keys", str(keys)]) == 0
+    assert commands.main([*command, "--keys", str(keys)]) == 0
     text = capsys.readouterr().out
     assert "PRIVATE KEY" not in text
     config = LinkConfig(routers=(f"127.0.0.1:{port}",), keys=keys)
@@ -144,4 +144,4 @@ def test_zenohd_takes_the_same_settings_as_a_file(tmp_path, capsys):
         time.sleep(0.3)
         counts = slave.latest(COMMAND).counts
         assert counts.rejected + counts.unknown == 0  # it ended at the router
-    assert cli.main(command) == 2
+    assert commands.main(command) == 2

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from teleop import own_endpoints, running_sessions
-from teleop.app import cli
-from teleop.config import load
+from teleop.cli import commands
+from teleop.config.loading import load
 from teleop.errors import PeerError, UsageError
-from teleop.run_config import RunConfig, load_shared
-from teleop.running_sessions import (
+from teleop.session import own_endpoints, running_sessions
+from teleop.session.config import RunConfig, load_shared
+from teleop.session.running_sessions import (
     RunningSession,
     describe_absence,
     find,
@@ -29,7 +29,7 @@ from tests.teleop.link.bench import wait_until
 
 _HOLDER = """
 import time
-from teleop.running_sessions import RunningSession, registered
+from teleop.session.running_sessions import RunningSession, registered
 with registered(RunningSession(session="other", overrides=(), endpoints=())):
     print("listed", flush=True)
     time.sleep(60)
@@ -83,7 +83,7 @@ def test_a_loopback_interface_that_is_down_is_named_at_once(monkeypatch, capsys)
         raise OSError(errno.ENETUNREACH, "Network is unreachable")
 
     monkeypatch.setattr(socket.socket, "connect", refuse)
-    assert cli.main(["run", "--view", "none", "--duration", "2"]) == 1
+    assert commands.main(["run", "--view", "none", "--duration", "2"]) == 1
     said = "teleop: 127.0.0.1 cannot be connected to: Network is unreachable; bring the loopback"
     assert capsys.readouterr().err.startswith(said)
 
@@ -200,10 +200,10 @@ def test_the_entry_leads_to_the_session_from_any_folder(tmp_path, monkeypatch):
 
 
 def test_the_command_lists_them(capsys, tmp_path):
-    assert cli.main(["sessions"]) == 0
+    assert commands.main(["sessions"]) == 0
     assert capsys.readouterr().out == "no sessions running\n"
     with registered(entry("a", config="/x/demo.yaml")):
-        assert cli.main(["sessions", "--json", str(tmp_path / "s.json")]) == 0
+        assert commands.main(["sessions", "--json", str(tmp_path / "s.json")]) == 0
     out = capsys.readouterr().out
     assert out.startswith(f"a  process {os.getpid()}  since ")
     assert "127.0.0.1:20001" in out

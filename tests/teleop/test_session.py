@@ -9,7 +9,7 @@ import pytest
 
 from estimator.compiled import compiled
 from estimator.records import Records
-from teleop.session import (
+from teleop.session.state_machine import (
     FOLLOW_LIMIT_S,
     HOLD_LIMIT_S,
     Inputs,

@@ -7,11 +7,12 @@ import pytest
 
 from slave.calibration import file as calibration_file
 from slave.config import SlaveConfig
-from teleop import strict_yaml
-from teleop.config import load
+from teleop.config import strict_yaml
+from teleop.config.loading import load
 from teleop.data import model_file
 from teleop.errors import UsageError
-from teleop.keys.authority import (
+from teleop.runtime.small_file import read_small_file
+from teleop.security.authority import (
     AUTHORITY,
     AUTHORITY_KEY,
     REVOKED,
@@ -20,7 +21,6 @@ from teleop.keys.authority import (
     load_key,
     load_revoked,
 )
-from teleop.small_file import read_small_file
 
 READERS = {
     "config.yaml": lambda path: load(path, SlaveConfig, "slave"),

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from master.devices.hid import signs
-from teleop.app import cli
-from teleop.keys.local import local_folder
+from teleop.cli import commands
+from teleop.security.local import local_folder
 from teleop.view.runtime_log import log_path
 
 PLACES = {
@@ -36,7 +36,7 @@ def test_a_variable_goes_before_the_home_folder(environment, tmp_path, variable)
 def test_a_relative_one_is_refused_and_nothing_made(environment, tmp_path, capsys):
     environment.chdir(tmp_path)
     environment.setenv("XDG_STATE_HOME", "state")
-    assert cli.main(["stop"]) == 2
+    assert commands.main(["stop"]) == 2
     said = "teleop: XDG_STATE_HOME=state: is relative; set it to an absolute path\n"
     assert capsys.readouterr().err == said
     assert not list(tmp_path.iterdir())
@@ -48,7 +48,7 @@ def test_a_user_without_a_home_is_told_what_to_set(environment, home, capsys):
     if home is not None:
         environment.setenv("HOME", home)
     environment.setattr(pwd, "getpwuid", {}.__getitem__)
-    assert cli.main(["stop"]) == 2
+    assert commands.main(["stop"]) == 2
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
     assert "has no home folder (HOME); set XDG_STATE_HOME to a folder of this user" in said[0]

@@ -16,13 +16,13 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from teleop.app import cli
-from teleop.app.launch.supervisor import wait_for
+from teleop.cli import commands
 from teleop.errors import TeleopError, UsageError
+from teleop.launch.supervisor import wait_for
 from teleop.link import ReceivedMessage
+from teleop.messages.topics import HAND, TENDONS, TOPICS
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
-from teleop.topics import HAND, TENDONS, TOPICS
 from teleop.view import viewer_process
 from teleop.view.batch import decode
 from teleop.view.config import ViewConfig, ViewRates
@@ -469,7 +469,7 @@ def test_a_bad_recording_is_refused_before_anything_is_written(content, tmp_path
     bad, out = tmp_path / "bad.mcap", tmp_path / "x.rrd"
     if content is not None:
         bad.write_bytes(content)
-    assert cli.main(["view", str(bad), "--view", "rrd", "--out", str(out)]) == 2
+    assert commands.main(["view", str(bad), "--view", "rrd", "--out", str(out)]) == 2
     captured = capsys.readouterr()
     assert str(bad) in captured.err
     assert len(captured.err.splitlines()) == 1

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.errors import UsageError
 from teleop.view.command import destination_of
 from teleop.view.runtime_log import diverted
@@ -36,7 +36,7 @@ def test_a_view_that_cannot_be_is_refused_in_one_line(words, said, tmp_path, cap
     (tmp_path / "text.rrd").write_text("text")
     (tmp_path / "noise.rrd").write_bytes(b"RRF2" + bytes(range(256)) * 20)
     os.mkfifo(tmp_path / "pipe.rrd")
-    assert cli.main(words) == 2
+    assert commands.main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.messages import MAX_JOINTS, Command, Hand, LoopReport, SlaveState, padded
-from teleop.session import Reason, State
-from teleop.topics import COMMAND, HAND, REPORT, SHEATH, STATE, Role
+from teleop.messages.messages import MAX_JOINTS, Command, Hand, LoopReport, SlaveState, padded
+from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, Role
+from teleop.session.state_machine import Reason, State
 from teleop.view import panel
 from teleop.view.batch import decode
 from teleop.view.colours import STATES

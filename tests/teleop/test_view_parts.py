@@ -7,8 +7,8 @@ import rerun as rr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.messages import PROFILE_POINTS, MessageError
-from teleop.topics import TENDONS
+from teleop.messages.messages import PROFILE_POINTS, MessageError
+from teleop.messages.topics import TENDONS
 from teleop.view.band import friction_along, tension_band
 from teleop.view.batch import decode, thinned
 from teleop.view.colours import BACKGROUND as DARK

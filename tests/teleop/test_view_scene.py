@@ -9,7 +9,7 @@ import pytest
 from estimator.law.sheath import Section
 from estimator.law.sheath import Sheath as SheathModel
 from estimator.online import online
-from teleop.messages import (
+from teleop.messages.messages import (
     MAX_JOINTS,
     MAX_TENDONS,
     PHASE_NAMES,
@@ -23,8 +23,7 @@ from teleop.messages import (
     padded,
     text_bytes,
 )
-from teleop.session import State
-from teleop.topics import (
+from teleop.messages.topics import (
     COMMAND,
     EVENT,
     HAND,
@@ -36,6 +35,7 @@ from teleop.topics import (
     STOP,
     TENDONS,
 )
+from teleop.session.state_machine import State
 from teleop.view.batch import decode
 from teleop.view.colours import PHASES, rgba
 from teleop.view.config import LAYOUTS, ViewConfig

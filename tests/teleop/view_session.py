@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from teleop.messages import (
+from teleop.messages.messages import (
     MAX_JOINTS,
     MAX_SECTIONS,
     MAX_TENDONS,
@@ -24,8 +24,7 @@ from teleop.messages import (
     padded,
     text_bytes,
 )
-from teleop.session import State
-from teleop.topics import (
+from teleop.messages.topics import (
     COMMAND,
     EVENT,
     HAND,
@@ -37,6 +36,7 @@ from teleop.topics import (
     TENDONS,
     Role,
 )
+from teleop.session.state_machine import State
 from teleop.view.batch import decode
 from teleop.view.config import ViewConfig
 from teleop.view.scene import Scene

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from teleop import clock
 from teleop.link import inbox
+from teleop.runtime import clock
 
 
 class StandingClock:

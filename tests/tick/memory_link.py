@@ -5,7 +5,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 
 from teleop.link import Link, LinkConfig
-from teleop.topics import TOPICS, Role
+from teleop.messages.topics import TOPICS, Role
 from tests.tick.profile import Calls
 
 

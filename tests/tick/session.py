@@ -15,11 +15,11 @@ from slave import loop
 from slave.config import SlaveConfig, tendon_configs
 from slave.process import SlaveProcess
 from slave.rigs import open_rig
-from teleop.clock import EventClock, Grid
-from teleop.config import load
-from teleop.link_health import HealthConfig
-from teleop.run_config import RunConfig
-from teleop.topics import COMMAND, HAND, STATE, TENDONS, Role
+from teleop.config.loading import load
+from teleop.link.health import HealthConfig
+from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
+from teleop.runtime.clock import EventClock, Grid
+from teleop.session.config import RunConfig
 from tests.tick.clock import StandingClock
 from tests.tick.memory_link import MemoryLink
 from tests.tick.profile import Calls

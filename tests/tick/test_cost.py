@@ -11,7 +11,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from teleop.topics import COMMAND, HAND, STATE, TENDONS
+from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS
 from tests.tick.session import Session
 
 SETTLED = 600  # ticks, until both sides are engaged, all is compiled and a report has been made

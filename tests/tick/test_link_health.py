@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from teleop.link_health import HealthConfig
-from teleop.messages import Command, Message, SlaveState
-from teleop.session import HOLD_LIMIT_S, Reason, State
+from teleop.link.health import HealthConfig
+from teleop.messages.messages import Command, Message, SlaveState
+from teleop.session.state_machine import HOLD_LIMIT_S, Reason, State
 from tests.tick.session import Session
 
 HOUR_NS = 3_600_000_000_000

@@ -32,9 +32,9 @@ from master.devices.hid.report_text import describe
 from master.devices.hid.search import FoundDevice
 from master.devices.hid.signs import ForceSign
 from teleop.errors import UsageError
-from teleop.output_file import OutputFile, UpdatedFile
-from teleop.process import seconds, write_whole
-from teleop.status_line import StatusLine
+from teleop.runtime.output_file import OutputFile, UpdatedFile
+from teleop.runtime.process import seconds, write_whole
+from teleop.runtime.status_line import StatusLine
 
 PROBE_S, TEST_S = 2.0, 10.0  # [s] default durations
 _LOOK_S = 0.005  # [s] between two looks at a device

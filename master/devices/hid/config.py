@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from master.devices.hid.pid import PidConfig
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 
 @dataclass(frozen=True, slots=True)

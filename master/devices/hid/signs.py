@@ -12,10 +12,10 @@ from typing import Literal, NamedTuple
 
 import yaml
 
-from teleop import config
+from teleop.config import loading
 from teleop.errors import UsageError
-from teleop.process import write_whole
-from teleop.user_folders import config_folder
+from teleop.runtime.process import write_whole
+from teleop.runtime.user_folders import config_folder
 
 
 class Pusher(NamedTuple):
@@ -78,7 +78,7 @@ def load(path: Path | None) -> Signs:
             f"{path}: no such file of force signs; make it with `teleop devices test --signs "
             f"{path}`"
         )
-    return config.load(path or default_path(), Signs, None)
+    return loading.load(path or default_path(), Signs, None)
 
 
 def save(path: Path | None, signs: Signs) -> None:
@@ -88,4 +88,4 @@ def save(path: Path | None, signs: Signs) -> None:
         place.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{place.parent}: cannot be created: {error.strerror}") from error
-    write_whole(place, yaml.safe_dump(config.as_tree(signs), sort_keys=False), "the force signs")
+    write_whole(place, yaml.safe_dump(loading.as_tree(signs), sort_keys=False), "the force signs")

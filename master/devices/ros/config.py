@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 TWIST_AXES = 3
 

@@ -16,7 +16,7 @@ from master.device import Axes, DeviceFault, DeviceLost, HandState
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.motion import CommandMotion
 from master.devices.ros.record import SIZE, CommandRecord
-from teleop.process import module_command
+from teleop.runtime.process import module_command
 
 SILENT_NS = 250_000_000  # [ns] without a record of the receiver
 _READ_BYTES = 64 * SIZE

@@ -18,12 +18,12 @@ from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.record import CommandRecord
 from master.devices.ros.stream import CommandStream, Sample
 from teleop.link.ros_session import router_listens
-from teleop.process import Stop, die_with_parent, let_loops_first
 from teleop.ros.command_topics import SERVO_CV, SERVO_JP, STATE_COMMAND
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.node import RosNode
 from teleop.ros.outputs import full_name
 from teleop.ros.standard import JointState, StringStamped, TwistStamped
+from teleop.runtime.process import Stop, die_with_parent, let_loops_first
 
 PERIOD_S = 0.002  # [s] least time between two records
 BEAT_S = 0.02  # [s] largest time between two records

@@ -3,7 +3,7 @@
 import struct
 from typing import NamedTuple
 
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 _TEXT_BYTES = 160
 _LAYOUT = struct.Struct(f"<qqqq{_TEXT_BYTES}s{MAX_JOINTS}d")

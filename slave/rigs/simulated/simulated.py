@@ -35,7 +35,7 @@ from slave.rigs.simulated.plant.sensors import (
 )
 from slave.rigs.simulated.plant.sheath import SheathConfig
 from slave.rigs.simulated.plant.tendon import build_chain
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 STEPS_AT_ONCE = 10  # at a late read; if it is later still, longer steps are taken
 

@@ -17,7 +17,7 @@ from estimator.diagnosis.record import RecordError, in_short_blocks, prepare
 from estimator.effects import CATALOGUE
 from estimator.effects.effect import CHANNELS
 from estimator.measured_data import Samples
-from tests import hidden
+from tests.studies import hidden
 
 
 @pytest.fixture(scope="module")

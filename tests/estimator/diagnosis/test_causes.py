@@ -12,8 +12,8 @@ from estimator.diagnosis.record import prepare
 from estimator.diagnosis.search import THIN, candidates
 from estimator.effects import CATALOGUE
 from estimator.effects.friction import STRIBECK_LATE
-from tests import hidden
-from tests.hidden.play_grid import pulled
+from tests.studies import hidden
+from tests.studies.hidden.play_grid import pulled
 
 
 def diagnosed(seed, hide, bench, among, **how):

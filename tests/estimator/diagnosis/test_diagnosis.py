@@ -21,7 +21,7 @@ from estimator.diagnosis.record import RecordError, prepare
 from estimator.diagnosis.search import THIN, promised
 from estimator.diagnosis.settings import SETTINGS
 from estimator.effects import CATALOGUE, NAMES
-from tests import hidden
+from tests.studies import hidden
 
 NAMES_ASKED_FOR = 35
 TWO = ("proximal_tension", "distal_tension")

@@ -9,13 +9,13 @@ import zlib
 import numpy as np
 import pytest
 
-from benchmarks.hidden.campaign import Case, judge
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.outcome import Verdict
 from estimator.diagnosis.record import prepare
 from estimator.effects import CATALOGUE, NAMES
-from tests import hidden
-from tests.hidden.play_grid import make_grid
+from studies.hidden.campaign import Case, judge
+from tests.studies import hidden
+from tests.studies.hidden.play_grid import make_grid
 
 SHORT = {"duration": 30.0, "rate": 50.0}
 RIVALS = 2  # causes beside the true ones, in a case

@@ -10,8 +10,8 @@ from estimator.diagnosis.engine import simulated_by
 from estimator.diagnosis.hidden_motion import with_hidden_motion
 from estimator.diagnosis.record import prepare
 from estimator.diagnosis.score import errors
-from tests import hidden
-from tests.hidden.play_grid import make_grid
+from tests.studies import hidden
+from tests.studies.hidden.play_grid import make_grid
 
 TENSION, TRAVEL = "proximal_tension", "proximal_displacement"
 

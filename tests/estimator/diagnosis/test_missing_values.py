@@ -10,7 +10,7 @@ from estimator.effects.effect import EffectContext
 from estimator.effects.ends import stands_out
 from estimator.effects.sensors import PULLEY_ECCENTRICITY
 from estimator.measured_data import Samples
-from tests import hidden
+from tests.studies import hidden
 
 LOST = slice(600, 650)  # 1 s
 Q, T_IN, T_OUT = "proximal_displacement", "proximal_tension", "distal_tension"

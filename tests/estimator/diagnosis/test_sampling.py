@@ -6,7 +6,7 @@ import pytest
 from estimator.diagnosis.channel_noise import white_noise
 from estimator.diagnosis.record import prepare
 from estimator.diagnosis.smoothing import smooth
-from tests import hidden
+from tests.studies import hidden
 
 EVERY = 10  # samples of the simulation from one of the record to the next
 PERIOD = 0.02  # [s]

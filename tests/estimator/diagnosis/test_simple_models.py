@@ -8,7 +8,7 @@ from estimator.diagnosis.dataset import dataset_of
 from estimator.diagnosis.engine import diagnose
 from estimator.diagnosis.record import prepare
 from estimator.diagnosis.simple_models import simple_models
-from tests import hidden
+from tests.studies import hidden
 
 NOISE = 0.01  # [N]
 

@@ -20,7 +20,7 @@ from estimator.online.reading_correction import (
     corrections_of,
 )
 from estimator.online.tip_reading import reading_of, reading_table
-from tests import hidden
+from tests.studies import hidden
 
 NOISE, STEP = 0.02, 1.2e-7  # [N], [m] of the hidden sensors
 SEED, SECONDS = 1, 20.0

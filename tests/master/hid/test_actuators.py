@@ -9,7 +9,7 @@ from master.devices.hid.actuators import ActuatorReports, ActuatorState
 from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.descriptor import parse
 from master.devices.hid.device import HidDevice
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 from tests.hid import descriptors
 from tests.hid.virtual.catalogue import DEVICES
 

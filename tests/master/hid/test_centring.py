@@ -6,7 +6,7 @@ from master.device import DeviceFault, DeviceLost
 from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.device import HidDevice
 from master.devices.hid.pid import PidDriver
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 from tests.hid import descriptors
 from tests.hid.virtual.sidewinder import CENTRING, SideWinder
 from tests.master.hid.test_pid_devices import Cable

@@ -5,7 +5,7 @@ import yaml
 
 from master.devices.hid import command, search, signs
 from master.devices.hid.command import Person
-from teleop.app import cli
+from teleop.cli import commands
 from tests.hid import descriptors
 from tests.hid.virtual.dualsense import DualSense
 from tests.hid.virtual.openffboard import OpenFFBoard
@@ -50,7 +50,7 @@ def found_in(file):
 
 
 def teleop(capsys, *words):
-    code = cli.main(["devices", *words])
+    code = commands.main(["devices", *words])
     out = capsys.readouterr()
     return code, out.out, out.err
 

@@ -6,7 +6,7 @@ from master.device import DeviceFault, DeviceLost
 from master.devices.hid import console_mode, search
 from master.devices.hid.config import AxisConfig, HidConfig
 from master.devices.hid.device import HidDevice
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 from tests.hid import descriptors
 from tests.hid.virtual.logitech import Logitech
 from tests.hid.virtual.openffboard import OpenFFBoard

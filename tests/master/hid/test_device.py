@@ -14,8 +14,8 @@ from master.devices.hid.config import AxisConfig, ButtonsConfig, HidConfig
 from master.devices.hid.device import HidDevice
 from master.devices.hid.pid import PidConfig
 from master.devices.hid.signs import ForceSign, Signs
-from teleop.app.launch.supervisor import wait_for
 from teleop.errors import UsageError
+from teleop.launch.supervisor import wait_for
 from tests.hid import descriptors
 from tests.hid.virtual.arduino import Arduino
 from tests.hid.virtual.catalogue import DEVICES

@@ -10,7 +10,7 @@ import pytest
 
 from master.devices.hid import guard
 from master.devices.hid.guard import Guard
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 
 OWNER = """
 import sys, time

@@ -6,7 +6,7 @@ from master.device import DeviceFault
 from master.devices.hid import seeker
 from master.devices.hid.search import NotThereError
 from master.devices.hid.seeker import Seeker
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 
 
 class Thing:

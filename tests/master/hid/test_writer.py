@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from master.device import DeviceFault
 from master.devices.hid import writer
 from master.devices.hid.writer import ARM_S, Writer, WriterState, step
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 
 
 class TwoAxes:

@@ -13,14 +13,14 @@ import pytest
 from master.device import DeviceFault, DeviceLost
 from master.devices.ros.config import RosDeviceConfig
 from master.devices.ros.device import RosDevice
-from teleop.app.launch.supervisor import wait_for
-from teleop.messages import Event, text_of
+from teleop.launch.supervisor import wait_for
+from teleop.messages.messages import Event, text_of
+from teleop.messages.topics import COMMAND, EVENT, STATE
 from teleop.ros import cdr
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.node import RosNode
 from teleop.ros.standard import JointState, StringStamped
-from teleop.session import State
-from teleop.topics import COMMAND, EVENT, STATE
+from teleop.session.state_machine import State
 from tests.root import ROOT
 from tests.system.processes import START_S, Processes
 from tests.teleop.ros.peers import free_port, router
@@ -195,7 +195,7 @@ def _read(device):
 
 @pytest.mark.parametrize("words", [["master.device={type: ros, router: tcp/10.0.0.1:7447}"]])
 def test_a_router_elsewhere_is_refused(words, capsys):
-    from teleop.app import cli
+    from teleop.cli import commands
 
-    assert cli.main(["master", *(f"--set={word}" for word in words)]) == 2
+    assert commands.main(["master", *(f"--set={word}" for word in words)]) == 2
     assert "on loopback" in capsys.readouterr().err

@@ -17,9 +17,9 @@ from slave.calibration.config import InitialiseConfig
 from slave.calibration.initialise import initialise
 from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs import open_rig
-from teleop.app import cli
-from teleop.config import as_tree
-from teleop.process import ENDINGS, interruption
+from teleop.cli import commands
+from teleop.config.loading import as_tree
+from teleop.runtime.process import ENDINGS, interruption
 from tests.slave.calibration.calibration_bench import (
     EA,
     GATE,
@@ -42,7 +42,7 @@ def config_file(folder, rig, **slave):
 
 
 def teleop(*words):
-    return cli.main(["calibrate", *map(str, words)])
+    return commands.main(["calibrate", *map(str, words)])
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from slave.config import SlaveConfig, not_ready_reason, tendon_configs
 from slave.rigs.replayed import ReplayedRigConfig
 from slave.rigs.simulated.plant.sheath import SectionConfig
 from slave.tendon_config import TendonConfig
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import UsageError
 from tests.slave.calibration.calibration_bench import joint, rig_config
 

@@ -8,7 +8,7 @@ import pytest
 from estimator.records import as_record
 from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.cell import LoadCell, check_cell
-from teleop.session import Reason
+from teleop.session.state_machine import Reason
 from tests.slave.control_bench import DT
 from tests.slave.fault_detection.readings import readings
 

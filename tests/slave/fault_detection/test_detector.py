@@ -14,7 +14,7 @@ from slave.fault_detection import FaultDetectionConfig
 from slave.fault_detection.compliance import compliance, least_elongation
 from slave.rig import RigSample
 from slave.tendons import EstimatedTendon, rig_layout
-from teleop.session import Reason
+from teleop.session.state_machine import Reason
 from tests.slave.control_bench import DT, estimated
 from tests.slave.fault_detection.readings import readings
 

@@ -13,7 +13,7 @@ from slave.fault_detection import (
     take_motor_readings,
 )
 from slave.tendons import EstimatedTendon, rig_layout
-from teleop.session import Reason
+from teleop.session.state_machine import Reason
 from tests.slave.control_bench import DT
 
 SETTINGS = FaultDetectionConfig()

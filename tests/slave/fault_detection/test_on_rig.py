@@ -13,7 +13,7 @@ from slave.rigs.simulated.plant.effects import (
     StuckCell,
 )
 from slave.rigs.simulated.plant.environment import LoadMotorConfig, TissueConfig, WallConfig
-from teleop.session import Reason
+from teleop.session.state_machine import Reason
 from tests.slave.control_bench import follow, joint, sine
 
 BROKEN, JAMMED = Reason.TENDON_BROKEN, Reason.TENDON_JAMMED

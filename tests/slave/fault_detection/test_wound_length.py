@@ -14,7 +14,7 @@ from slave.fault_detection.broken_tendon import Slack, check_slack
 from slave.fault_detection.compliance import compliance, largest_elongation, least_elongation
 from slave.fault_detection.tendon_state import CheckedTendon
 from slave.fault_detection.wound_length import Winding, check_winding
-from teleop.session import Reason
+from teleop.session.state_machine import Reason
 from tests.slave.control_bench import DT
 
 CONFIG = as_record(FaultDetectionConfig())

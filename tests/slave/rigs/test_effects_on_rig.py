@@ -24,7 +24,7 @@ from slave.rigs.simulated.simulated import (
     SimulatedRigConfig,
     TendonPlantConfig,
 )
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.errors import UsageError
 
 QUIET = TendonPlantConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))

@@ -28,7 +28,7 @@ from slave.rigs.simulated.plant.effects.friction import (
 )
 from slave.rigs.simulated.plant.knobs import NEUTRAL
 from slave.rigs.simulated.plant.tendon import POSITION, TENSION, tensions
-from teleop.config import as_tree, load
+from teleop.config.loading import as_tree, load
 from teleop.errors import UsageError
 from tests.slave.tendon_bench import (
     EA,

@@ -19,10 +19,10 @@ from slave.rigs.simulated.simulated import (
     TendonPlantConfig,
     build_joint,
 )
-from teleop.config import load
+from teleop.config.loading import load
 from teleop.data.table import Columns, read_table, write_table
 from teleop.errors import UsageError
-from teleop.messages import MAX_JOINTS
+from teleop.messages.messages import MAX_JOINTS
 
 TENDON = TendonPlantConfig(load_cell=LoadCellConfig(0.0, 0.0), encoder=EncoderConfig(0))
 QUIET = JointConfig((TENDON,))

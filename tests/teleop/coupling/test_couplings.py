@@ -23,8 +23,8 @@ from teleop.coupling import (
     bilateral_settings,
 )
 from teleop.coupling.config import KINDS
-from teleop.messages import MAX_JOINTS
-from teleop.topics import Role
+from teleop.messages.messages import MAX_JOINTS
+from teleop.messages.topics import Role
 
 DT = 0.001
 LEVER = 0.05  # of scales 0.25 and 0.2

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from teleop.keys.authority import Authority, write, write_key
-from teleop.keys.credentials import stem
-from teleop.keys.identity import RIGHTS, Identity, Office
+from teleop.security.authority import Authority, write, write_key
+from teleop.security.credentials import stem
+from teleop.security.identity import RIGHTS, Identity, Office
 
 
 def put(

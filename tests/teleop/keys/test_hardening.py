@@ -10,17 +10,17 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.errors import UsageError
-from teleop.keys import CertificateError, credentials
-from teleop.keys import authority as authority_module
-from teleop.keys.authority import REVOKED, Authority, _certificate, _name, write
-from teleop.keys.identity import Identity, Office
-from teleop.keys.local import local_credentials, local_folder
-from teleop.link.handshake import Handshake
-from teleop.link.presence import Stage, Token
-from teleop.messages import LAYOUT
-from teleop.topics import Role
+from teleop.messages.messages import LAYOUT
+from teleop.messages.topics import Role
+from teleop.security import CertificateError, credentials
+from teleop.security import authority as authority_module
+from teleop.security.authority import REVOKED, Authority, _certificate, _name, write
+from teleop.security.handshake import Handshake
+from teleop.security.identity import Identity, Office
+from teleop.security.local import local_credentials, local_folder
+from teleop.security.presence import Stage, Token
 from tests.teleop.keys.folder import make_keys
 
 MASTER = Identity(Office.MASTER, "test")
@@ -141,7 +141,7 @@ def test_the_command_refuses_what_would_do_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     home, out = str(tmp_path / "authority"), tmp_path / "out"
-    assert cli.main(["keys", "init", home, "--days", "30"]) == 0
+    assert commands.main(["keys", "init", home, "--days", "30"]) == 0
     theirs = make_keys(tmp_path / "theirs")
     issue = ["keys", "issue", home, "--session", "test", "--role", "master", "--out", str(out)]
     for words, complaint in (
@@ -151,7 +151,7 @@ def test_the_command_refuses_what_would_do_nothing(
         (["keys", "revoke", home, "f" * 60], "not a serial number"),
     ):
         capsys.readouterr()
-        assert cli.main(words) == 2
+        assert commands.main(words) == 2
         assert complaint in capsys.readouterr().err
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.errors import UsageError
-from teleop.keys import credentials
-from teleop.keys.authority import Authority, load_revoked
-from teleop.keys.identity import RIGHTS, Identity, Office, supervisors
-from teleop.keys.local import local_credentials, local_folder
+from teleop.security import credentials
+from teleop.security.authority import Authority, load_revoked
+from teleop.security.identity import RIGHTS, Identity, Office, supervisors
+from teleop.security.local import local_credentials, local_folder
 from tests.teleop.keys.folder import make_keys, put
 
 MASTER = Identity(Office.MASTER, "test")
@@ -134,14 +134,16 @@ def test_the_command_makes_what_a_session_needs(
 ) -> None:
     home, out = str(tmp_path / "authority"), tmp_path / "out"
     issue = ["keys", "issue", home, "--session", "test", "--out", str(out)]
-    assert cli.main(["keys", "init", home]) == 0
-    assert cli.main([*issue, "--role", "master", "--role", "supervisor", "--right", "stop"]) == 0
+    assert commands.main(["keys", "init", home]) == 0
+    assert (
+        commands.main([*issue, "--role", "master", "--role", "supervisor", "--right", "stop"]) == 0
+    )
     assert load(out).identity == MASTER
     assert load(out, Office.SUPERVISOR).identity.rights == ("stop",)
     assert not (out / "authority.key").exists()
-    assert cli.main(["keys", "show", str(out)]) == 0
+    assert commands.main(["keys", "show", str(out)]) == 0
     assert "supervisor-stop.test, valid until" in capsys.readouterr().out
-    assert cli.main(["keys", "revoke", home, str(out / "test.master.pem")]) == 0
+    assert commands.main(["keys", "revoke", home, str(out / "test.master.pem")]) == 0
     assert len(load_revoked(tmp_path / "authority", load(out).authority)) == 1
     (out / "revoked.pem").write_bytes((tmp_path / "authority" / "revoked.pem").read_bytes())
     with pytest.raises(UsageError, match="revoked"):
@@ -158,5 +160,5 @@ def test_the_command_makes_what_a_session_needs(
         (["keys", "show", str(tmp_path)], "No such file"),
     ):  # fmt: skip
         capsys.readouterr()
-        assert cli.main(words) == 2
+        assert commands.main(words) == 2
         assert complaint in capsys.readouterr().err

@@ -8,11 +8,11 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from teleop.link import Latest, Link, LinkConfig
-from teleop.link.handshake import Handshake
-from teleop.link.keyring import Keyring
-from teleop.link.presence import EXCLUSIVE, LISTENERS, Stage, Token
-from teleop.messages import LAYOUT, Command
-from teleop.topics import COMMAND, Role
+from teleop.messages.messages import LAYOUT, Command
+from teleop.messages.topics import COMMAND, Role
+from teleop.security.handshake import Handshake
+from teleop.security.keyring import Keyring
+from teleop.security.presence import EXCLUSIVE, LISTENERS, Stage, Token
 
 MS = 1_000_000
 

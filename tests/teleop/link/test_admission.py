@@ -12,20 +12,20 @@ from typing import Any
 import pytest
 import zenoh
 
-from teleop.keys import OFFICE_OF, RIGHTS, Credentials, Identity, Office
-from teleop.keys import credentials as credentials_module
-from teleop.keys.authority import Authority
 from teleop.link import roster as roster_module
-from teleop.link.access import access_control
 from teleop.link.admission import BURST, CERTIFICATES, STOP_CHECKS_HZ, WAITING, Admission
 from teleop.link.challenge import CHALLENGE_BYTES
-from teleop.link.handshake import Handshake, PairKeys
-from teleop.link.keyring import KEPT, Keyring
-from teleop.link.presence import LISTENERS, Stage, Token, groups_for, groups_of, root
 from teleop.link.refusals import Refusals
 from teleop.link.roster import ARRIVALS, TOKENS, Roster
-from teleop.messages import LAYOUT
-from teleop.topics import STOP, Role
+from teleop.messages.messages import LAYOUT
+from teleop.messages.topics import STOP, Role
+from teleop.security import OFFICE_OF, RIGHTS, Credentials, Identity, Office
+from teleop.security import credentials as credentials_module
+from teleop.security.access import access_control
+from teleop.security.authority import Authority
+from teleop.security.handshake import Handshake, PairKeys
+from teleop.security.keyring import KEPT, Keyring
+from teleop.security.presence import LISTENERS, Stage, Token, groups_for, groups_of, root
 from tests.teleop.link.bench import wait_until
 from tests.teleop.link.test_denial import KEYS, MASTER
 

@@ -13,12 +13,12 @@ from ipaddress import ip_network
 import pytest
 import zenoh
 
-from teleop.keys import Identity, Office
-from teleop.keys.local import local_credentials
 from teleop.link import Link, LinkConfig, connection_guard
 from teleop.link.connection_guard import ConnectionGuard
 from teleop.link.network import open_session
-from teleop.topics import Role
+from teleop.messages.topics import Role
+from teleop.security import Identity, Office
+from teleop.security.local import local_credentials
 from tests.rogue import Rogue
 from tests.teleop.link.bench import session, wait_until
 from tests.teleop.link.test_played_back import lines_of

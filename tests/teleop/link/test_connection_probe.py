@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from teleop.keys import Office
-from teleop.keys import credentials as stored
 from teleop.link import Link, LinkConfig, connection_probe
 from teleop.link.connection_probe import fault_of
-from teleop.topics import Role
+from teleop.messages.topics import Role
+from teleop.security import Office
+from teleop.security import credentials as stored
 from tests.rogue import Rogue
 from tests.teleop.keys.folder import make_keys
 from tests.teleop.link.bench import free_config, wait_until

@@ -5,16 +5,16 @@ import tracemalloc
 
 import pytest
 
-from benchmarks import denial
-from teleop.clock import now_ns
-from teleop.keys import Identity, Office
-from teleop.link.handshake import PairKeys, Peer
-from teleop.link.keyring import ENTRY_BYTES, KEPT, Keyring, Verdict
+from studies import denial
 from teleop.link.listener import LOOKS, Listener
 from teleop.link.rate_limit import RateLimit
 from teleop.link.refusals import KINDS, Refusals
-from teleop.messages import EmergencyStop
-from teleop.topics import COMMAND, STOP, Role
+from teleop.messages.messages import EmergencyStop
+from teleop.messages.topics import COMMAND, STOP, Role
+from teleop.runtime.clock import now_ns
+from teleop.security import Identity, Office
+from teleop.security.handshake import PairKeys, Peer
+from teleop.security.keyring import ENTRY_BYTES, KEPT, Keyring, Verdict
 from tests.tick.memory_link import Sample
 
 FLAT = 2_000_000  # [B]
@@ -45,7 +45,7 @@ def growth_of(flood) -> int:
 @pytest.mark.parametrize("kind", ["mutated", "random senders"])
 @pytest.mark.parametrize("count", [10_000, pytest.param(500_000, marks=pytest.mark.slow)])
 def test_floods_are_counted_and_dropped_and_cost_no_memory(kind: str, count: int) -> None:
-    """Of each of two topics so many frames; as `benchmarks/denial.py`."""
+    """Of each of two topics so many frames; as `studies/denial.py`."""
     door = denial.Door()
     frames = denial.floods(door, min(count, 100_000))[kind]
     assert (door.accepted, door.dropped) == (2, 0)

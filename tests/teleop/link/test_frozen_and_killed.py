@@ -8,21 +8,21 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from teleop.clock import now_ns
 from teleop.link import Link, LinkConfig
 from teleop.link.network import LEASE_MS
-from teleop.messages import Event, SlaveState, TendonState
-from teleop.topics import COMMAND, EVENT, STATE, TENDONS, Role
+from teleop.messages.messages import Event, SlaveState, TendonState
+from teleop.messages.topics import COMMAND, EVENT, STATE, TENDONS, Role
+from teleop.runtime.clock import now_ns
 from tests.root import ROOT
 from tests.teleop.link.bench import MS, wait_until
 
 PEER = """
 import sys, time
-from teleop.process import die_with_parent
+from teleop.runtime.process import die_with_parent
 die_with_parent(int(sys.argv[3]))
 from teleop.link import Link, LinkConfig
-from teleop.messages import Command
-from teleop.topics import COMMAND, EVENT, STATE, Role
+from teleop.messages.messages import Command
+from teleop.messages.topics import COMMAND, EVENT, STATE, Role
 with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "test", Role.MASTER) as link:
     link.subscribe_latest(STATE)
     listener = link.listen((EVENT,))
@@ -33,10 +33,10 @@ with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "test", Role.MASTER
 
 VIEWER = """
 import sys, time
-from teleop.process import die_with_parent
+from teleop.runtime.process import die_with_parent
 die_with_parent(int(sys.argv[3]))
 from teleop.link import Link, LinkConfig
-from teleop.topics import TOPICS, Role
+from teleop.messages.topics import TOPICS, Role
 with Link(LinkConfig(master=sys.argv[1], slave=sys.argv[2]), "test", Role.VIEWER) as link:
     listener = link.listen(TOPICS)
     while True:

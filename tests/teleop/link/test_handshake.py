@@ -5,12 +5,12 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from teleop.keys import CertificateError, Credentials, Identity, Office
-from teleop.keys.authority import Authority
-from teleop.link.handshake import Handshake
-from teleop.link.presence import Stage, Token
-from teleop.messages import LAYOUT
-from teleop.topics import Role
+from teleop.messages.messages import LAYOUT
+from teleop.messages.topics import Role
+from teleop.security import CertificateError, Credentials, Identity, Office
+from teleop.security.authority import Authority
+from teleop.security.handshake import Handshake
+from teleop.security.presence import Stage, Token
 
 MASTER, SLAVE = Identity(Office.MASTER, "test"), Identity(Office.SLAVE, "test")
 TOKEN = Token(Role.MASTER, LAYOUT, 7, Stage.HELD)

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from teleop.link import Counts, message_queue
 from teleop.link.listener import Listener
 from teleop.link.message_queue import BACKLOG_S, CAPACITY_MIN, MessageQueue, capacity_of
-from teleop.messages import EmergencyStop
-from teleop.topics import COMMAND, EVENT, LEDGER, STATE, STOP, TENDONS, TOPICS, Topic
+from teleop.messages.messages import EmergencyStop
+from teleop.messages.topics import COMMAND, EVENT, LEDGER, STATE, STOP, TENDONS, TOPICS, Topic
 from tests.teleop.link.bench import packed
 
 MB = 1_000_000

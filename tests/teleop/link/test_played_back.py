@@ -9,18 +9,18 @@ from contextlib import ExitStack
 
 import pytest
 
-from teleop.keys import OFFICE_OF, Office
-from teleop.keys.local import local_credentials
 from teleop.link import Link, LinkConfig
 from teleop.link import roster as roster_module
 from teleop.link.challenge import CHALLENGE_BYTES, challenge_key
-from teleop.link.handshake import Handshake
-from teleop.link.keyring import ADDRESSEES
 from teleop.link.network import open_session
-from teleop.link.presence import Stage, Token
 from teleop.link.roster import TOKENS
-from teleop.messages import LAYOUT
-from teleop.topics import COMMAND, Role
+from teleop.messages.messages import LAYOUT
+from teleop.messages.topics import COMMAND, Role
+from teleop.security import OFFICE_OF, Office
+from teleop.security.handshake import Handshake
+from teleop.security.keyring import ADDRESSEES
+from teleop.security.local import local_credentials
+from teleop.security.presence import Stage, Token
 from tests.rogue import Rogue
 from tests.teleop.link.bench import pump, session, wait_until
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from teleop.link.presence import EXCLUSIVE, Stage, Token, conflict, new_nonce
-from teleop.topics import Role
+from teleop.messages.topics import Role
+from teleop.security.presence import EXCLUSIVE, Stage, Token, conflict, new_nonce
 
 TOKENS = st.builds(
     Token,

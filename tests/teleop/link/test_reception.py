@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from teleop.link import NEVER_NS, Counts, Latest
 from teleop.link.reception import DRIFT, Reception
-from teleop.messages import Command, SlaveState
-from teleop.topics import COMMAND
+from teleop.messages.messages import Command, SlaveState
+from teleop.messages.topics import COMMAND
 from tests.teleop.link.bench import MS, packed
 
 

@@ -7,8 +7,8 @@ import pytest
 from teleop.errors import PeerError
 from teleop.link import Link, LinkConfig
 from teleop.link import link as link_module
-from teleop.messages import LAYOUT
-from teleop.topics import Role
+from teleop.messages.messages import LAYOUT
+from teleop.messages.topics import Role
 from tests.teleop.link.bench import free_config, oldest, pump, session, wait_until
 
 

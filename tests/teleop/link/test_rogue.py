@@ -11,18 +11,18 @@ from pathlib import Path
 
 import pytest
 
-from teleop.keys import Credentials, Identity, Office
-from teleop.keys.authority import Authority
-from teleop.keys.local import local_credentials
 from teleop.link import Link, LinkConfig
 from teleop.link import admission as admission_module
-from teleop.link.handshake import Handshake
-from teleop.link.presence import Stage, Token
 from teleop.link.roster import TOKENS
-from teleop.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
+from teleop.messages.messages import LAYOUT, Command, EmergencyStop, Setting, SlaveState
+from teleop.messages.topics import COMMAND, SETTING, STATE, STOP, Role
 from teleop.remote.requests import RESET, RequestListener
-from teleop.session import Reason
-from teleop.topics import COMMAND, SETTING, STATE, STOP, Role
+from teleop.security import Credentials, Identity, Office
+from teleop.security.authority import Authority
+from teleop.security.handshake import Handshake
+from teleop.security.local import local_credentials
+from teleop.security.presence import Stage, Token
+from teleop.session.state_machine import Reason
 from tests.rogue import ENGAGED, POSITION_AT, STATE_AT, Rogue, forged, head
 from tests.teleop.keys.folder import make_keys, put
 from tests.teleop.link.bench import pump, session, wait_until

@@ -8,15 +8,15 @@ from contextlib import ExitStack, contextmanager
 import pytest
 
 from teleop.errors import PeerError, TeleopError
-from teleop.keys import Office
-from teleop.keys.identity import ALL_SESSIONS
-from teleop.keys.local import local_credentials
 from teleop.link import Link, LinkConfig, Listener
-from teleop.link.access import access_control
 from teleop.link.network import open_session
 from teleop.link.router import Router
-from teleop.messages import Command, LoopReport, SlaveState
-from teleop.topics import COMMAND, REPORT, STATE, TOPICS, Role
+from teleop.messages.messages import Command, LoopReport, SlaveState
+from teleop.messages.topics import COMMAND, REPORT, STATE, TOPICS, Role
+from teleop.security import Office
+from teleop.security.access import access_control
+from teleop.security.identity import ALL_SESSIONS
+from teleop.security.local import local_credentials
 from tests.system.processes import free_ports
 from tests.teleop.link.bench import oldest, pump, wait_until
 

@@ -8,20 +8,28 @@ from typing import Any
 
 import pytest
 
-from teleop.clock import now_ns
 from teleop.errors import PeerError, UsageError
-from teleop.keys import Office
-from teleop.keys.local import local_credentials
 from teleop.link import Counts, Link, LinkConfig
 from teleop.link.config import Address
-from teleop.link.handshake import Handshake
-from teleop.link.keyring import Keyring, nonce_bytes
 from teleop.link.listener import Listener
 from teleop.link.network import BATCH_BYTES, open_session
 from teleop.link.ping_pong import ping_pong
-from teleop.link.presence import Stage, Token, new_nonce
-from teleop.messages import LAYOUT, Command, Event, Hand, LoopReport, SlaveState, text_bytes
-from teleop.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, Role, Topic
+from teleop.messages.messages import (
+    LAYOUT,
+    Command,
+    Event,
+    Hand,
+    LoopReport,
+    SlaveState,
+    text_bytes,
+)
+from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, STATE, TOPICS, Role, Topic
+from teleop.runtime.clock import now_ns
+from teleop.security import Office
+from teleop.security.handshake import Handshake
+from teleop.security.keyring import Keyring, nonce_bytes
+from teleop.security.local import local_credentials
+from teleop.security.presence import Stage, Token, new_nonce
 from tests.teleop.link.bench import MS, free_config, pump, session, wait_until
 
 

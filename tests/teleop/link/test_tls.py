@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from teleop.link import Counts, Link, LinkConfig
-from teleop.messages import Command
-from teleop.topics import COMMAND, Role
+from teleop.messages.messages import Command
+from teleop.messages.topics import COMMAND, Role
 from tests.teleop.keys.folder import make_keys
 from tests.teleop.link.bench import pump, session
 

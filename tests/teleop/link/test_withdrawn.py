@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from teleop.keys import Identity, Office
-from teleop.keys.authority import REVOKED, Authority
 from teleop.link import Link, LinkConfig
 from teleop.link import roster as roster_module
-from teleop.messages import Command
-from teleop.topics import COMMAND, Role
+from teleop.messages.messages import Command
+from teleop.messages.topics import COMMAND, Role
+from teleop.security import Identity, Office
+from teleop.security.authority import REVOKED, Authority
 from tests.teleop.keys.folder import make_keys, put
 from tests.teleop.link.bench import pump, session, wait_until
 from tests.teleop.link.test_played_back import lines_of

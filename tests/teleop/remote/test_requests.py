@@ -6,12 +6,12 @@ import pytest
 
 from teleop.link import ReceivedMessage
 from teleop.link.refusals import Refusals
-from teleop.loop_process import PEER_NS, LoopProcess
-from teleop.messages import EmergencyStop
+from teleop.messages.messages import EmergencyStop
+from teleop.messages.topics import STOP, Role
 from teleop.remote import stop_over_link
 from teleop.remote.requests import CALL, LEAVE, WATCH, RequestListener, Requests
-from teleop.session import Reason, SessionOutline, State
-from teleop.topics import STOP, Role
+from teleop.session.loop_process import PEER_NS, LoopProcess
+from teleop.session.state_machine import Reason, SessionOutline, State
 
 MS = 1_000_000
 NONCE = 7

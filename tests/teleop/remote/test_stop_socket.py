@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from teleop import running_sessions
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.errors import TeleopError
 from teleop.remote import stop_over_link, stop_socket
 from teleop.remote.stop_socket import StopSocket, request_local, sessions_with_sockets
+from teleop.session import running_sessions
 
 
 @pytest.fixture(autouse=True)
@@ -148,7 +148,7 @@ def test_a_stop_without_answers_is_confirmed_over_the_network_only(monkeypatch, 
         refuse_to_bind(monkeypatch)
         side = Side(own, "master")
         with running(side):
-            assert cli.main(["stop", "--set", "session=s"]) == code
+            assert commands.main(["stop", "--set", "session=s"]) == code
         side.tick()
     assert side.state == "stopped"
 
@@ -358,7 +358,7 @@ def test_a_side_that_is_silent_to_its_peer_is_sought_over_the_network(
     with StopSocket("s", "master") as own:
         side = Side(own, "master", ["slave silent"])
         with running(side):
-            assert cli.main(["stop", "--set", "session=s"]) == code
+            assert commands.main(["stop", "--set", "session=s"]) == code
     out, err = capsys.readouterr()
     assert asked == ["s"]
     assert "master    stopped" in out
@@ -373,7 +373,7 @@ def test_a_reset_does_not_pass_over_a_silent_side(monkeypatch, capsys, found, co
         side = Side(own, "master", ["slave silent"])
         side.state = "stopped"
         with running(side):
-            assert cli.main(["stop", "--reset", "--set", "session=s"]) == code
+            assert commands.main(["stop", "--reset", "--set", "session=s"]) == code
     assert ("no answer from the slave, which may be stopped" in capsys.readouterr().err) == code
 
 
@@ -381,13 +381,13 @@ def test_another_session_is_not_asked_for_a_silent_side(monkeypatch, capsys):
     """Its socket gives the name of the session, but not its endpoints."""
     monkeypatch.setattr(stop_over_link, "request_over_link", lambda *_: pytest.fail("asked"))
     with StopSocket("s", "master") as own, running(Side(own, "master", ["slave silent"])):
-        assert cli.main(["stop"]) == 1
+        assert commands.main(["stop"]) == 1
     assert "teleop stop --config FILE" in capsys.readouterr().out
 
 
 def test_nothing_slow_is_imported():
     code = (
-        "import sys; from teleop.app import cli; cli.main(['stop', '--session', 's']); "
+        "import sys; from teleop.cli import commands; commands.main(['stop', '--session', 's']); "
         "slow = {'numpy', 'zenoh', 'numba', 'yaml', 'importlib.metadata', 'logging', "
         "'dataclasses', 'inspect', 'tempfile', 'ctypes', 'datetime', 'difflib'}; "
         "print(sorted(slow & sys.modules.keys()))"

@@ -8,13 +8,13 @@ from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from teleop.app import cli
+from teleop.cli import commands
 from teleop.data import bounds
 from teleop.data.table import Columns, read_table, read_tables
 from teleop.data.table_files import read_columns
 from teleop.errors import UsageError
 from teleop.link import ReceivedMessage
-from teleop.messages import (
+from teleop.messages.messages import (
     Command,
     Event,
     Hand,
@@ -24,12 +24,12 @@ from teleop.messages import (
     TendonState,
     padded,
 )
+from teleop.messages.topics import COMMAND, EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from teleop.recording.config import RecordConfig
 from teleop.recording.writer import RecordingWriter
 from teleop.ros import standard
 from teleop.ros.interface import interface_of
 from teleop.ros.standard import JointState, WrenchStamped
-from teleop.topics import COMMAND, EVENT, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from tests.teleop.recorded import START_NS
 from tests.teleop.ros.values import as_theirs, typestore
 
@@ -79,7 +79,7 @@ def recording(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bag(recording, tmp_path_factory):
     path = tmp_path_factory.mktemp("bag") / "demo"
-    assert cli.main(["recordings", "to-ros2", str(recording), "--out", str(path)]) == 0
+    assert commands.main(["recordings", "to-ros2", str(recording), "--out", str(path)]) == 0
     return path
 
 
@@ -113,7 +113,7 @@ def test_the_metadata_are_those_of_the_messages(bag, recording, tmp_path):
     assert about["duration"]["nanoseconds"] == 299 * MS
     fewer = tmp_path / "fewer"
     words = ["recordings", "to-ros2", str(recording), "--out", str(fewer), "--rate", "100"]
-    assert cli.main([*words, "--prefix", "/lab"]) == 0
+    assert commands.main([*words, "--prefix", "/lab"]) == 0
     about = yaml.safe_load((fewer / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     counts = {
         t["topic_metadata"]["name"]: t["message_count"] for t in about["topics_with_message_count"]
@@ -142,7 +142,7 @@ def test_what_goes_wrong_is_one_line(bag, recording, tmp_path, capsys):
         [str(recording), "--out", str(tmp_path / "x"), "--rate", "0"],
         [str(recording), "--out", str(tmp_path / "x"), "--prefix", "lab"],
     ):
-        assert cli.main(["recordings", "to-ros2", *words]) == 2
+        assert commands.main(["recordings", "to-ros2", *words]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
 
 
@@ -290,7 +290,7 @@ def pull(tmp_path):
 
 def answer(words, capsys):
     """Return the exit code and the lines that `teleop estimate` prints on standard error."""
-    code = cli.main(
+    code = commands.main(
         ["estimate", *map(str, words), "--set", "slave.tendons=[{effective_friction: 0.5}]"]
     )
     return code, capsys.readouterr().err.splitlines()

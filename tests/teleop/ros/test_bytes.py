@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import get_types_from_msg
 
-from teleop.messages import SlaveState
+from teleop.messages.messages import SlaveState
 from teleop.ros import cdr
 from teleop.ros.interface import Text, definition, interface_of
 from teleop.ros.standard import DiagnosticArray, JointState, StringStamped, TFMessage, Time

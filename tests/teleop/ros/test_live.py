@@ -6,16 +6,16 @@ import time
 import numpy as np
 import pytest
 
-from teleop.app.launch.supervisor import wait_for
+from teleop.launch.supervisor import wait_for
 from teleop.link import Link
-from teleop.messages import Hand, LoopReport, Sheath, SlaveState, TendonState, padded
+from teleop.messages.messages import Hand, LoopReport, Sheath, SlaveState, TendonState, padded
+from teleop.messages.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Role
 from teleop.ros.config import RosConfig
 from teleop.ros.graph import RELIABLE, Qos
 from teleop.ros.node import RosNode
 from teleop.ros.publishers import Publishers
 from teleop.ros.standard import JointState
-from teleop.session import State
-from teleop.topics import COMMAND, HAND, REPORT, SHEATH, STATE, TENDONS, Role
+from teleop.session.state_machine import State
 from tests.teleop.recorded import free_link
 from tests.teleop.ros.peers import Heard, peer, router
 from tests.teleop.ros.values import typestore

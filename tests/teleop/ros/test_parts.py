@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from rosbags.typesys import get_types_from_msg
 
-from teleop.app import cli
-from teleop.config import load
+from teleop.cli import commands
+from teleop.config.loading import load
 from teleop.errors import UsageError
 from teleop.link import LinkConfig
-from teleop.messages import MESSAGES, Sheath, padded
+from teleop.messages.messages import MESSAGES, Sheath, padded
 from teleop.ros.config import RosConfig, check_ports
 from teleop.ros.frames import quaternion, tip_of
 from teleop.ros.package import package_files
@@ -40,11 +40,11 @@ def test_the_port_of_the_router_is_not_that_of_the_link():
     check_ports(RosConfig().router, LinkConfig())
     with pytest.raises(UsageError, match=r"link\.slave has this port"):
         check_ports("tcp/localhost:7500", LinkConfig(slave="127.0.0.1:7500"))
-    assert cli.main(["ros", "--set", "link.master=127.0.0.1:7447"]) == 2
+    assert commands.main(["ros", "--set", "link.master=127.0.0.1:7447"]) == 2
 
 
 def test_the_package_declares_the_messages_that_are_sent(tmp_path, capsys):
-    assert cli.main(["ros", "--package", str(tmp_path)]) == 0
+    assert commands.main(["ros", "--package", str(tmp_path)]) == 0
     root = tmp_path / "tendon_teleop"
     assert str(root) in capsys.readouterr().out
     store = typestore()
@@ -60,7 +60,7 @@ def test_the_package_declares_the_messages_that_are_sent(tmp_path, capsys):
 
 def test_a_package_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").touch()
-    assert cli.main(["ros", "--package", str(tmp_path / "file")]) == 2
+    assert commands.main(["ros", "--package", str(tmp_path / "file")]) == 2
 
 
 def matrix(q):

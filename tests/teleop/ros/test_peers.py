@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from teleop.app.launch.supervisor import wait_for
-from teleop.messages import MESSAGES
+from teleop.launch.supervisor import wait_for
+from teleop.messages.messages import MESSAGES
 from teleop.ros import cdr
 from teleop.ros.graph import BEST_EFFORT, RELIABLE, Qos
 from teleop.ros.interface import definition, interface_of

@@ -8,7 +8,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from teleop.messages import MESSAGES
+from teleop.messages.messages import MESSAGES
 from teleop.ros import standard
 from teleop.ros.interface import Field, Interface, interface_of
 

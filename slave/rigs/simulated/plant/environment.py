@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimator.array_types import Array
 from estimator.compiled import compiled
-from teleop.config import MAY_BE_INFINITE
+from teleop.config.loading import MAY_BE_INFINITE
 
 Whole = NDArray[np.int64]
 

@@ -13,7 +13,7 @@ import numpy as np
 from estimator.array_types import Array
 from estimator.compiled import compiled
 from slave.rigs.simulated.plant.motor import MotorConfig
-from teleop.config import MAY_BE_INFINITE
+from teleop.config.loading import MAY_BE_INFINITE
 
 CHANNELS = (
     "proximal_tension",

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimator.array_types import Array
-from teleop.config import MAY_BE_INFINITE
+from teleop.config.loading import MAY_BE_INFINITE
 
 TOTAL_MAX = 10.0  # K of a whole sheath; transmits 1/20000 of the tension
 FRICTION_MAX = 1.0  # of one cell: above it cells are too coarse, and at 2 a chain would jam

@@ -1,0 +1,1 @@
+"""What measures or reproduces, and no session needs; run from a checkout."""

@@ -1,0 +1,137 @@
+"""What authentication costs: the tags of a tick, and a session plain against authenticated.
+
+    python studies/authentication.py             the tags, and sessions of 15 s
+    python studies/authentication.py --tags      the tags only
+
+Sessions of both kinds run in turns, twice each (`--rounds`); figures are medians of them.
+"""
+
+import argparse
+import itertools
+import json
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from teleop.link.reception import Reception
+from teleop.messages.messages import LAYOUT
+from teleop.messages.topics import COMMAND, STATE, Role
+from teleop.security import Office
+from teleop.security.handshake import Handshake
+from teleop.security.keyring import Keyring
+from teleop.security.local import local_credentials
+from teleop.security.presence import Stage, Token
+from teleop.view.ports import free_port
+
+ROUNDS, CALLS = 300, 200  # the quickest round counts: whatever else runs is left out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tags", action="store_true", help="the tags only")
+    parser.add_argument("--seconds", type=float, default=15.0, help="of each session")
+    parser.add_argument("--rounds", type=int, default=2, help="sessions of each kind, in turns")
+    args = parser.parse_args()
+    for topic, sender, receiver in (
+        (COMMAND, Role.MASTER, Role.SLAVE),
+        (STATE, Role.SLAVE, Role.MASTER),
+    ):
+        made, checked = tag_us(topic, sender, receiver)
+        print(f"{topic.name:8} tag made {made:5.2f} us, checked {checked:5.2f} us")
+    if not args.tags:
+        sessions(args.seconds, args.rounds)
+
+
+def tag_us(topic: Any, sender: Role, receiver: Role) -> tuple[float, float]:
+    """Return what a tag costs its sender and its receiver [us], on top of everything else."""
+    nonces = {sender: 1, receiver: 2}
+    offices = {Role.MASTER: Office.MASTER, Role.SLAVE: Office.SLAVE}
+    shakes = {
+        role: Handshake(local_credentials("bench", offices[role]), "bench", nonce)
+        for role, nonce in nonces.items()
+    }
+    rings = {role: Keyring(role, nonce) for role, nonce in nonces.items()}
+    for role, other in ((sender, receiver), (receiver, sender)):
+        token = shakes[other].prove(Token(other, LAYOUT, nonces[other], Stage.HELD))
+        peer = shakes[role].check(token)
+        rings[role].add(peer, shakes[role].pair_keys(peer))
+    data = topic.message().pack(1, 1, 1)
+    ((addressee, base),) = rings[sender].seals(topic).entries
+
+    def seal() -> bytes:
+        mac = base.copy()
+        mac.update(data)
+        return addressee + mac.digest()
+
+    senders = rings[receiver].senders(topic)
+    tagged = Reception(topic, lambda _: 1, senders, rings[receiver].addressee)
+    plain = Reception(topic, lambda _: 1)
+    arrived = data + seal()
+    checked = least_us(lambda: tagged.admit(arrived)) - least_us(lambda: plain.admit(data))
+    return least_us(seal), checked
+
+
+def least_us(call: Any) -> float:
+    """Return the duration of a call [us]: that of the quickest round."""
+    durations = []
+    for _ in range(ROUNDS):
+        begin = time.perf_counter_ns()
+        for _ in range(CALLS):
+            call()
+        durations.append((time.perf_counter_ns() - begin) / CALLS * 1e-3)
+    return min(durations)
+
+
+def sessions(seconds: float, rounds: int) -> None:
+    """Print latency and processor time of sessions, plain and authenticated."""
+    found: dict[str, list[dict[str, float]]] = {"plain": [], "authenticated": []}
+    for _, kind in itertools.product(range(rounds), found):
+        found[kind].append(measure(seconds, ["--insecure"] if kind == "plain" else []))
+    medians = {
+        kind: {name: statistics.median(run[name] for run in runs) for name in runs[0]}
+        for kind, runs in found.items()
+    }
+    for name in medians["plain"]:
+        plain, authenticated = (medians[kind][name] for kind in found)
+        ratio = authenticated / plain if plain else float("nan")
+        print(f"{name:28} plain {plain:8.3f}  authenticated {authenticated:8.3f}  x {ratio:.3f}")
+
+
+def measure(seconds: float, words: list[str]) -> dict[str, float]:
+    """Run a session and return its figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run.json"
+        ends = [f"--set=link.{side}=127.0.0.1:{free_port(0)}" for side in ("master", "slave")]
+        before = processor_s()
+        subprocess.run(
+            [sys.executable, "-m", "teleop", "run", "--config", "configs/demo.yaml", "--view",
+             "none", "--duration", str(seconds), "--json", str(out), *ends, *words,
+             "--set=session=authentication", "--set=master.device.engage=[[0.5, 1e6]]",
+             "--set=master.device.engage_period=1e7"],
+            check=True, stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+        summary = json.loads(out.read_text())
+        used = processor_s() - before
+    master, slave = summary["master"], summary["slave"]
+    return {
+        "command to force p50 [ms]": master["latency_ms"]["p50"],
+        "command to force p99 [ms]": master["latency_ms"]["p99"],
+        "work of the master p50 [us]": master["work_us"]["p50"],
+        "work of the slave p50 [us]": slave["work_us"]["p50"],
+        "processor time, start too [s]": used,
+    }
+
+
+def processor_s() -> float:
+    """Return the processor time of all children that have ended [s]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""How fast the estimator is, against two plain ways of writing the same law, in the same run.
+
+python studies/estimator_speed.py
+"""
+
+import functools
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from estimator.array_types import Array
+from estimator.effects import elasticity, friction
+from estimator.effects.effect import Effect, Values
+from estimator.law.sheath import Sheath
+from estimator.law.transmission import batch, slack_profile, tables
+from estimator.online import online
+from estimator.online.extension import extended
+
+SHEATH = Sheath.uniform(1.0, 1.5, 9000.0)
+NODES = 64
+RATE = 1000.0  # [Hz]
+
+BESIDE: tuple[tuple[Effect, Values], ...] = (
+    (friction.VISCOUS_FRICTION, (200.0,)),
+    (friction.STRIBECK_LATE, (0.2, 1e-3, 0.1)),
+    (friction.PRESLIDING_STIFF, (3e-5,)),
+    (friction.TENSION_DEPENDENT_POWER, (0.9,)),
+    (elasticity.NONLINEAR_STIFFNESS, (1e-4, 2.0)),
+    (elasticity.CREEP, (0.08, 8.0)),
+)
+"""Effects that are run beside the law, each in a model of its own."""
+
+
+def record(n: int) -> tuple[Array, Array, Array]:
+    """Return time, T_in and q_p of a restless hand."""
+    rng = np.random.default_rng(0)
+    time_s = np.arange(n) / RATE
+    tones = zip(
+        rng.uniform(0.2, 5.0, 6), rng.uniform(0.0, 6.0, 6), rng.uniform(0.5, 1.5, 6), strict=True
+    )
+    T = 8.0 + sum(a * np.sin(2 * math.pi * f * time_s + p) for f, p, a in tones)
+    T = np.maximum(T, 0.2)
+    table = tables(SHEATH)
+    _, e = batch(table, slack_profile(table), T)
+    return time_s, T + rng.normal(0.0, 0.02, n), e + rng.normal(0.0, 1e-6, n)
+
+
+def clip_sweep(T_in: Array) -> Array:
+    """Baseline: the law on 64 nodes, one numpy clip for each node and sample."""
+    ds = SHEATH.K / (NODES - 1)
+    s = np.arange(NODES) * ds
+    y = np.full(NODES, math.log(1e-9))
+    T_out = np.empty_like(T_in)
+    for i, u in enumerate(np.log(np.maximum(T_in, 1e-9))):
+        y = np.minimum(np.maximum(y, u - s), u + s)
+        T_out[i] = math.exp(y[-1])
+    return T_out
+
+
+def plain_deque(T_in: Array) -> Array:
+    """Baseline: the stack of break points in pure Python, tension only, no elongation."""
+    K = SHEATH.K
+    points: deque[tuple[float, float]] = deque([(0.0, math.log(1e-9)), (K, math.log(1e-9))])
+    T_out = np.empty_like(T_in)
+    for i, T in enumerate(T_in):
+        u = math.log(max(T, 1e-9))
+        slope = -1.0 if u > points[0][1] else 1.0
+        s_a, y_a = points.popleft()
+        while points:
+            s_b, y_b = points[0]
+            if -slope * (u + slope * s_b - y_b) < 0.0:
+                m = (y_b - y_a) / (s_b - s_a)
+                s = (u - y_a + m * s_a) / (m - slope) if m != slope else s_b
+                points.appendleft((s, u + slope * s))
+                break
+            s_a, y_a = points.popleft()
+        else:
+            points.append((K, u + slope * K))
+        points.appendleft((0.0, u))
+        T_out[i] = math.exp(points[-1][1])
+    return T_out
+
+
+def seconds(call: Callable[[], object], repeats: int = 5) -> float:
+    """Return the least of a few timings [s]."""
+    best = math.inf
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        best = min(best, time.perf_counter() - start)
+    return best
+
+
+def steps(model: online.TendonModel, T: Array, q: Array) -> Array:
+    """Return how long each step took [us], in order of that."""
+    prepared = online.prepare(model)
+    state = online.initial(prepared)
+    rows = list(zip(T.tolist(), q.tolist(), strict=True))
+    _, state = online.step(prepared, state, *rows[0], 0.0)
+    taken = []
+    for tension, travel in rows[1:]:
+        start = time.perf_counter_ns()
+        _, state = online.step(prepared, state, tension, travel, 1.0 / RATE)
+        taken.append(time.perf_counter_ns() - start)
+    return np.sort(np.array(taken)) / 1e3
+
+
+def print_steps(T: Array, q: Array) -> None:
+    """Print what a step costs with the law alone, and with an effect beside it."""
+    noisy = functools.partial(online.TendonModel, tension_noise=0.02, displacement_noise=1e-6)
+    law = steps(noisy(SHEATH), T, q)
+    print(f"{'online.step from Python':34}    min [us]   median   99.9 %   largest   times the law")
+    models = {"the law": law}
+    shared = (SHEATH.K, SHEATH.length / SHEATH.axial_stiffness, 5e-4)
+    for effect, values in BESIDE:
+        found = extended(shared, [(effect, values)], 60.0, SHEATH.length)
+        models[effect.name] = steps(noisy(found.sheath, extension=found.extension), T, q)
+    for name, taken in models.items():
+        p999 = taken[int(0.999 * len(taken))]
+        print(f"{name:34}{taken[0]:12.2f}{np.median(taken):9.2f}{p999:9.1f}{taken[-1]:10.0f}"
+              f"{np.median(taken) / np.median(law):16.1f}")  # fmt: skip
+    print()
+
+
+def main() -> None:
+    time_s, T, q = record(20_000)
+    print_steps(T, q)
+    prepared = online.prepare(
+        online.TendonModel(SHEATH, tension_noise=0.02, displacement_noise=1e-6)
+    )
+    online.run(prepared, time_s[:10], T[:10], q[:10])
+    full = seconds(lambda: online.run(prepared, time_s, T, q))
+    table = tables(SHEATH)
+    law = seconds(lambda: batch(table, slack_profile(table), T))
+    short = 4000
+    sweep = seconds(lambda: clip_sweep(T[:short]), 3) * len(T) / short
+    stack = seconds(lambda: plain_deque(T), 3)
+    exact, _ = batch(table, slack_profile(table), T)
+    print(f"{'':34}Msamples/s   faster than numpy clip sweep   than Python deque")
+    for name, taken_s in (
+        ("online.run (tension+displacement)", full),
+        ("transmission.batch (law alone)", law),
+        (f"numpy clip sweep, {NODES} nodes", sweep),
+        ("Python deque", stack),
+    ):
+        print(f"{name:34}{len(T) / taken_s / 1e6:10.3f}   {sweep / taken_s:28.1f}"
+              f"   {stack / taken_s:17.1f}")  # fmt: skip
+    print(f"same T_out: sweep to {np.abs(clip_sweep(T[:short]) - exact[:short]).max():.1e} N, "
+          f"deque to {np.abs(plain_deque(T) - exact).max():.1e} N")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

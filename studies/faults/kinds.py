@@ -1,0 +1,156 @@
+"""The faults: what each does, for how long, and which side has to react to it."""
+
+import signal
+from typing import NamedTuple
+
+import numpy as np
+
+from studies.faults.bench import FaultSession
+from studies.faults.memory_group import MemoryGroup
+from teleop.launch.supervisor import wait_for
+from teleop.runtime.clock import now_ns
+from tests.system.processes import pause
+
+SILENCING = ("kill", "stop", "freeze", "oom")  # what ends the messages of a process
+
+
+class Fault(NamedTuple):
+    """One fault, as it was injected."""
+
+    kind: str
+    target: str
+    seconds: float  # it lasted; nan where something ended for good
+    begin_ns: int  # on our clock
+    end_ns: int
+    jump_s: float = 0.0  # of the target's clock
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind} {self.target}"
+
+    def concerns(self, side: str) -> bool:
+        """Whether `side` was cut off from its peer by this, and lived to react."""
+        other = {"master": "slave", "slave": "master"}[side]
+        if self.kind == "cut":
+            return self.target in ("both", f"to_{side}")
+        return self.kind in SILENCING and self.target in (other, "impair")
+
+    @property
+    def disturbs(self) -> bool:
+        """Whether an engagement may end by this."""
+        return may_end_engagement(self.kind, self.target)
+
+
+def may_end_engagement(kind: str, target: str) -> bool:
+    """Return whether an engagement may end by a fault of this kind."""
+    return kind not in ("descriptors", "wall") and target not in ("record", "view")
+
+
+PLAN = (
+    ("kill", "slave"),
+    ("kill", "master"),
+    ("kill", "impair"),
+    ("kill", "record"),
+    ("stop", "slave"),
+    ("stop", "master"),
+    ("stop", "impair"),
+    ("stop", "record"),
+    ("cut", "both"),
+    ("cut", "to_slave"),
+    ("cut", "to_master"),
+    ("unplug", "master"),
+    ("clock", "master"),
+    ("clock", "slave"),
+    ("freeze", "slave"),
+    ("freeze", "master"),
+    ("freeze", "record"),
+    ("oom", "slave"),
+    ("oom", "master"),
+    ("oom", "record"),
+    ("oom", "view"),
+    ("descriptors", "slave"),
+    ("descriptors", "master"),
+    ("descriptors", "record"),
+    ("wall", "slave"),
+    ("wall", "master"),
+)
+
+
+def inject(bench: FaultSession, kind: str, target: str, rng: np.random.Generator) -> Fault:
+    """Do it, and undo it after a while."""
+    seconds = float(rng.choice([0.08, 0.2, 0.5, 1.0]))
+    if kind == "kill":
+        begin = now_ns()
+        bench.kill(target)
+        seconds = np.nan
+        pause(0.3)
+        begin_again(bench, target)
+    elif kind == "oom":
+        begin = run_out_of_memory(bench, target)
+        seconds = np.nan
+        begin_again(bench, target)
+    elif kind == "descriptors":
+        begin = now_ns()
+        bench.pull(target, "descriptors")
+        with bench.look():  # somebody wants to join
+            pause(1.0)
+        seconds = 1e-9 * (now_ns() - begin)
+        bench.pull(target, "free")
+    elif kind == "wall":
+        step = float(rng.choice([-86400.0, -3600.0, -1.0, 1.0, 3600.0, 86400.0]))
+        begin, seconds = now_ns(), 1.0
+        bench.pull(target, f"wall {step}")
+        pause(seconds)
+        bench.pull(target, f"wall {-step}")
+        pause(0.5)
+    elif kind == "clock":
+        jump = float(rng.choice([-0.5, 0.5, 2.0]))
+        begin = now_ns()
+        bench.pull(target, f"clock {jump}")
+        pause(max(-jump, 0.0) + 0.5)
+        fault = Fault(kind, target, np.nan, begin, now_ns(), jump)
+        pause(0.1)
+        bench.kill(target)  # whose clock is set back is not believed again
+        bench.begin(target)
+        return fault
+    else:
+        if kind == "freeze":  # for longer than a connection is kept without a sign of life
+            seconds = float(rng.choice([3.0, 12.0]))
+        back = seconds
+        begin = now_ns()
+        if kind in ("stop", "freeze"):
+            bench.signal(target, signal.SIGSTOP)
+            pause(back)
+            bench.signal(target, signal.SIGCONT)
+        elif kind == "cut":
+            ways = () if target == "both" else (target,)
+            bench.tell("cut", *ways)
+            pause(back)
+            bench.tell("mend")
+        elif kind == "unplug":
+            bench.pull(target, "unplug")
+            pause(back)
+            bench.pull(target, "plug")
+        else:
+            raise ValueError(kind)
+    return Fault(kind, target, seconds, begin, now_ns())
+
+
+def begin_again(bench: FaultSession, target: str) -> None:
+    """Start a process in the place of one that has ended."""
+    files = len(bench.recordings())
+    bench.begin(target)
+    if target == "record":
+        assert wait_for(lambda: len(bench.recordings()) > files, 30.0), bench.outputs()
+
+
+def run_out_of_memory(bench: FaultSession, target: str) -> int:
+    """Have the kernel kill a process for want of memory; return when its last message was sent."""
+    process = bench.running[target]
+    with MemoryGroup() as group:
+        group.add(process.pid)
+        bench.pull(target, "hog")
+        process.wait(60.0)
+        assert process.returncode == -signal.SIGKILL, bench.outputs()
+        assert group.kills == 1, "it was killed, but not for want of memory"
+    return bench.last_stamp_ns(target) if target in ("master", "slave") else now_ns()

@@ -1,0 +1,247 @@
+"""Hide effects, diagnose, count: the confusion matrix of the diagnosis (make bench-diagnosis).
+
+Every effect of the catalogue at two sizes on each bench that has it, clean records, records with
+an effect outside the catalogue, and pairs. The diagnosis sees the channels only.
+"""
+
+import argparse
+import itertools
+import math
+import time
+from collections import Counter
+from functools import partial
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare
+from estimator.effects import CATALOGUE
+from tests.studies import hidden
+from tests.studies.hidden.numbers import Checked, checked
+
+BENCHES = ("blocked", "spring")
+SIZES = (1.0, 0.5)
+ALIKE = 3  # causes in a set that is not told apart
+ORACLE = 1.15
+ABSORBED = 1.8  # noises: no more than the diagnosis allows noise and a simulation's own error
+
+
+class Case(NamedTuple):
+    """One record to be made and diagnosed."""
+
+    seed: int
+    effects: tuple[str, ...]
+    size: float
+    bench: str
+    duration: float
+    rate: float
+    travel_noise: float = 0.0  # [m]
+
+
+class Result(NamedTuple):
+    """What came of it."""
+
+    case: Case
+    verdict: str
+    causes: tuple[str, ...]
+    rivals: tuple[str, ...]
+    seen: float  # held-out RMSE of the plain law over the noise, of the worst channel
+    left: float
+    numbers: tuple[Checked, ...]
+    oracle: float  # held-out RMSE over that of the true model, fitted; of the worst channel
+    seconds: float
+
+    @property
+    def right(self):
+        """Whether the verdict is what was asked for."""
+        effects = self.case.effects
+        if effects and effects[0] in hidden.OUTSIDE:
+            return self.verdict in (Verdict.CLEAN, Verdict.UNEXPLAINED)
+        if not effects or (self.absorbed and self.verdict == Verdict.CLEAN):
+            return self.verdict == Verdict.CLEAN
+        named = self.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
+        named_causes = {*self.causes, *self.rivals}
+        return (
+            named and set(effects) <= named_causes and len(named_causes) <= ALIKE + len(effects) - 1
+        )
+
+    @property
+    def needless(self):
+        """Whether it names a cause beside the hidden ones."""
+        hidden_ones = set(self.case.effects)
+        return bool(set(self.causes) - hidden_ones) and hidden_ones <= {*self.causes, *self.rivals}
+
+    @property
+    def absorbed(self):
+        """Whether the plain law, fitted, leaves no more than noise of what was hidden."""
+        return self.seen < ABSORBED
+
+    @property
+    def wrong_name(self):
+        """Whether it named something else, and surely."""
+        return (
+            not self.right
+            and self.verdict == Verdict.NAMED
+            and not set(self.case.effects) & set(self.causes)
+        )
+
+
+def judge(case, among=CATALOGUE, oracle=True):
+    """Make a record, diagnose it, and return what came of it, beside an `oracle` if wanted."""
+    made = hidden.make(
+        case.seed,
+        case.effects,
+        size=case.size,
+        bench=case.bench,
+        duration=case.duration,
+        rate=case.rate,
+        travel_noise=case.travel_noise,
+    )
+    record = prepare(made.time, dict(made.channels))
+    began = time.perf_counter()
+    found = diagnose([record], among)
+    seconds = time.perf_counter() - began
+    return Result(
+        case,
+        str(found.verdict),
+        found.causes,
+        found.ambiguous_with,
+        max(one.rmse / found.noise[c] for c, one in found.before.held_out.items()),
+        found.left,
+        checked(made, found) if set(found.causes) == set(case.effects) else (),
+        _over_oracle(record, found, case.effects) if oracle else math.nan,
+        seconds,
+    )
+
+
+def _over_oracle(record, found, effects):
+    """Return by how much the held-out errors are larger than with what was hidden, fitted.
+
+    NaN where nothing of the catalogue was hidden.
+    """
+    if not effects or any(name in hidden.OUTSIDE for name in effects):
+        return math.nan
+    true = diagnose([record], [effect for effect in CATALOGUE if effect.name in effects])
+    return max(
+        one.rmse / max(true.after.held_out[channel].rmse, found.noise[channel])
+        for channel, one in found.after.held_out.items()
+    )
+
+
+def cases(seeds, clean, outside, pairs, how, only=()):
+    """Return the whole campaign; `how` is duration [s], rate [Hz] and travel noise [m]."""
+    asked = [name for name in hidden.EFFECTS if not only or name in only]
+    made = [
+        Case(seed, (name,), size, bench, *how)
+        for seed in seeds
+        for name in asked
+        for size in SIZES
+        for bench in hidden.VISIBLE[name]
+    ]
+    made += [Case(1000 + k, (), 1.0, BENCHES[k % 2], *how) for k in range(clean)]
+    made += [
+        Case(2000 + k, (name,), 1.0, BENCHES[k % 2], *how)
+        for k, name in itertools.product(range(outside), hidden.OUTSIDE)
+    ]
+    rng = np.random.default_rng(0)
+    for k in range(pairs):
+        names = [name for name in hidden.EFFECTS if "spring" in hidden.VISIBLE[name]]
+        two = tuple(rng.choice(names, 2, replace=False).tolist())
+        made.append(Case(3000 + k, two, 1.0, "spring", *how))
+    return made
+
+
+def main():
+    """Run the campaign and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=1, help="of the seeds")
+    parser.add_argument("--clean", type=int, default=100)
+    parser.add_argument("--outside", type=int, default=5)
+    parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=60.0)
+    parser.add_argument("--rate", type=float, default=100.0)
+    parser.add_argument("--travel-noise", type=float, default=0.0, help="on both travels [m]")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--only", nargs="*", default=())
+    parser.add_argument("--no-oracle", action="store_true", help="in half the time")
+    args = parser.parse_args()
+    todo = cases(
+        range(args.first, args.first + args.seeds),
+        args.clean,
+        args.outside,
+        args.pairs,
+        (args.duration, args.rate, args.travel_noise),
+        args.only,
+    )
+    with get_context("spawn").Pool(args.jobs) as pool:
+        results = []
+        for result in pool.imap_unordered(partial(judge, oracle=not args.no_oracle), todo):
+            results.append(result)
+            show(result)
+    summary(results)
+
+
+def show(result):
+    """Print one line of a result."""
+    case = result.case
+    print(
+        "right" if result.right else "WRONG",
+        case.seed,
+        "+".join(case.effects) or "clean",
+        case.size,
+        case.bench,
+        "->",
+        result.verdict,
+        "+".join(result.causes),
+        "| " + ", ".join(result.rivals) if result.rivals else "",
+        f"plain {result.seen:.1f} noises, left {result.left:.3f}",
+        f"{result.oracle:.2f} of the oracle, {result.seconds:.0f} s",
+        *(f"{n.name} {n.found:.4g} not {n.true:.4g}" for n in result.numbers if not n.right),
+        flush=True,
+    )
+
+
+def summary(results):
+    """Print shares, and what was taken for what."""
+    groups = {
+        "full size": lambda c: len(c.effects) == 1 and c.size == 1.0 and c.seed < 1000,
+        "half size": lambda c: len(c.effects) == 1 and c.size == 0.5,
+        "clean": lambda c: not c.effects,
+        "outside the catalogue": lambda c: 2000 <= c.seed < 3000,
+        "two at once": lambda c: len(c.effects) == 2,
+    }
+    for name, belongs in groups.items():
+        found = [r for r in results if belongs(r.case)]
+        found = [r for r in found if not r.absorbed or not r.case.effects]
+        if found:
+            right, wrong = sum(r.right for r in found), sum(r.wrong_name for r in found)
+            print(
+                f"{name}: {right} of {len(found)} right ({right / len(found):.0%}), "
+                f"{wrong} named wrongly ({wrong / len(found):.1%})"
+            )
+    needless, named = sum(r.needless for r in results), sum(bool(r.causes) for r in results)
+    print(f"a needless cause beside the right one: {needless} of {named}")
+    absorbed = sum(r.absorbed for r in results if r.case.effects)
+    print(f"absorbed by the plain law, and left out of these shares: {absorbed}")
+    numbers = [n for r in results if r.right for n in r.numbers]
+    true = sum(n.right for n in numbers)
+    print(f"numbers within 10 % or their interval: {true} of {len(numbers)}")
+    beside = [r.oracle for r in results if not math.isnan(r.oracle)]
+    near = sum(ratio <= ORACLE for ratio in beside)
+    print(f"held-out errors up to {ORACLE} of the oracle's: {near} of {len(beside)}")
+    taken = Counter(
+        ("+".join(r.case.effects) or "clean", "+".join(r.causes) or r.verdict)
+        for r in results
+        if not r.right
+    )
+    for (true, named_causes), count in taken.most_common():
+        print(f"  {true} taken for {named_causes}: {count}")
+    print(f"seconds a record: median {np.median([r.seconds for r in results]):.1f}")
+
+
+if __name__ == "__main__":
+    main()

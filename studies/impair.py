@@ -1,0 +1,80 @@
+"""How exact the delay of `teleop impair` is: what it adds, beside the same messages sent directly.
+
+python studies/impair.py
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+
+import numpy as np
+
+from teleop.link import Link, LinkConfig
+from teleop.link.bridge import send_request
+from teleop.messages.messages import Command
+from teleop.messages.topics import COMMAND, Role
+from teleop.runtime.process import SUPERVISED
+
+DELAYS = (0.0, 0.01, 0.05, 0.1)  # [s]
+COUNT = 3000  # messages for each, one a millisecond
+SESSION = "benchmark-impair"
+
+
+def free_ports(count: int) -> list[int]:
+    with ExitStack() as stack:
+        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        return [probe.getsockname()[1] for probe in probes]
+
+
+def latencies(config: LinkConfig, shared: LinkConfig, delay: float, proxied: bool) -> np.ndarray:
+    """Return how long each message took [s]."""
+    with Link(shared, SESSION, Role.SLAVE) as slave, Link(config, SESSION, Role.MASTER) as master:
+        listener = slave.listen((COMMAND,))
+        if proxied:
+            both = "to_slave", "to_master"
+            send_request(
+                config,
+                SESSION,
+                config.slave,
+                "\n".join(["set", *(f"{w}.delay={delay}" for w in both)]),
+            )
+        time.sleep(0.5)
+        begin = time.monotonic()
+        for k in range(COUNT):
+            time.sleep(max(0.0, begin + k * 1e-3 - time.monotonic()))
+            master.publish(COMMAND, Command())
+        time.sleep(delay + 0.3)
+        messages = listener.drain()
+    return np.array([item.received_ns - item.stamp_ns for item in messages]) * 1e-9
+
+
+def main() -> None:
+    a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
+    shared, config = LinkConfig(master=a, slave=b), LinkConfig(master=a, slave=c)
+    print("Added by the proxy, over what was asked for [ms]; one message a millisecond")
+    direct = latencies(shared, shared, 0.0, proxied=False) * 1e3
+    print(f"{'direct':>10}   p50 {np.median(direct):6.3f}   p99 {np.percentile(direct, 99):6.3f}")
+    words = [f"session={SESSION}", f"link.master={a}", f"link.slave={b}", f"impair.endpoint={c}"]
+    proxy = subprocess.Popen(
+        [sys.executable, "-m", "teleop", "impair", *(f"--set={word}" for word in words)],
+        env=os.environ | {SUPERVISED: str(os.getpid())},
+    )
+    try:
+        for delay in DELAYS:
+            over = (latencies(config, shared, delay, proxied=True) - delay) * 1e3
+            print(
+                f"{1e3 * delay:7.0f} ms   p50 {np.median(over):6.3f}   "
+                f"p99 {np.percentile(over, 99):6.3f}   max {over.max():6.3f}   n {len(over)}"
+            )
+    finally:
+        proxy.terminate()
+        proxy.wait()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,327 @@
+"""The CAN checks, run as the first process of a virtual machine: our driver on SocketCAN.
+
+The driver is the project's own, in its own process; the drives are `tests/drivers/models/drives.py`
+in another, on the CANopen stack durand. Between them is the kernel's own CAN, on a virtual
+interface.
+
+An emulated processor takes 1.6 s to start Python with the libraries of either. So the drives serve
+all checks, as on a bench, and the driver's process is a fork of this one, which has imported what
+it needs; only the first one of each number of drives is started as the slave does it.
+"""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import time
+import traceback
+from collections.abc import Callable
+
+import numpy as np
+
+from slave.drivers import configs, connection, worker
+from slave.drivers.cia402 import driver  # noqa: F401 - so that forks have it
+from slave.drivers.cia402.config import BusConfig, Cia402Config
+from slave.drivers.connection import Connection, start_process
+from slave.drivers.driver import Channels, DriverFault
+from studies.kernel import vcan
+from studies.kernel.init import run
+from studies.kernel.judge import WrongError
+from studies.rigs.bench import BUS, Model
+from teleop.config.loading import as_tree
+
+CHANNEL = "vcan0"
+RATE_HZ = 50.0  # of an emulated processor
+RATE_MIN = 0.9
+COUNTS = (1, 4)  # drives
+STOP_MAX_S = 0.050
+WAIT_S = 10.0
+STILL_S = 0.3
+FOLLOW_S = 2.0
+STEP = 50.0  # [counts]
+
+Figures = dict[str, str]
+
+
+def main() -> None:
+    """Never returns."""
+    here = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    os.environ |= {"PYTHONPATH": here, BUS: f"socketcan,{CHANNEL}"}
+    run(_try_all)
+
+
+def _try_all(say: Callable[..., None]) -> None:
+    vcan.create(CHANNEL)
+    for drives in COUNTS:
+        connection.start_process = start_process
+        left = list(CHECKS)
+        while left:  # after a failure with drives that know nothing of it
+            with Model("cia402", drives, "springs", realtime=False) as model:
+                bench = Bench(model, drives)
+                while left and _passes(left.pop(0), bench, say):
+                    connection.start_process = Fork
+
+
+def _passes(check: "Callable[[Bench], Figures]", bench: "Bench", say: Callable[..., None]) -> bool:
+    name = f"can, {len(bench.numbers)} drives"
+    try:
+        figures = check(bench)
+    except (WrongError, DriverFault) as error:
+        say(device=name, check=check.__name__, trouble=str(error))
+    except Exception as error:  # whatever it is, the other trials still run
+        traceback.print_exc()
+        say(device=name, check=check.__name__, trouble=repr(error))
+    else:
+        say(device=name, check=check.__name__, figures=figures)
+        return True
+    return False
+
+
+class Fork:
+    """The process of a driver, as `start_process` starts one, without the start of Python."""
+
+    def __init__(
+        self, end: socket.socket, config: configs.DriverConfig, channels: Channels
+    ) -> None:
+        number = end.fileno()
+        self.pid = os.fork()
+        if self.pid == 0:
+            os.closerange(3, number)
+            os.closerange(number + 1, os.sysconf("SC_OPEN_MAX"))
+            words = [as_tree(config), as_tree(channels)]
+            try:
+                os._exit(worker.main([str(number), *map(json.dumps, words)]))
+            finally:
+                traceback.print_exc()
+                os._exit(1)
+
+    def wait(self, timeout_s: float = WAIT_S) -> None:
+        """Wait until it has ended; `subprocess.TimeoutExpired`."""
+        until_s = time.monotonic() + timeout_s
+        while os.waitpid(self.pid, os.WNOHANG) == (0, 0):
+            if time.monotonic() > until_s:
+                raise subprocess.TimeoutExpired("fork", timeout_s)
+            time.sleep(0.002)
+
+    def kill(self) -> None:
+        """End it."""
+        os.kill(self.pid, signal.SIGKILL)
+
+
+class Bench:
+    """Drives on the interface, and our driver's process."""
+
+    def __init__(self, model: Model, drives: int) -> None:
+        self.model = model
+        self.numbers = tuple(range(1, drives + 1))
+
+    def config(self, error_control: str = "heartbeat") -> Cia402Config:
+        bus = BusConfig(interface="socketcan", channel=CHANNEL)
+        return Cia402Config(bus=bus, rate_hz=RATE_HZ, timeout=0.2, error_control=error_control)
+
+    def opened(self, error_control: str = "heartbeat") -> Connection:
+        return Connection(self.config(error_control), Channels(self.numbers, self.numbers))
+
+    def position(self, connection: Connection):
+        """Return where the motors are [counts], as the driver says."""
+        until_s = time.monotonic() + WAIT_S
+        while time.monotonic() < until_s:
+            if readings := connection.read():
+                return readings[-1].position
+            time.sleep(0.005)
+        raise WrongError("no reading")
+
+    def engage(self, connection: Connection):
+        """Write where the motors are until all follow; return the target [counts]."""
+        target = self.position(connection)
+        self.until(connection, self.all_move, "the drives are not enabled", target)
+        self.hold(connection, target, 0.1)  # until the driver knows it, too
+        return target
+
+    def hold(self, connection: Connection, target, duration_s: float) -> int:
+        """Write a target for a while; return how many readings came."""
+        count, until_s = 0, time.monotonic() + duration_s
+        while time.monotonic() < until_s:
+            count += len(connection.read())
+            connection.write(target)
+            time.sleep(0.005)
+        return count
+
+    def until(self, connection, condition, otherwise: str, target=None) -> None:
+        until_s = time.monotonic() + WAIT_S
+        while not condition():
+            if time.monotonic() > until_s:
+                raise WrongError(otherwise)
+            if connection is not None:
+                connection.read()
+                if target is not None:
+                    connection.write(target)
+            time.sleep(0.005)
+
+    def all_move(self) -> bool:
+        return all(self.model.order()["moving"])
+
+    def stopped_after(self, since_s: float) -> str:
+        """Wait until no drive follows; return the time that took, which must be short."""
+        self.until(None, lambda: not any(self.model.order()["moving"]), "the drives do not stop")
+        took_s = self.model.order()["stopped_s"] - since_s
+        if not 0.0 <= took_s <= STOP_MAX_S:
+            raise WrongError(f"stopped only after {took_s * 1e3:.0f} ms")
+        return f"{took_s * 1e3:.0f} ms"
+
+    def fails(self, connection: Connection, target, *words: str) -> str:
+        """Write a target until the driver gives up; return its reason, with one of the words."""
+        until_s = time.monotonic() + WAIT_S
+        try:
+            while time.monotonic() < until_s:
+                connection.read()
+                connection.write(target)
+                time.sleep(0.002)
+        except DriverFault as fault:
+            if any(word in str(fault) for word in words):
+                return str(fault)
+            raise
+        raise WrongError("no fault was told")
+
+    def engages_anew(self) -> None:
+        """Open it again: nothing moves by itself, then everything follows."""
+        connection = self.opened()
+        try:
+            until_s = time.monotonic() + STILL_S
+            while time.monotonic() < until_s:
+                self.position(connection)
+                if any(self.model.order()["moving"]):
+                    raise WrongError("a drive moves by itself")
+            self.engage(connection)
+        finally:
+            connection.close()
+
+
+def follow(bench: Bench) -> Figures:
+    """Drives follow from where they are; every reading comes."""
+    connection = bench.opened()
+    try:
+        goal = bench.engage(connection) + STEP
+        bench.until(
+            connection,
+            lambda: np.allclose(bench.position(connection), goal, atol=2.0),
+            "the drives do not arrive",
+            goal,
+        )
+        began_s = time.monotonic()
+        rate_hz = bench.hold(connection, goal, FOLLOW_S) / (time.monotonic() - began_s)
+    finally:
+        connection.close()
+    if rate_hz < RATE_MIN * RATE_HZ:
+        raise WrongError(f"{rate_hz:.1f} Hz of {RATE_HZ:g}")
+    lost = connection.counts["lost_cycles"]
+    return {"readings": f"{rate_hz:.1f} Hz", "lost": str(lost)}
+
+
+def emergency_stop(bench: Bench) -> Figures:
+    """Quick stop, and enabled again by the next target."""
+    connection = bench.opened()
+    try:
+        target = bench.engage(connection)
+        began_s = time.monotonic()
+        connection.stop()
+        took = bench.stopped_after(began_s)
+        bench.until(connection, bench.all_move, "the drives are not enabled again", target)
+    finally:
+        connection.close()
+    return {"stopped after": took}
+
+
+def killed(bench: Bench, error_control: str = "heartbeat") -> Figures:
+    """Kill the driver: the drives miss our heartbeat and stop."""
+    connection = bench.opened(error_control)
+    try:
+        bench.engage(connection)
+        killed_s = time.monotonic()
+        os.kill(connection.pid, signal.SIGKILL)
+        took = bench.stopped_after(killed_s)
+    finally:
+        connection.close()
+    bench.engages_anew()
+    return {"stopped after": took}
+
+
+def killed_while_guarded(bench: Bench) -> Figures:
+    """The same where the drives are guarded, by remote frames."""
+    return killed(bench, "guarding")
+
+
+def fault(bench: Bench) -> Figures:
+    """A drive's fault is named, refused at the next start, and reset by the operator alone."""
+    connection = bench.opened()
+    try:
+        target = bench.engage(connection)
+        bench.model.order("fault")
+        said = bench.fails(connection, target, "following error")
+    finally:
+        connection.close()
+    try:
+        bench.opened().close()
+    except DriverFault as error:
+        if "teleop rig reset" not in str(error):
+            raise
+    else:
+        raise WrongError("a drive with a fault was not refused")
+    lines = list(configs.reset(bench.config(), bench.numbers))
+    bench.engages_anew()
+    return {"fault": said, "reset": lines[0]}
+
+
+def silent(bench: Bench) -> Figures:
+    """Drives without power on the bus side are named."""
+    connection = bench.opened()
+    try:
+        target = bench.engage(connection)
+        bench.model.order("unplug")
+        said = bench.fails(connection, target, "silent")
+    finally:
+        connection.close()
+        bench.model.order("plug")
+    bench.engages_anew()
+    return {"fault": said}
+
+
+def bus_off(bench: Bench) -> Figures:
+    """The controller's error frame is a fault with its reason."""
+    connection = bench.opened()
+    try:
+        target = bench.engage(connection)
+        vcan.send_bus_off(CHANNEL)
+        said = bench.fails(connection, target, "bus off")
+    finally:
+        connection.close()
+    bench.engages_anew()
+    return {"fault": said}
+
+
+def interface_down(bench: Bench) -> Figures:
+    """An interface that is set down is a fault, and the drives stop by themselves."""
+    connection = bench.opened()
+    try:
+        target = bench.engage(connection)
+        began_s = time.monotonic()
+        vcan.switch(CHANNEL, up=False)
+        said = bench.fails(connection, target, "unplugged", "silent")
+        took = bench.stopped_after(began_s)
+    finally:
+        connection.close()
+        vcan.switch(CHANNEL, up=True)
+    return {"fault": said, "stopped after": took}
+
+
+CHECKS = (
+    follow,
+    emergency_stop,
+    killed,
+    killed_while_guarded,
+    fault,
+    silent,
+    bus_off,
+    interface_down,
+)

@@ -1,0 +1,104 @@
+"""How much the recorder or the proxy grows when it is stopped and its queues fill up.
+
+python studies/memory.py [--program impair] [--stops 12] [--seconds 1.0]
+
+Two sides publish four topics at 1 kHz each. The program is stopped (SIGSTOP) and continued again
+and again; its resident memory is printed after each time, and what it counted at the end.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+from impair import free_ports
+
+from teleop.link import Link, LinkConfig
+from teleop.messages.topics import COMMAND, HAND, STATE, TENDONS, Role
+from teleop.runtime.process import SUPERVISED
+
+SESSION = "benchmark-memory"
+PERIOD_S = 1e-3
+PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def resident_mb(pid: int) -> float:
+    return PAGE_MB * int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+
+
+def publish(slave: Link, master: Link, published: Counter, stopping: threading.Event) -> None:
+    """Publish on a grid until told to stop."""
+    begin, tick = time.monotonic(), 0
+    while not stopping.is_set():
+        tick += 1
+        for link, topic in ((master, COMMAND), (slave, STATE), (slave, TENDONS), (master, HAND)):
+            link.publish(topic, topic.message())
+            published[topic.name] += 1
+        time.sleep(max(0.0, begin + tick * PERIOD_S - time.monotonic()))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--program", choices=["record", "impair"], default="record")
+    parser.add_argument("--stops", type=int, default=12)
+    parser.add_argument("--seconds", type=float, default=1.0, help="that each stop lasts")
+    args = parser.parse_args()
+    a, b, c = (f"127.0.0.1:{port}" for port in free_ports(3))
+    shared = LinkConfig(master=a, slave=b)
+    words = [f"session={SESSION}", f"link.master={a}", f"link.slave={b}"]
+    published: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        summary = Path(folder) / "summary.json"
+        command = [sys.executable, "-m", "teleop", args.program, "--json", str(summary)]
+        if args.program == "impair":
+            words += [f"impair.endpoint={c}"]
+            words += [f"impair.{way}.delay=0.003" for way in ("to_slave", "to_master")]
+        else:
+            command += ["--out", folder]
+        process = subprocess.Popen(
+            [*command, *(f"--set={word}" for word in words)],
+            env=os.environ | {SUPERVISED: str(os.getpid())},
+        )
+        config = LinkConfig(master=a, slave=c) if args.program == "impair" else shared
+        try:
+            time.sleep(2.0)
+            with (
+                Link(shared, SESSION, Role.SLAVE) as slave,
+                Link(config, SESSION, Role.MASTER) as master,
+            ):
+                slave.subscribe_latest(COMMAND)
+                master.subscribe_latest(STATE)
+                stopping = threading.Event()
+                thread = threading.Thread(target=publish, args=(slave, master, published, stopping))
+                thread.start()
+                time.sleep(3.0)
+                sizes = [resident_mb(process.pid)]
+                for _ in range(args.stops):
+                    process.send_signal(signal.SIGSTOP)
+                    time.sleep(args.seconds)
+                    process.send_signal(signal.SIGCONT)
+                    time.sleep(1.0)
+                    sizes.append(resident_mb(process.pid))
+                stopping.set()
+                thread.join()
+                time.sleep(0.5)
+        finally:
+            process.terminate()
+            process.wait()
+        counted = json.loads(summary.read_text())
+    print(f"{args.program}: resident memory [MB] at first and after each stop:")
+    print("  " + " ".join(f"{size:.1f}" for size in sizes))
+    print(f"published {dict(published)}")
+    wanted = ("messages", "gaps", "dropped", "to_slave", "to_master")
+    print(json.dumps({name: counted[name] for name in wanted if name in counted}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""Repeat the experiment of Phee et al. 2009 on simulated rigs.
+
+  python -m studies.paper
+  python -m studies.paper --sheaths 12 --seed 7 --out results
+
+Initialisation, then pull to 20 N, release to 5 N and pull to 20 N, then nested reversals: with a
+sheath as the paper's, and with random ones. Two readings of the paper's method and ours estimate
+force and elongation at the tip from the housing; the tip's true values judge them. With --out the
+tables, the figures and a page that shows all are written there (docs/experiment.md). The same seed
+gives the same figures.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeVar
+
+from studies.paper import report
+from studies.paper.demonstration import SPECIMEN, Demonstration, demonstrate
+from studies.paper.methods import METHODS, OURS
+from studies.paper.outcome import Outcome
+from studies.paper.sheaths import Specimen, random_sheaths
+from studies.paper.study import experiment, judge
+from teleop.cli.report.page import Page
+from teleop.config.options import add_option, add_options
+from teleop.errors import UsageError
+from teleop.runtime.output_file import make_folder
+from teleop.runtime.parallel import parallel_map, processors
+from teleop.runtime.process import write_summary, write_whole
+
+MOST_SHEATHS = 1000
+TITLE = "The experiment of Phee et al. 2009, repeated"
+UNITS = "Errors in % of full scale, the largest true value of the run."
+
+Done = TypeVar("Done")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "--sheaths", type=int, default=40, metavar="N", help="number of random sheaths (default 40)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="seed of sheaths and noise (default 1)"
+    )
+    add_options(parser, "--out", "--json")
+    add_option(parser, "--jobs", default=processors())
+    parser.add_argument(
+        "--figures",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="draw figures into --out (default yes)",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    for name, least, most in (
+        ("sheaths", 1, MOST_SHEATHS),
+        ("seed", 0, 2**31),
+        ("jobs", 1, 256),
+    ):
+        if not least <= getattr(args, name) <= most:
+            raise UsageError(f"--{name} {getattr(args, name)}: must be {least} to {most}")
+    if args.out is not None:
+        make_folder(args.out, "index.html")
+    shown, outcomes = run(args.sheaths, args.seed, args.jobs)
+    print(text(shown, outcomes, args.seed))
+    tree = report.tree(shown.outcome, outcomes, args.seed)
+    write_summary(args.json, tree)
+    if args.out is not None:
+        write_summary(args.out / "table.json", tree)
+        write_whole(args.out / "table.md", text(shown, outcomes, args.seed) + "\n", "the tables")
+        captions = _figures(shown, outcomes, args.out) if args.figures else {}
+        page = page_of(shown, outcomes, args.seed, args.out, captions)
+        write_whole(args.out / "index.html", page, "the page")
+        print(f"\nwritten: {args.out / 'index.html'}")
+    return 0
+
+
+def run(sheaths: int, seed: int, jobs: int) -> tuple[Demonstration, list[Outcome]]:
+    """Return the sheath of the figures in full, and how the random ones came out."""
+    tasks = [(specimen, seed) for specimen in (None, *random_sheaths(sheaths, seed))]
+    done = list(_with_progress(parallel_map(_one, tasks, jobs), len(tasks)))
+    (shown,) = (one for one in done if isinstance(one, Demonstration))
+    return shown, [one for one in done if isinstance(one, Outcome)]
+
+
+def text(shown: Demonstration, outcomes: list[Outcome], seed: int) -> str:
+    """Return all tables as Markdown."""
+    parts = [f"# {TITLE}", report.summary(outcomes), UNITS]
+    parts += [f"## A sheath as the paper's: {SPECIMEN.describe()}"]
+    parts += ["Largest / average.", report.by_phase(shown.outcome).markdown()]
+    parts += [f"## {len(outcomes)} random sheaths, seed {seed}"]
+    parts += [report.over_sheaths(outcomes).markdown()]
+    for method in METHODS:
+        worst = "\n".join(f"- {line}" for line in report.worst(outcomes, method, seed))
+        parts += [f"### Worst of {method}, by the largest error of force", worst]
+    return "\n\n".join(parts)
+
+
+def page_of(
+    shown: Demonstration,
+    outcomes: list[Outcome],
+    seed: int,
+    folder: Path,
+    captions: dict[str, str],
+) -> str:
+    """Return the page; the figures, by file name in `folder`, have captions."""
+    page = Page(TITLE)
+    page.text(report.summary(outcomes))
+    page.text(UNITS)
+    page.heading(f"A sheath as the paper's: {SPECIMEN.describe()}")
+    page.text("Largest / average.")
+    page.table(report.by_phase(shown.outcome), mark="")
+    page.heading(f"{len(outcomes)} random sheaths, seed {seed}")
+    page.table(report.over_sheaths(outcomes), mark=OURS)
+    for method in METHODS:
+        page.text(f"Worst of {method}, by the largest error of force:")
+        page.points(report.worst(outcomes, method, seed))
+    page.heading("Figures")
+    for file, caption in captions.items():
+        page.figure(folder / file, caption)
+    return page.render()
+
+
+def _one(task: tuple[Specimen | None, int]) -> Demonstration | Outcome:
+    specimen, seed = task
+    return demonstrate(seed) if specimen is None else judge(experiment(specimen, seed))
+
+
+def _with_progress(done: Iterator[Done], count: int) -> Iterator[Done]:
+    for i, one in enumerate(done, start=1):
+        if sys.stderr.isatty():
+            bar = "#" * round(40 * i / count)
+            end = "\n" if i == count else ""
+            print(f"\r[{bar:<40}] {i} of {count} sheaths", end=end, file=sys.stderr)
+        yield one
+
+
+def _figures(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[str, str]:
+    from studies.paper import figures
+
+    return figures.draw(shown, outcomes, folder)

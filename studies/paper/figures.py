@@ -1,0 +1,292 @@
+"""The experiment's figures, named after those of the paper that they repeat.
+
+Colours are of Okabe and Ito's set, which readers with any colour vision can tell apart; truth is
+black, and what differs in colour differs in line or mark as well.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from estimator.drawing import BLACK, BLUE, GREEN, GREY, STYLE, VERMILION
+from studies.paper import scoring
+from studies.paper.demonstration import Demonstration
+from studies.paper.methods import METHODS, OURS, PAPER, PAPER_AT_BEST
+from studies.paper.outcome import PUBLISHED, TARGETS, Outcome, values
+from studies.paper.scoring import PHASES
+from studies.paper.study import NESTED, PROFILE
+from teleop.runtime.output_file import save_figure
+
+COLOURS = {PAPER: VERMILION, PAPER_AT_BEST: GREEN, OURS: BLUE}
+LINES = {PAPER: (0, (4, 2)), PAPER_AT_BEST: (0, (1, 1)), OURS: "solid"}
+MARKS = {PAPER: "v", PAPER_AT_BEST: "s", OURS: "o"}
+SIGNALS = ("force", "elongation")
+SHADES = ("#ffffff", "#eaf3f9", "#ffffff", "#eaf3f9", "#ffffff")  # of the phases
+AXIS_MIN, AXIS_MAX = 1e-3, 30.0  # full scales that the distribution shows
+
+
+def draw(shown: Demonstration, outcomes: list[Outcome], folder: Path) -> dict[str, str]:
+    """Write all figures into `folder`; return what to say below each, by file name."""
+    captions = {}
+    with mpl.rc_context(STYLE):
+        for name, (figure, caption) in _figures(shown, outcomes):
+            file = f"experiment-{name}.png"
+            save_figure(figure, folder / file)
+            captions[file] = caption
+    return captions
+
+
+def _figures(
+    shown: Demonstration, outcomes: list[Outcome]
+) -> Iterator[tuple[str, tuple[Figure, str]]]:
+    one: dict[str, Callable[[Demonstration], tuple[Figure, str]]] = {
+        "distribution-along": along_the_sheath,
+        "initialisation": initialisation,
+        "tensions": tensions,
+        "phases": phases,
+    }
+    many: dict[str, Callable[[list[Outcome]], tuple[Figure, str]]] = {
+        "sheaths": over_sheaths,
+        "unevenness": against_unevenness,
+    }
+    for name, make in one.items():
+        yield name, make(shown)
+    for name, make_many in many.items():
+        yield name, make_many(outcomes)
+
+
+def along_the_sheath(shown: Demonstration) -> tuple[Figure, str]:
+    """Draw figure 4: the tension along the sheath while the housing lets go."""
+    figure = Figure(figsize=(6.4, 4.0))
+    axes = figure.add_subplot()
+    shades = mpl.colormaps["cividis"](np.linspace(0.0, 0.72, len(shown.distributions)))
+    for found, shade in zip(shown.distributions, shades, strict=True):
+        axes.plot(found.true_x, found.true, color=shade, linewidth=3.0, alpha=0.75)
+        axes.plot(found.x, found.estimate, color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)))
+        axes.annotate(
+            f"{found.T_in:.1f} N",
+            (0.0, found.T_in),
+            (-4, 0),
+            textcoords="offset points",
+            ha="right",
+            va="center",
+            fontsize=7.5,
+            color=shade,
+        )
+    inside = [d for d in shown.distributions if 0.0 < d.front < d.x[-1] * 0.999]
+    axes.plot(
+        [d.front for d in inside],
+        [d.front_tension for d in inside],
+        "o",
+        color=VERMILION,
+        markersize=6,
+        label="X′, estimated",
+    )
+    axes.plot([], [], color=shades[0], linewidth=3.0, alpha=0.75, label="plant")
+    axes.plot([], [], color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)), label="ours")
+    axes.set(xlabel="distance from the housing [m]", ylabel="tension [N]", ylim=(0.0, None))
+    axes.set_xlim(-0.13, None)
+    axes.legend(loc="upper right")
+    return figure, (
+        "The paper's figure 4: the tension along the sheath while that at the housing is reduced. "
+        "The peak X′ travels to the tip, which feels nothing until it arrives. The plant is a row "
+        "of springs and dry friction; ours was identified by the initialisation."
+    )
+
+
+def initialisation(shown: Demonstration) -> tuple[Figure, str]:
+    """Draw figure 6: what both load cells read while one motor pulls against the stop."""
+    figure = Figure(figsize=(6.4, 4.0))
+    axes = figure.add_subplot()
+    pulled, found = shown.initialised.pulled, shown.calibrated.direction
+    rows = pulled.record.side[:, 0] == 0
+    travel = 1e3 * pulled.travel[rows]
+    axes.plot(travel, pulled.record.tension[rows, 1], color=GREY, linewidth=0.9, label="tendon b")
+    axes.plot(travel, pulled.tension[rows], color=BLUE, label="tendon a, pulled")
+    begins = 1e3 * shown.initialised.paper.begins
+    axes.axvline(begins, color=VERMILION, linestyle=(0, (4, 2)), linewidth=1.0)
+    axes.annotate(
+        "stop, found from\nthe tension",
+        (begins, 0.62 * pulled.tension[rows].max()),
+        (-6, 0),
+        textcoords="offset points",
+        ha="right",
+        color=VERMILION,
+    )
+    true, K = shown.session.specimen.K, found.K
+    axes.text(
+        0.02,
+        0.97,
+        f"K = {K.value:.4f} ± {K.uncertainty:.4f} (true {true:.4f})\n"
+        f"M_pull = {found.M_pull.value * 1e3:.4f} mm/N, M_rel = {found.M_rel.value * 1e3:.4f} mm/N",
+        transform=axes.transAxes,
+        va="top",
+    )
+    axes.set(xlabel="travel of motor a [mm]", ylabel="tension at the housing [N]")
+    axes.legend(loc="center left")
+    return figure, (
+        "The paper's figure 6: initialisation. Motor a pulls the free joint to its stop, on to "
+        "20 N, and then releases and pulls again; the loop gives K without knowing the sheath."
+    )
+
+
+def tensions(shown: Demonstration) -> tuple[Figure, str]:
+    """Draw figure 7: the tensions at both ends."""
+    figure = Figure(figsize=(6.4, 3.4))
+    axes = figure.add_subplot()
+    record = shown.session.records[PROFILE]
+    _shade_phases(axes, shown)
+    axes.plot(record.time, record.tension, color=GREY, linewidth=1.0, label="housing, load cell")
+    axes.plot(record.time, record.distal_tension, color=BLACK, label="tip, true")
+    axes.plot(
+        record.time,
+        shown.estimates[OURS].distal_tension,
+        color=BLUE,
+        linestyle=(0, (4, 2)),
+        label="tip, ours",
+    )
+    axes.set(xlabel="time [s]", ylabel="tension [N]", xlim=(0.0, record.time[-1]))
+    axes.legend(loc="lower right")
+    return figure, (
+        "The paper's figure 7: pull to 20 N at the housing, release to 5 N, pull to 20 N. Shaded: "
+        "the front is inside the sheath and the tip does not follow."
+    )
+
+
+def phases(shown: Demonstration) -> tuple[Figure, str]:
+    """Draw figure 8: predicted and actual, leg by leg, for force and elongation."""
+    figure = Figure(figsize=(7.6, 7.2))
+    record = shown.session.records[PROFILE]
+    counts = scoring.taut(record.tension)
+    names = ("first profile: pull", "second: release", "third: pull again")
+    grid = figure.subplots(3, 2)
+    for leg, (row, name) in enumerate(zip(grid, names, strict=True)):
+        where = counts & (record.leg == leg)
+        time = record.time[where]
+        for axes, signal, factor, unit in (
+            (row[0], "distal_tension", 1.0, "tension at the tip [N]"),
+            (row[1], "elongation", 1e3, "elongation [mm]"),
+        ):
+            axes.plot(time, factor * getattr(record, signal)[where], color=BLACK, label="actual")
+            for method in (PAPER, OURS):
+                estimate = getattr(shown.estimates[method], signal)[where]
+                axes.plot(
+                    time,
+                    factor * estimate,
+                    color=COLOURS[method],
+                    linestyle=(0, (4, 2)) if method == OURS else (0, (1, 1)),
+                    label=method,
+                )
+            axes.set(ylabel=unit, title=name)
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+    grid[0][0].legend(loc="upper left")
+    return figure, (
+        "The paper's figure 8: actual and predicted force (left) and elongation (right) in its "
+        "three profiles. The paper's method is off as it was in the paper: M_e is too small by the "
+        "share of T_in that it took to reach the stop, and (13) makes twice as much of it in K."
+    )
+
+
+def over_sheaths(outcomes: list[Outcome]) -> tuple[Figure, str]:
+    """Draw the share of the sheaths on which an error is at most so large."""
+    figure = Figure(figsize=(7.6, 5.6))
+    grid = figure.subplots(2, 2, sharey=True)
+    for row, item in zip(grid, ("largest", "average"), strict=True):
+        for axes, signal in zip(row, SIGNALS, strict=True):
+            which = 0 if item == "largest" else 1
+            for method in METHODS:
+                for motion, width in ((PROFILE, 1.8), (NESTED, 0.8)):
+                    _staircase(axes, outcomes, method, motion, signal, item, width)
+            _line(axes, PUBLISHED[signal][which], "the paper's one trial", BLACK, "dotted")
+            _line(axes, TARGETS[signal][which], "asked of ours", BLUE, "dashed")
+            axes.set_xscale("log")
+            axes.set(
+                xlim=(100.0 * AXIS_MIN, 100.0 * AXIS_MAX),
+                xlabel=f"{item} error of {signal} [% of full scale]",
+            )
+            axes.xaxis.set_major_formatter("{x:g}")
+    for row in grid:
+        row[0].set_ylabel("share of the sheaths")
+    handles, labels = grid[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    return figure, (
+        f"Over {len(outcomes)} random sheaths: how many are within an error. Thick: pull, release, "
+        "pull. Thin: nested reversals, for which the paper has no equations. What a method refused "
+        "is missing at the top."
+    )
+
+
+def against_unevenness(outcomes: list[Outcome]) -> tuple[Figure, str]:
+    """Draw where the paper's calibration fails: K against how uneven the curvature is."""
+    figure = Figure(figsize=(7.6, 3.6))
+    left, right = figure.subplots(1, 2)
+    for method in METHODS:
+        held = [o for o in outcomes if o.results[method].scores]
+        x = [o.unevenness for o in held]
+        off = [o.results[method].K / o.specimen.K - 1.0 for o in held]
+        error = 100.0 * values(held, method, PROFILE, "force", "largest")
+        style = {"color": COLOURS[method], "alpha": 0.8, "label": method}
+        left.plot(x, 100.0 * np.array(off), MARKS[method], markersize=4, **style)
+        right.plot(x, error, MARKS[method], markersize=4, **style)
+    what = "unevenness of the curvature, ln(M_rel/M_pull) − K"
+    left.set(xlabel=what, ylabel="error of K [%]")
+    right.set(xlabel=what, ylabel="largest error of force [% of full scale]", yscale="log")
+    right.yaxis.set_major_formatter("{x:g}")
+    right.axhline(100.0 * TARGETS["force"][0], color=BLUE, linestyle="dashed", linewidth=0.9)
+    left.legend(loc="upper left")
+    return figure, (
+        "Where the paper's method fails. Zero is even curvature; bends at the tip are on the left, "
+        "at the motor on the right. (13) takes uneven curvature for less or more friction."
+    )
+
+
+def _shade_phases(axes: Axes, shown: Demonstration) -> None:
+    record = shown.session.records[PROFILE]
+    label = scoring.phases(record.leg, record.tension, record.distal_tension)
+    for i, name in enumerate(PHASES):
+        times = record.time[label == i]
+        if times.size:
+            axes.axvspan(times[0], times[-1], color=SHADES[i], linewidth=0.0)
+            axes.text(
+                0.5 * (times[0] + times[-1]),
+                1.02,
+                name.replace(" to ", "\nto "),
+                transform=axes.get_xaxis_transform(),
+                ha="center",
+                va="bottom",
+                fontsize=7.5,
+            )
+
+
+def _staircase(
+    axes: Axes,
+    outcomes: list[Outcome],
+    method: str,
+    motion: str,
+    signal: str,
+    item: str,
+    width: float,
+) -> None:
+    errors = np.sort(values(outcomes, method, motion, signal, item))
+    share = np.arange(1, len(errors) + 1) / len(errors)
+    kept = np.isfinite(errors)
+    x = np.concatenate([[AXIS_MIN], errors[kept], [AXIS_MAX]])
+    y = np.concatenate([[0.0], share[kept], share[kept][-1:] if kept.any() else [0.0]])
+    axes.step(
+        100.0 * x,
+        y,
+        where="post",
+        color=COLOURS[method],
+        linestyle=LINES[method],
+        linewidth=width,
+        label=method if motion == PROFILE else None,
+    )
+
+
+def _line(axes: Axes, share: float, label: str, colour: str, style: str) -> None:
+    axes.axvline(100.0 * share, color=colour, linestyle=style, linewidth=1.0, label=label)

@@ -1,0 +1,147 @@
+"""What the simulated plant costs: a step of a joint by nodes and effects, rigs against real time.
+
+python studies/plant.py
+
+Beside a step stand, from the same run, a call of a compiled function that does nothing with the
+same arguments, which a step made from Python contains, and one solution of a tridiagonal system of
+the chain's size by LAPACK, of which an iterating solver would need several. Beside a rig, read and
+written at 1 kHz as a session does it, stand the same steps in one compiled call.
+"""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import lapack
+
+from estimator.array_types import Array
+from estimator.compiled import compiled
+from slave.rigs.simulated.plant.effects import knobs_at
+from slave.rigs.simulated.plant.effects.elasticity import Creep, NonlinearStiffness
+from slave.rigs.simulated.plant.effects.friction import (
+    ConstantDrag,
+    FrictionStep,
+    Presliding,
+    StickSlip,
+    StribeckFriction,
+    TensionDependentFriction,
+    ViscousFriction,
+)
+from slave.rigs.simulated.plant.joint import Joint, JointState, advance, joint_at_rest
+from slave.rigs.simulated.plant.sheath import SheathConfig
+from slave.rigs.simulated.simulated import (
+    JointConfig,
+    SimulatedRig,
+    SimulatedRigConfig,
+    TendonPlantConfig,
+    build_joint,
+)
+
+NODES = (10, 30, 60, 120, 300)
+STEPS = 2000
+RIGS = ((1, 1), (1, 2), (2, 2), (4, 2), (8, 2))  # joints, tendons of each
+SECONDS = 4.0
+EFFECTS = (
+    ConstantDrag(),
+    TensionDependentFriction(),
+    StribeckFriction(),
+    StickSlip(),
+    NonlinearStiffness(),
+    Creep(),
+    ViscousFriction(),
+    Presliding(),
+)
+
+
+@compiled
+def nothing(joint: Joint, state: JointState, targets: Array) -> float:
+    """Only be called."""
+    return joint.body.mass + state.travel + targets[0]
+
+
+@compiled
+def drive(joint: Joint, state: JointState, path: Array) -> JointState:
+    """Advance a joint along `path` [m], shape (steps, 2)."""
+    for i in range(len(path)):
+        state = advance(joint, state, path[i], 1, 1e-3)
+    return state
+
+
+def path(steps: int) -> Array:
+    """Return where the motors of a pair go [m], shape (steps, 2): a sine, and its opposite."""
+    wave = 4e-3 * (1.0 - np.cos(np.linspace(0.0, 3.0 * np.pi * steps / 1000.0, steps)))
+    return np.column_stack([wave, 5e-4 - wave])
+
+
+def best_of(run: Callable[[], object], rounds: int = 3) -> float:
+    """Return the fastest of some rounds, in seconds."""
+    run()
+    times = []
+    for _ in range(rounds):
+        begin = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def joint_of(tendons: int, nodes: int) -> JointConfig:
+    return JointConfig((TendonPlantConfig(sheath=SheathConfig(nodes=nodes)),) * tendons)
+
+
+def print_steps() -> None:
+    print("one step of a joint [us]")
+    print(
+        f"{'nodes':>6} {'one tendon':>11} {'a pair':>7} {'bare call':>10} {'tridiagonal solve':>18}"
+    )
+    for nodes in NODES:
+        took = []
+        for tendons in (1, 2):
+            joint = build_joint(joint_of(tendons, nodes))
+            start, way = joint_at_rest(joint), path(STEPS)
+            took.append(best_of(lambda: drive(joint, start, way)))  # noqa: B023
+        calls = best_of(lambda: [nothing(joint, start, way[0]) for _ in range(STEPS)])  # noqa: B023
+        side, middle, right = np.full(nodes, -1.0), np.full(nodes + 1, 2.1), np.ones(nodes + 1)
+        solves = best_of(
+            lambda: [lapack.dgtsv(side, middle, side, right) for _ in range(STEPS)]  # noqa: B023
+        )
+        one, pair, call, solve = (1e6 * t / STEPS for t in (*took, calls, solves))
+        print(f"{nodes:>6} {one:>11.1f} {pair:>7.1f} {call:>10.1f} {solve:>18.1f}")
+
+
+def print_effects() -> None:
+    print("\none step of a joint with one tendon of 60 nodes, under one effect")
+    joint, way = build_joint(joint_of(1, 60)), path(STEPS)
+    start, plain = joint_at_rest(joint), 0.0
+    for effect in (FrictionStep(change=0.0), *EFFECTS):
+        chain = joint.a.chain._replace(knobs=knobs_at([effect], 10.0, [0.0]))
+        changed = joint._replace(a=joint.a._replace(chain=chain))
+        took = best_of(lambda: drive(changed, start, way))  # noqa: B023
+        plain = plain or took
+        name = effect.type if effect in EFFECTS else "none"
+        print(f"{name:>28} {1e6 * took / STEPS:>6.1f} us, {took / plain:.2f} times none")
+
+
+def print_rigs() -> None:
+    print("\nrigs of 60 nodes a tendon, times faster than real time")
+    print(f"{'joints':>6} {'tendons':>8} {'read and written at 1 kHz':>26} {'steps alone':>12}")
+    for joints, tendons in RIGS:
+        config = joint_of(tendons, 60)
+        rig = SimulatedRig(SimulatedRigConfig(joints=(config,) * joints))
+        way = np.tile(path(round(1000 * SECONDS))[:, :tendons], joints)
+        begin = time.perf_counter()
+        for k, targets in enumerate(way):
+            rig.read(k * 1e-3)
+            rig.write(targets)
+        whole = time.perf_counter() - begin
+        joint = build_joint(config)
+        start, steps = joint_at_rest(joint), path(round(1000 * SECONDS))
+        alone = joints * best_of(lambda: drive(joint, start, steps))  # noqa: B023
+        print(
+            f"{joints:>6} {joints * tendons:>8} {SECONDS / whole:>26.1f} {SECONDS / alone:>12.1f}"
+        )
+
+
+if __name__ == "__main__":
+    print_steps()
+    print_effects()
+    print_rigs()

@@ -1,0 +1,106 @@
+"""Achieved rates and processor time of each driver for 1, 2, 4 and 8 motors.
+
+  python -m studies.rigs.rates [DRIVER ...] [--motors 1 2 4 8] [--seconds 5]
+
+The rig is opened without a session and read and written at 1 kHz. On a pty the line itself takes no
+time: the bound of the real line is computed from its bits and stands beside the measurement. The
+processor time is that of the driver's process alone.
+"""
+
+import argparse
+import os
+import time
+
+import numpy as np
+
+from slave.config import SlaveConfig
+from slave.drivers.cia402.bus_load import bus_load
+from slave.rig import RigFault
+from slave.rigs.hardware import HardwareRig
+from studies.rigs.bench import Model, rig_tree
+from teleop.config.loading import load
+from teleop.runtime.realtime import go_realtime
+
+DRIVERS = ("microcontroller", "dynamixel", "cia402")
+ASKED_HZ = {"microcontroller": 1000.0, "dynamixel": 500.0, "cia402": 500.0}
+BAUD = 4e6  # of the servos
+TICK = os.sysconf("SC_CLK_TCK")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("drivers", nargs="*", default=DRIVERS)
+    parser.add_argument("--motors", type=int, nargs="*", default=[1, 2, 4, 8])
+    parser.add_argument("--seconds", type=float, default=5.0)
+    args = parser.parse_args()
+    go_realtime()
+    print("driver           motors  asked Hz  samples Hz  longest gap ms  CPU %  line allows Hz")
+    for driver in args.drivers:
+        for motors in args.motors:
+            try:
+                text = measure(driver, motors, args.seconds)
+            except RigFault as fault:
+                text = f"fault: {fault}"
+            print(f"{driver:16} {motors:6}  {text}", flush=True)
+
+
+def measure(driver: str, motors: int, seconds: float) -> str:
+    """Run a rig for a while; return rates and processor time as text."""
+    asked = ASKED_HZ[driver] if driver != "cia402" or motors <= 7 else 400.0
+    with Model(driver, motors, "springs") as model:
+        buses = model.buses
+        if driver == "dynamixel":
+            buses["motors"]["rate_hz"] = asked
+        tree = rig_tree(buses, motors, paired=False)
+        config = load(None, SlaveConfig, "slave", [f"slave.rig={tree}"])
+        rig = HardwareRig(config.rig)
+        try:
+            run(rig, 1.0)
+            before = cpu_s(rig.buses[0].pid)
+            times = run(rig, seconds)
+            used = (cpu_s(rig.buses[0].pid) - before) / seconds
+        finally:
+            rig.close()
+    gaps = np.diff(times)
+    return (
+        f"{asked:8.0f}  {1.0 / gaps.mean():10.0f}  {gaps.max() * 1e3:14.1f}  {used:5.0%}"
+        f"  {line_bound(driver, motors):14.0f}"
+    )
+
+
+def run(rig: HardwareRig, seconds: float) -> np.ndarray:
+    """Read and write at 1 kHz where the motors are; return the times of the samples [s]."""
+    times, target = [], None
+    due_s = time.monotonic()
+    until_s = due_s + seconds
+    while due_s < until_s:
+        for sample in rig.read(0.0):
+            times.append(sample.time_s)
+            target = sample.proximal_displacement if target is None else target
+        if target is not None:
+            rig.write(target)
+        due_s += 0.001
+        time.sleep(max(0.0, due_s - time.monotonic()))
+    return np.array(times)
+
+
+def cpu_s(process: int) -> float:
+    """Return the processor time [s] that a process has used."""
+    with open(f"/proc/{process}/stat") as stat:
+        words = stat.read().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / TICK
+
+
+def line_bound(driver: str, motors: int) -> float:
+    """Return the highest rate [Hz] that the bits of the line allow."""
+    if driver == "cia402":
+        loads = [bus_load(1e6, hz, motors, motors, motors, wide=False) for hz in (0.0, 1.0)]
+        return (1.0 - loads[0]) / (loads[1] - loads[0])
+    if driver == "dynamixel":
+        # sync read 14 + n bytes, answers of 11 + 16, sync write of 14 + 5 n, 10 bits a byte
+        return BAUD / 10.0 / (14 + motors + 27 * motors + 14 + 5 * motors)
+    return 12e6 / 10.0 / (2 * (8 + 7 + 4 + 2) + 12 * motors)  # USB full speed, both directions
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""Measure how transparent and how stable each coupling is, over each delay.
+
+  python -m studies.transparency
+  python -m studies.transparency --couplings passivity --round-trips 0 100 --quick
+  python -m studies.transparency --jitter 50 --loss 0.1 --out over-a-bad-network
+
+The live code of master and slave, with a simulated hand, network and rig: rendered against true
+stiffness, Z-width, hybrid parameters over frequency, and Llewellyn's margin where it applies. In
+--out, `transparency.html` shows all of it on one page, `transparency.json` has the numbers
+(docs/transparency.md).
+"""
+
+import argparse
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from studies.transparency import page, report, study
+from studies.transparency.study import COUPLINGS, Case, Study, Task
+from teleop.config.options import add_option
+from teleop.errors import UsageError
+from teleop.runtime.output_file import make_folder
+from teleop.runtime.parallel import parallel_map, processors
+from teleop.runtime.process import write_summary, write_whole
+from teleop.runtime.progress import Progress
+
+ROUND_TRIP_MAX = 400.0  # [ms] beyond it the sessions' watchdogs would have to be set slower
+QUICK = (0.0, 200.0)  # [ms] if no others are asked for
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    default = Study()
+    parser.add_argument(
+        "--couplings",
+        nargs="+",
+        choices=COUPLINGS,
+        default=list(COUPLINGS),
+        metavar="NAME",
+        help=f"couplings to measure (default {' '.join(COUPLINGS)})",
+    )
+    parser.add_argument(
+        "--round-trips",
+        nargs="+",
+        type=float,
+        metavar="MS",
+        help="round-trip delays [ms] (default 0 20 100 200 300; with --quick 0 200)",
+    )
+    parser.add_argument(
+        "--jitter",
+        type=float,
+        default=0.0,
+        metavar="MS",
+        help="the round trip varies by +- MS [ms] (default 0)",
+    )
+    parser.add_argument(
+        "--loss",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="share of messages lost each way, 0 to 1 (default 0)",
+    )
+    parser.add_argument(
+        "--encoder",
+        type=float,
+        default=1e6 * default.device.resolution,
+        metavar="UM",
+        help=f"resolution of the device [um] (default {1e6 * default.device.resolution:g})",
+    )
+    for name, value, text in (
+        ("force", default.force_scale, "force on the hand per force at the tip"),
+        ("position", default.position_scale, "tip travel per hand travel"),
+    ):
+        parser.add_argument(
+            f"--{name}-scale", type=float, default=value, metavar="X",
+            help=f"{text} (default {value:g})",
+        )  # fmt: skip
+    add_option(parser, "--quick", "two round trips, in a minute")
+    add_option(
+        parser,
+        "--out",
+        default=Path("transparency"),
+        help="folder for the report (default transparency)",
+    )
+    add_option(parser, "--jobs", default=processors())
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    study_config = parse_study(args)
+    if not 1 <= args.jobs <= 256:
+        raise UsageError(f"--jobs {args.jobs}: must be 1 to 256")
+    make_folder(args.out, "transparency.html")
+    cases = run(study_config, args.jobs)
+    print(report.summary(study_config, cases).markdown(), flush=True)
+    write_summary(args.out / "transparency.json", report.tree(study_config, cases))
+    write_whole(args.out / "transparency.html", page.render(study_config, cases), "the page")
+    print(f"\nwritten: {args.out / 'transparency.html'}")
+    return 0
+
+
+def parse_study(args: argparse.Namespace) -> Study:
+    """Return the study that is asked for."""
+    delays = args.round_trips or (QUICK if args.quick else None)
+    for name, values, least, most in (
+        ("round-trips", delays or (), 0.0, ROUND_TRIP_MAX),
+        ("jitter", (args.jitter,), 0.0, 100.0),
+        ("loss", (args.loss,), 0.0, 0.5),
+        ("encoder", (args.encoder,), 0.0, 1000.0),
+        ("force-scale", (args.force_scale,), 0.01, 0.5),
+        ("position-scale", (args.position_scale,), 0.05, 2.0),
+    ):
+        for value in values:
+            if not least <= value <= most:  # nor NaN
+                raise UsageError(f"--{name} {value:g}: must be {least:g} to {most:g}")
+    study_config = Study(
+        couplings=tuple(dict.fromkeys(args.couplings)),
+        jitter=1e-3 * args.jitter,
+        loss=args.loss,
+        device=replace(Study().device, resolution=args.encoder / 1e6),
+        force_scale=args.force_scale,
+        position_scale=args.position_scale,
+    )
+    if delays:
+        study_config = replace(study_config, round_trips=tuple(sorted({1e-3 * d for d in delays})))
+    return study.quick(study_config) if args.quick else study_config
+
+
+def run(study_config: Study, workers: int) -> list[Case]:
+    """Return what was measured, in so many processes."""
+    tasks, progress = study.tasks(study_config), Progress()
+    done: dict[Task, Any] = {}
+    try:
+        results = parallel_map(partial(study.measure, study_config), tasks, workers)
+        for task in tasks:
+            progress(f"{task.kind}, {task.coupling}", len(done) / len(tasks))
+            done[task] = next(results)
+    finally:
+        progress.end()
+    return study.gather(study_config, done)

@@ -1,0 +1,156 @@
+"""Hybrid parameters over frequency.
+
+With force f and velocity v at the hand (1) and at the tip (2), f_e against the tip's motion,
+
+    | f_h  |   | h11  h12 | | v_h |
+    | -v_e | = | h21  h22 | | f_e |
+
+(Hannaford, "A design framework for teleoperators with kinesthetic feedback", IEEE Trans. Robotics
+and Automation 5, 1989, 426-434). With a force scale b and a motion scale a the ideal is h11 = 0,
+h12 = b, h21 = -a, h22 = 0. The device is on this side of port 1: f_h is what the hand does on it.
+
+Two experiments tell them: the hand is moved by a multisine and the load on the tip is constant
+(f_e = 0 at all lines), then the hand is held (v_h = 0) and the load is a multisine. So each tells
+one column by itself.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from studies.transparency.hand import DT, Device, GuidedHand
+from studies.transparency.multisine import (
+    Lines,
+    Multisine,
+    Response,
+    draw,
+    held,
+    response,
+    spectrum,
+)
+from studies.transparency.run import SETTLED, RunData, part, run
+from studies.transparency.system import System
+
+RISE = 0.3  # [s] in which an input grows to its full amplitude
+
+
+class Excitation(NamedTuple):
+    """How the two inputs are made; the amplitudes are those of each line."""
+
+    period: float = 2.0  # [s]
+    harmonics: tuple[int, ...] = (1, 3, 5, 9, 15, 25, 41, 69, 99)
+    speed: float = 0.004  # [m/s] of the tip that is asked for
+    force: float = 0.25  # [N] at the tip
+    settle: float = 2.0  # [s] before the first period that counts
+    periods: int = 2  # that count
+    draws: int = 2  # of phases
+
+    @property
+    def frequency(self) -> Array:
+        """Of each line [Hz]."""
+        return np.array(self.harmonics) / self.period
+
+
+class Hybrid(NamedTuple):
+    """Results of the experiments."""
+
+    frequency: Array  # [Hz]
+    h11: Response  # [N s/m]
+    h12: Response
+    h21: Response
+    h22: Response  # [m/(N s)]
+
+
+def measure(
+    build: Callable[[], System],
+    excitation: Excitation,
+    device: Device,
+    position_scale: float,
+    round_trip: float,
+) -> Hybrid:
+    """Return the parameters of the systems that `build` makes, each new and alike."""
+    frequency = excitation.frequency
+    moved, pushed = [], []
+    for seed in range(excitation.draws):
+        amplitude = excitation.speed / position_scale / (2.0 * np.pi * frequency)
+        motion = draw(excitation.period, excitation.harmonics, amplitude, seed)
+        moved += _periods(build(), excitation, device, round_trip, motion, None)
+        even = np.full(len(frequency), excitation.force)
+        force = draw(excitation.period, excitation.harmonics, even, seed)
+        pushed += _periods(build(), excitation, device, round_trip, None, force)
+    harmonics = np.arange(1, max(excitation.harmonics) + 2)
+    is_excited = np.isin(harmonics, excitation.harmonics)
+    every = harmonics / excitation.period
+    of_moved, of_pushed = (
+        _Ports(*(np.array(x) for x in zip(*(_ports(r, every, device) for r in part), strict=True)))
+        for part in (moved, pushed)
+    )
+
+    def estimate(excited: Lines, answer: Lines) -> Response:
+        return response(excited[:, is_excited], answer[:, is_excited], answer[:, ~is_excited])
+
+    return Hybrid(
+        frequency,
+        estimate(of_moved.v_hand, of_moved.f_hand),
+        estimate(of_pushed.f_tip, of_pushed.f_hand),
+        estimate(of_moved.v_hand, -of_moved.v_tip),
+        estimate(of_pushed.f_tip, -of_pushed.v_tip),
+    )
+
+
+class _Ports(NamedTuple):
+    """Both ports in one period, complex amplitudes."""
+
+    v_hand: Lines
+    f_hand: Lines
+    v_tip: Lines
+    f_tip: Lines
+
+
+def _periods(
+    system: System,
+    excitation: Excitation,
+    device: Device,
+    round_trip: float,
+    motion: Multisine | None,
+    force: Multisine | None,
+) -> list[RunData]:
+    """Return the periods that count of one run."""
+    begin = SETTLED + round_trip + 0.2
+
+    def growing(signal: Multisine | None) -> Callable[[float], float]:
+        if signal is None:
+            return lambda _time: 0.0
+        return lambda time: (
+            min(max((time - begin) / RISE, 0.0), 1.0) * signal.at(time) if time > begin else 0.0
+        )
+
+    first = begin + RISE + round_trip + excitation.settle
+    length = round(excitation.period / DT)
+    record = run(
+        system,
+        GuidedHand(growing(motion), device),
+        first + excitation.periods * excitation.period,
+        engage=SETTLED + round_trip,
+        push=growing(force),
+    )
+    start = len(record.time) - excitation.periods * length
+    return [
+        part(record, start + n * length, start + (n + 1) * length)
+        for n in range(excitation.periods)
+    ]
+
+
+def _ports(record: RunData, frequency: Array, device: Device) -> _Ports:
+    s = 2j * np.pi * frequency
+    v_hand = s * spectrum(record.hand, record.time, frequency)
+    rendered = spectrum(record.force, record.time, frequency) * held(frequency, DT)
+    later = record.time + DT / 2
+    return _Ports(
+        v_hand,
+        (s * device.mass + device.damping) * v_hand - rendered,
+        s * spectrum(record.tip, later, frequency),
+        spectrum(record.load, later, frequency),
+    )

@@ -1,0 +1,221 @@
+"""The system between hand and tip: both live loops and a simulated network."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from estimator.law.sheath import Sheath
+from estimator.online.online import TendonModel
+from estimator.records import one
+from master import hand_input
+from master import loop as master_loop
+from master.config import MasterConfig
+from master.device import HandState
+from master.feedback import FeedbackConfig
+from master.operator import OperatorConfig
+from master.settings_record import master_settings
+from slave import loop as slave_loop
+from slave.config import SlaveConfig
+from slave.gate import GateConfig
+from slave.loop_records import SlaveMemory, TickInput
+from slave.rig import RigSample
+from slave.samples import sample_rows
+from slave.tendon_config import TendonConfig
+from studies.transparency.channel import Channel
+from studies.transparency.hand import DT
+from studies.transparency.rig import TestRig
+from teleop.coupling import Bilateral
+from teleop.messages.messages import MAX_JOINTS, Command, SlaveState
+from teleop.messages.packet import Packet
+from teleop.messages.topics import COMMAND, STATE
+from teleop.session.state_machine import State
+
+TICK_NS = round(DT * 1e9)
+EPOCH = 1_700_000_000 * 10**9  # [ns] the time of the first tick
+MASTER, SLAVE = 11, 22  # senders
+SLACK = 0.05  # [s] of the watchdogs besides delay and jitter
+
+
+class Answer(NamedTuple):
+    """Output of a system at a tick; tip and load are half a tick later."""
+
+    force: float  # [N] on the hand, held until the next tick
+    tip: float  # [m] true
+    load: float  # [N] true, on the tip
+    commanded: float = 0.0  # [m] of the tip by the master
+    followed: float = 0.0  # [m] where the slave sent it; NaN while it is not engaged
+    credit_hand: float = 0.0  # [J] of the master's port
+    credit_tip: float = 0.0  # [J] of the slave's
+    engaged: bool = True  # whether forces may be rendered
+
+
+class System(Protocol):
+    """A two-port between a hand and a tip."""
+
+    def tick(self, hand: HandState, push: float) -> Answer:
+        """Go on by a tick, the tip pushed by `push` [N] besides what it meets."""
+
+
+class Network(NamedTuple):
+    """The network between the loops."""
+
+    round_trip: float = 0.0  # [s] half of it each way
+    jitter: float = 0.0  # [s] of the round trip, evenly spread to both sides
+    loss: float = 0.0  # share of the messages, each way
+    seed: int = 0
+
+    @property
+    def constant(self) -> bool:
+        """Whether every message is under way for the same time."""
+        return self.jitter == 0.0 and self.loss == 0.0
+
+
+AT_ONCE = Network()
+
+
+class Settings(NamedTuple):
+    """Configs of both sides."""
+
+    master: MasterConfig
+    slave: SlaveConfig
+
+
+def settings(
+    force_scale: float = 0.2, position_scale: float = 0.25, network: Network | None = None
+) -> Settings:
+    """Return the configs of a session over a `network`, by default the slowest one."""
+    network = network or Network(0.3, 0.05)
+    slow = network.jitter + 2.0 * SLACK
+    master = MasterConfig(
+        operator=OperatorConfig(position_scale=position_scale),
+        force=FeedbackConfig(scale=force_scale),
+        state_timeout=slow,
+        delay_max=min(2.0 * network.round_trip + slow, 1.0),
+    )
+    slave = SlaveConfig(
+        tendons=(TendonConfig(effective_friction=0.02, tension_noise=0.01),),
+        gate=GateConfig(displacement_min=-0.05, displacement_max=0.05, tension_max=40.0),
+        command_timeout=slow,
+    )
+    return Settings(master, slave)
+
+
+def rig_model(friction: float = 0.02) -> slave_loop.RigModel:
+    """Return what the slave knows of `studies.transparency.rig.Rig`.
+
+    `friction` is the effective one, K, of the sheath in its model; the rig has none.
+    """
+    sheath = Sheath.uniform(friction, 1.5, 9000.0)
+    return slave_loop.rig_model(((0,),), [TendonModel(sheath, tension_noise=0.01)])
+
+
+class Teleoperator:
+    """Master, network, slave and rig, without clocks.
+
+    The slave's tick is half a tick after the master's. The master waits for no answer: both phases
+    of its tick go by the state that has arrived when it begins.
+
+    Parameters
+    ----------
+    bilateral : Bilateral
+        The coupling.
+    rig : TestRig
+        The slave's rig.
+    network : Network
+        Between the two.
+    configs : Settings
+        Of both sides; by default those of `settings`.
+    model : RigModel
+        What the slave knows of the rig; by default `rig_model`.
+    slave_bilateral : Bilateral
+        The coupling of the slave if it is not the same.
+
+    Attributes
+    ----------
+    master : MasterState
+        State of the master.
+    slave : SlaveMemory
+        State of the slave.
+    """
+
+    def __init__(
+        self,
+        bilateral: Bilateral,
+        rig: TestRig,
+        network: Network = AT_ONCE,
+        configs: Settings | None = None,
+        model: slave_loop.RigModel | None = None,
+        slave_bilateral: Bilateral | None = None,
+    ) -> None:
+        self._rig, configs, model = rig, configs or settings(), model or rig_model()
+        self._tendons = len(model.models)
+        self._master_settings = master_settings(configs.master, bilateral)
+        self._master = master_loop.start(1, EPOCH)
+        self.master: master_loop.MasterState = one(self._master)
+        self._inputs = master_loop.TickInput.array()
+        self._force = np.zeros(MAX_JOINTS)  # [N]
+        self._slave = slave_loop.start(model, configs.slave, slave_bilateral or bilateral, False)
+        self.slave: SlaveMemory = one(self._slave.memory)
+        self._timeout_ns = round(configs.slave.command_timeout * 1e9)
+        self._command, self._state = Packet(Command), Packet(SlaveState)
+        delay, jitter, loss, seed = network
+        self._commands = Channel(COMMAND, MASTER, delay / 2, jitter / 2, loss, 2 * seed)
+        self._states = Channel(STATE, SLAVE, delay / 2, jitter / 2, loss, 2 * seed + 1)
+        self._now = EPOCH
+
+    def tick(self, hand: HandState, push: float = 0.0) -> Answer:
+        """See `System`."""
+        now, half_tick = self._now, self._now + TICK_NS // 2
+        self._now += TICK_NS
+        self._master_tick(hand, now)
+        self._rig.advance(push)
+        self._slave_tick(self._rig.read(), half_tick)
+        master, slave = self.master, self.slave
+        followed = float(slave.coupling.tip[0]) if slave.coupling.coupled else float("nan")
+        return Answer(
+            float(self._force[0]),
+            self._rig.tip,
+            self._rig.load(),
+            float(self._command.record.position[0]),
+            followed,
+            float(master.coupling.ports[0].credit),
+            float(slave.coupling.ports[0].credit),
+            bool(master.session.state == slave.session.state == State.ENGAGED),
+        )
+
+    def _master_tick(self, hand: HandState, now: int) -> None:
+        latest = self._states.newest(now)
+        hand_input.fill(self._inputs["hand"], hand)
+        phase_input = master_loop.PhaseInput(latest.is_there, latest.age_ns(now), now, DT)
+        known = (
+            self._master_settings,
+            self._master,
+            self._inputs,
+            latest.packet.records,
+            phase_input,
+        )
+        master_loop.run_command(*known, self._command.records)
+        master_loop.run_force(*known, False, self._force)
+        self._commands.send(self._command, now)
+
+    def _slave_tick(self, samples: Sequence[RigSample], now: int) -> None:
+        slave, latest = self._slave, self._commands.newest(now)
+        rows = sample_rows(samples)
+        slave.estimate(*slave.estimated, rows, len(samples))
+        fresh = latest.is_fresh(now, self._timeout_ns)
+        tick_input = TickInput(DT, latest.is_there, fresh)
+        slave_loop.tick(
+            *slave.ticked,
+            rows,
+            len(samples),
+            tick_input,
+            latest.packet.records,
+            self._state.records,
+        )
+        slave_loop.monitor_calibration(
+            slave.settings, slave.layout, slave.watched, slave.memory, rows, len(samples)
+        )
+        if self.slave.has_motor:
+            self._rig.wanted = tuple(self.slave.motor[: self._tendons].tolist())
+        self._states.send(self._state, now)

@@ -1,1 +1,0 @@
-"""The command line, the launcher of sessions and the doctor."""

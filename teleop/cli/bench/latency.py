@@ -1,0 +1,61 @@
+"""Measure the latency from command to force and its stages, compared with bare Zenoh.
+
+  teleop bench latency
+  teleop bench latency --joints 4 --json new.json --compare old.json
+  teleop bench latency --quick --config configs/demo.yaml
+
+Each run is a session of `teleop run` on a simulated rig, without a view, and then two processes
+that send messages of the same sizes to and fro, with the same way of waiting and the same priority.
+Latency is from the sending of a command to the write of the force that answers it. The stages are
+those of an answer within the tick, from reading the device (docs/latency.md).
+"""
+
+import argparse
+from pathlib import Path
+
+from teleop.cli.bench import runs
+from teleop.cli.bench.figures import Row
+from teleop.cli.bench.session import run_session
+from teleop.errors import TeleopError
+from teleop.link.ping_pong import PERIOD_S, ping_pong
+from teleop.messages.messages import STAGE_NAMES, Command, SlaveState
+from teleop.session.config import RunConfig
+
+PERCENTILES = {"p50": "p50", "p99": "p99", "p99_9": "p99.9"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    runs.add_config(parser)
+    runs.add_arguments(parser)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    return runs.repeat("latency", args, measure)
+
+
+def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
+    """Return the figures of a session and of a ping-pong after it."""
+    summary = run_session(config, seconds).summary
+    bare = bare_round_trips(seconds, shared)
+    master = summary["master"]
+    row: dict[str, tuple[str, float | None, float | None, bool]] = {}
+    for key, text in PERCENTILES.items():
+        latency = master["latency_ms"][key]
+        row[f"command to force {text}"] = "ms", latency, bare[f"{key}_ms"], False
+    for stage in STAGE_NAMES:
+        for key, text in list(PERCENTILES.items())[:2]:
+            row[f"stage {stage} {text}"] = "us", master["stages_us"][stage][key], None, False
+    answered = master["stages_us"]["all"]["n"]
+    row["answered within the tick"] = "%", 100.0 * answered / master["ticks"], None, True
+    return row
+
+
+def bare_round_trips(seconds: float, shared: RunConfig) -> dict[str, float]:
+    """Return percentiles of bare Zenoh over as long a time; `TeleopError` without an answer."""
+    sizes = Command.schema.size, SlaveState.schema.size
+    bare = ping_pong(*sizes, round(seconds / PERIOD_S), shared.realtime)
+    if not bare:
+        raise TeleopError("no answer in the bare ping-pong")
+    return bare

@@ -1,0 +1,61 @@
+"""Measure timing and CPU time of both loops, compared with idle loops.
+
+  teleop bench loop
+  teleop bench loop --joints 4 --json new.json --compare old.json
+  teleop bench loop --quick --config configs/demo.yaml
+
+Each run is a session of `teleop run` on a simulated rig, without a view, and then two idle
+processes that tick at the same rate and priority. Rates, overruns and the work of a tick are those
+of the whole session, its beginning included; the processor time, of all threads, is in per cent of
+one core, after both sides have engaged.
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from teleop.cli.bench import runs
+from teleop.cli.bench.bare_grid import run_bare
+from teleop.cli.bench.figures import Row
+from teleop.cli.bench.session import SIDES, run_session
+from teleop.session.config import RunConfig
+
+PERCENTILES = {"p50": "p50", "p99": "p99", "p99_9": "p99.9"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    runs.add_config(parser)
+    runs.add_arguments(parser)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    return runs.repeat("loop", args, measure)
+
+
+def measure(config: Path, seconds: float, shared: RunConfig) -> Row:
+    """Return the figures of a session and of idle loops after it."""
+    session = run_session(config, seconds)
+    bare = dict(zip(SIDES, run_bare(shared.rate_hz, seconds, shared.realtime), strict=True))
+    row: dict[str, tuple[str, float | None, float | None, bool]] = {}
+    for side in SIDES:
+        loop: dict[str, Any] = session.summary[side]
+        base = bare[side]
+        row[f"{side} rate"] = "Hz", loop["rate_hz"], base["rate_hz"], True
+        row[f"{side} overruns"] = "", loop["overruns"], base["overruns"], False
+        late = loop["lateness_max_ms"], base["lateness_max_ms"]
+        row[f"{side} latest tick"] = "ms", *late, False
+        for key, text in PERCENTILES.items():
+            work = loop["work_us"][key], base["work_us"][key]
+            row[f"{side} tick {text}"] = "us", *work, False
+        row[f"{side} CPU"] = "%", session.cpu.get(side), base["cpu"], False
+    for key, text in PERCENTILES.items():
+        answer, own = (
+            session.summary["slave"]["answer_us"],
+            session.summary["slave"]["without_rig_us"],
+        )
+        row[f"slave answer {text}"] = "us", answer[key], None, False
+        row[f"slave tick without rig {text}"] = "us", own[key], None, False
+    row["run CPU"] = "%", session.cpu.get("run"), None, False
+    return row

@@ -1,0 +1,81 @@
+"""Measure sessions of 1, 2, 4 and 8 joints, two tendons each, compared with idle loops.
+
+  teleop bench scale
+  teleop bench scale --joints 1 8 --quick
+  teleop bench scale --json new.json --compare old.json
+
+Each run has a session of `teleop run` for every number of joints, on a simulated rig with a
+scripted hand of as many axes, and after each of them its baselines: two processes that only tick,
+and a bare ping-pong over Zenoh. The slave's tick is given with and without the computation of the
+simulated rig.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from teleop.cli.bench import figures, rigs, runs
+from teleop.cli.bench.bare_grid import run_bare
+from teleop.cli.bench.figures import Row
+from teleop.cli.bench.latency import bare_round_trips
+from teleop.cli.bench.session import SIDES, run_session
+from teleop.session.config import RunConfig
+
+JOINTS = (1, 2, 4, 8)
+PERCENTILES = ("p50", "p99")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "--joints",
+        nargs="+",
+        type=int,
+        default=list(JOINTS),
+        metavar="N",
+        help=f"numbers of joints to compare, each 1 to 8 (default {' '.join(map(str, JOINTS))})",
+    )
+    runs.add_arguments(parser)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    numbers = sorted({runs.joints_of(number) for number in args.joints})
+    repeated = runs.RepeatedRuns("scale", args)
+    with tempfile.TemporaryDirectory(prefix="teleop-bench-") as folder:
+        configs = {n: rigs.write_config(Path(folder) / f"{n}.yaml", n) for n in numbers}
+        repeated.warm_up(configs[numbers[0]])
+        rows = []
+        for k in range(repeated.runs):
+            row: dict[str, tuple[str, float | None, float | None, bool]] = {}
+            for n, config in configs.items():
+                repeated.say(f"run {k + 1} of {repeated.runs}: {n} joint{'s' * (n > 1)}")
+                row |= {
+                    f"{n}: {key}": part for key, part in measure(config, repeated.seconds).items()
+                }
+            rows.append(row)
+    return repeated.conclude(figures.gather(rows))
+
+
+def measure(config: Path, seconds: float) -> Row:
+    """Return the figures of one session and of its baselines after it."""
+    shared = RunConfig()
+    session = run_session(config, seconds)
+    bare = dict(zip(SIDES, run_bare(shared.rate_hz, seconds, shared.realtime), strict=True))
+    trips = bare_round_trips(seconds, shared)
+    row: dict[str, tuple[str, float | None, float | None, bool]] = {}
+    for side in SIDES:
+        loop, base = session.summary[side], bare[side]
+        row[f"{side} rate"] = "Hz", loop["rate_hz"], base["rate_hz"], True
+        row[f"{side} overruns"] = "", loop["overruns"], base["overruns"], False
+        row[f"{side} CPU"] = "%", session.cpu.get(side), base["cpu"], False
+        for key in PERCENTILES:
+            work = loop["work_us"][key], base["work_us"][key]
+            row[f"{side} tick {key}"] = "us", *work, False
+    for key in PERCENTILES:
+        own = session.summary["slave"]["without_rig_us"][key]
+        row[f"slave tick without rig {key}"] = "us", own, bare["slave"]["work_us"][key], False
+    for key in PERCENTILES:
+        latency = session.summary["master"]["latency_ms"][key]
+        row[f"command to force {key}"] = "ms", latency, trips[f"{key}_ms"], False
+    return row

@@ -1,0 +1,124 @@
+"""Run one session of `teleop run`: its summary and the CPU load of its processes."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from teleop.cli.bench import cpu
+from teleop.errors import TeleopError
+from teleop.launch.supervisor import COMPLAINT
+from teleop.runtime.process import module_command
+
+SIDES = ("slave", "master")
+START_S = 300.0  # timeout with an empty compile cache, on a busy machine
+_SETTLE_S = 0.5  # after engaging, and before the end
+_ENGAGED = "[master] engaged"  # in a line that begins with the time
+
+
+class Measured(NamedTuple):
+    """Result of a session."""
+
+    summary: dict[str, Any]  # of `teleop run --json`
+    cpu: dict[str, float]  # share of a core [%] by process: run, slave, master
+
+
+def run_session(config: Path, seconds: float) -> Measured:
+    """Run an engaged session of `seconds` [s]; `TeleopError` if it does not engage."""
+    with ExitStack() as stack:
+        out = config.with_suffix(".summary.json")
+        master, slave = _free_ports(2)
+        words = [
+            *("--config", str(config), "--view", "none", "--duration", str(seconds)),
+            *("--json", str(out), "--force", "--set", f"session=bench-{os.getpid()}"),
+            *("--set", f"link.master=127.0.0.1:{master}"),
+            *("--set", f"link.slave=127.0.0.1:{slave}"),
+        ]
+        process = stack.enter_context(
+            subprocess.Popen(
+                [*module_command("teleop"), "run", *words],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,  # Ctrl-C is handled by this process
+            )
+        )
+        stack.callback(_end, process)
+        output = _SessionOutput(process)
+        output.await_engaged()
+        time.sleep(_SETTLE_S)
+        processes = {"run": process.pid, **cpu.children(process.pid)}
+        before = cpu.sample(processes)
+        time.sleep(max(seconds - 2 * _SETTLE_S, _SETTLE_S))
+        after = cpu.sample(processes)
+        output.await_end(seconds)
+        summary = json.loads(out.read_text())
+        for side in SIDES:
+            if summary.get(side) is None:
+                raise TeleopError(
+                    f"the {side} of the session to measure was killed: {output.last()}"
+                )
+        return Measured(summary, cpu.percent(processes, before, after))
+
+
+class _SessionOutput:
+    """Reads the output of a session."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        self._lines: list[str] = []
+        self._engaged = threading.Event()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def await_engaged(self) -> None:
+        """Wait until the session is engaged."""
+        in_time = self._engaged.wait(START_S)
+        if not in_time or not any(_ENGAGED in line for line in self._lines):
+            raise TeleopError(f"the session to measure did not engage: {self.last()}")
+
+    def await_end(self, seconds: float) -> None:
+        """Wait for the end of the session."""
+        try:
+            code = self._process.wait(seconds + START_S)
+        except subprocess.TimeoutExpired as error:
+            raise TeleopError("the session to measure did not end") from error
+        self._reader.join()
+        if code:
+            raise TeleopError(f"the session to measure failed: {self.last()}")
+
+    def _read(self) -> None:
+        for line in self._process.stdout or ():
+            self._lines.append(line.rstrip())
+            if _ENGAGED in line or line.startswith(COMPLAINT):
+                self._engaged.set()
+        self._engaged.set()
+
+    def last(self) -> str:
+        complaints = [line for line in self._lines if line.startswith(COMPLAINT)] or self._lines
+        return complaints[-1].removeprefix(COMPLAINT) if complaints else "no output"
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(30.0)
+        except subprocess.TimeoutExpired:
+            process.kill()  # its children end too
+            process.wait()
+
+
+def _free_ports(count: int) -> list[int]:
+    with ExitStack() as stack:
+        probes = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        return [int(probe.getsockname()[1]) for probe in probes]

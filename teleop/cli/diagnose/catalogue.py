@@ -1,0 +1,57 @@
+"""Generate the catalogue of effects, the last table of docs/diagnosis.md.
+
+python -m teleop.cli.diagnose.catalogue docs/diagnosis.md
+"""
+
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from estimator.effects import CATALOGUE, NAMES, Effect, Parameter
+
+HEAD = ("name", "what goes on", "what it adds to the model", "parameters and ranges", "what to do")
+
+
+def markdown() -> str:
+    """Return the table: a row per name, with the differences of its variants."""
+    rows = [HEAD, ("---",) * len(HEAD), *map(_row, NAMES)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _row(name: str) -> tuple[str, ...]:
+    variants = [effect for effect in CATALOGUE if effect.name == name]
+    return (
+        f"`{name}`",
+        _cell(dict.fromkeys(effect.cause for effect in variants)),
+        _cell(_by_variant(variants, lambda effect: effect.equation)),
+        _cell(_by_variant(variants, lambda effect: ", ".join(map(_parameter, effect.parameters)))),
+        _cell(dict.fromkeys(effect.advice for effect in variants)),
+    )
+
+
+def _by_variant(variants: Sequence[Effect], say: Callable[[Effect], str]) -> list[str]:
+    """Return the texts of the variants, with variant names if they differ."""
+    variants_by_text: dict[str, list[str]] = {}
+    for effect in variants:
+        variants_by_text.setdefault(say(effect), []).append(effect.where)
+    own = len(variants_by_text) == len(variants) > 1
+    return [f"{where[0]}: {text}" if own else text for text, where in variants_by_text.items()]
+
+
+def _cell(lines: Iterable[str]) -> str:
+    return "<br>".join(lines).replace("|", "\\|")
+
+
+def _parameter(parameter: Parameter) -> str:
+    unit = f" {parameter.unit}" if parameter.unit else ""
+    return f"{parameter.name} {parameter.low:g} to {parameter.high:g}{unit}"
+
+
+def replace_table(page: str) -> str:
+    """Return a page with the table at its end replaced."""
+    return page[: page.index("| " + " | ".join(HEAD))] + markdown() + "\n"
+
+
+if __name__ == "__main__":
+    path = Path(sys.argv[1])
+    path.write_text(replace_table(path.read_text()))

@@ -1,0 +1,240 @@
+"""Diagnose model errors in measured data: causes, their size, and the gain of correcting them.
+
+  teleop diagnose bench.csv                                print causes and remedies
+  teleop diagnose monday.csv tuesday.csv --out diagnosis   ... several files of one bench, a report
+  teleop diagnose monday.csv --validate tuesday.csv        ... and validate on other data
+  teleop diagnose bench.csv --effects creep,slack          ... consider only these causes
+  teleop diagnose bench.csv --noise proximal_displacement=1e-6    noise that is known, in m or N
+  teleop diagnose joint.csv --column proximal_torque=tau_motor    torques and angles
+  teleop diagnose mon.csv tue.csv wed.csv --leave-one-file-out    each file by the fit of the others
+  teleop diagnose bench.csv --cause distal_tension_gain    which of equally good causes is modelled
+  teleop diagnose bench.csv --supplement supplement    pages, figures and tables for a paper
+
+The data: tables with time_s and proximal_tension_N, and also a travel or the tip tension; with
+proximal_torque_Nm and proximal_angle_rad, also of a closed loop of two cables with pretension;
+or recordings (docs/data-format.md). Several files must be of one bench and are fitted
+together. With --out a folder gets report.html, report.json, model.yaml and residuals.rrd
+(docs/diagnosis.md). The exit code is 0 for any diagnosis.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from estimator.diagnosis import report_text
+from estimator.diagnosis.api import CauseError, RecordError, diagnose, signals_of
+from estimator.diagnosis.outcome import Diagnosis
+from estimator.effects import Effect
+from teleop.cli import estimate
+from teleop.cli.diagnose import acceptance, effect_choice, report_json
+from teleop.cli.diagnose.acceptance import ComparedParameter
+from teleop.cli.diagnose.channel_options import NamedColumns, channel_columns
+from teleop.cli.diagnose.noise_option import parse_noise
+from teleop.config.options import add_option, add_options
+from teleop.config.suggestions import did_you_mean
+from teleop.data import model_file
+from teleop.data.table import MeasuredTable, read_table
+from teleop.errors import UsageError
+from teleop.runtime.output_file import OutputFolder, make_folder
+from teleop.runtime.parallel import processors
+from teleop.runtime.process import write_summary, write_whole
+from teleop.runtime.progress import Progress
+
+TENSIONS = ("proximal_tension", "distal_tension")  # whose zero errors a diagnosis identifies
+
+
+class Data(NamedTuple):
+    """The data of a diagnosis."""
+
+    fitted: tuple[MeasuredTable, ...]
+    validation: tuple[MeasuredTable, ...]
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the fitted files."""
+        return tuple(str(table.path) for table in self.fitted)
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """Names of the files for validation."""
+        return tuple(str(table.path) for table in self.validation)
+
+
+class Report(NamedTuple):
+    """Content of the report."""
+
+    found: Diagnosis
+    data: Data
+    accepted: dict[str, ComparedParameter]  # comparison with the given calibration
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "data", nargs="+", type=Path, metavar="DATA", help="measured data, or recordings"
+    )
+    parser.add_argument(
+        "--effects",
+        default="all",
+        metavar="NAME,NAME",
+        help="causes to consider (default all; names in docs/diagnosis.md)",
+    )
+    add_option(parser, "--calibration", "compared with the result")
+    add_options(parser, "--column", "--drop-nonfinite", "--validate", "--out", "--json")
+    add_options(parser, "--allow-imports")
+    parser.add_argument(
+        "--cause",
+        default="",
+        metavar="NAME",
+        help="cause to be modelled, of several that explain the data equally well",
+    )
+    parser.add_argument(
+        "--fit-all", action="store_true", help="fit and judge all samples; hold none out"
+    )
+    parser.add_argument(
+        "--leave-one-file-out",
+        action="store_true",
+        help="also predict each file by the fit of the others",
+    )
+    parser.add_argument(
+        "--supplement",
+        type=OutputFolder(),
+        metavar="DIR",
+        help="folder for a supplement to a paper: a page with equations, figures as SVG, tables as "
+        "CSV",
+    )
+    parser.add_argument(
+        "--noise",
+        action="append",
+        default=[],
+        metavar="NAME=SIGMA",
+        help="standard deviation of a channel's noise in its unit, e.g. --noise "
+        "proximal_displacement=1e-6 (default estimated from the data)",
+    )
+    parser.add_argument(
+        "--transmission",
+        choices=("auto", "tendon", "loop"),
+        default="auto",
+        help="one tendon, or a closed loop of two cables (default auto: a loop where torque or "
+        "force changes its sign)",
+    )
+    parser.add_argument(
+        "--tendon", metavar="N", help="tendon to diagnose, if the data have several (default 1)"
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Diagnose and report; returns the exit code."""
+    effects = effect_choice.parse_effects(args.effects)
+    check_options(args, effects)
+    if args.out is not None:
+        make_folder(args.out, "report.html")
+    if args.supplement is not None:
+        make_folder(args.supplement, "supplement.html")
+    tendon = estimate.select_tendon(args.tendon, estimate.recorded_joints(args.data[0]), 1)
+    sheath = None if args.calibration is None else acceptance.load(args.calibration, tendon)
+    columns = channel_columns(args.column, tendon)
+    noise = parse_noise(args.noise)
+    loop = None if args.transmission == "auto" else args.transmission == "loop"
+    data = read(args.data, args.validate, columns, args.drop_nonfinite)
+    progress, begun = Progress(), time.monotonic()
+    try:
+        found = diagnose(
+            data.fitted,
+            effects,
+            validate=data.validation,
+            noise=noise,
+            loop=loop,
+            cause=args.cause,
+            fit_all=args.fit_all,
+            leave_one_file_out=args.leave_one_file_out,
+            progress=progress,
+            workers=processors(),
+        )
+    except RecordError as error:
+        raise UsageError(str(error)) from error
+    except CauseError as error:
+        raise UsageError(f"--cause {error}") from error
+    finally:
+        progress.end()
+    seconds = time.monotonic() - begun
+    report = Report(
+        found, data, {} if sheath is None else acceptance.compare_parameters(found, sheath)
+    )
+    tree = report_json.tree(found, data.files, seconds, report.accepted, data.further)
+    write_summary(args.json, tree)
+    beside = acceptance.table(report.accepted) if report.accepted else None
+    print(report_text.summary(found, data.files, beside, data.further), flush=True)
+    if args.out is not None:
+        write_summary(args.out / "report.json", tree)
+        _write_folder(report, args.out)
+        print(f"\nwritten: {args.out / 'report.html'}")
+    if args.supplement is not None:
+        from teleop.cli.diagnose import supplement
+
+        sources = supplement.Sources(args.command_line, data.files, data.further)
+        print(f"\nwritten: {supplement.write(args.supplement, found, sources)}")
+    return 0
+
+
+def check_options(args: argparse.Namespace, effects: Sequence[Effect]) -> None:
+    """Raise `UsageError` for conflicting options, before anything is read."""
+    names = tuple(dict.fromkeys(effect.name for effect in effects))
+    if args.cause and args.cause not in names:
+        hint = did_you_mean(args.cause, names, 3, 0.5) or "; it must be one of --effects"
+        raise UsageError(f"--cause {args.cause}: is not among the effects considered{hint}")
+    if args.leave_one_file_out and len(args.data) < 2:
+        raise UsageError("--leave-one-file-out: give at least two files of one bench")
+
+
+def read(
+    paths: Sequence[Path],
+    validate: Sequence[Path],
+    columns: NamedColumns,
+    drop_nonfinite: bool,
+) -> Data:
+    """Return the data of some files, all with the same channels.
+
+    Raises
+    ------
+    UsageError
+        If a file is invalid, or lacks a channel of another.
+    """
+    tables = [
+        read_table(
+            path,
+            columns.names,
+            drop_nonfinite,
+            zero_errors=TENSIONS,
+            diagnosed=True,
+            units=columns.units,
+        )
+        for path in (*paths, *validate)
+    ]
+    first = tables[0]
+    for table in tables[1:]:
+        if table.units != first.units:
+            raise UsageError(
+                f"{table.path}: is in {table.units.effort} and {table.units.travel}, but "
+                f"{first.path} in {first.units.effort} and {first.units.travel}"
+            )
+        if set(signals_of(table)) != set(signals_of(first)):
+            raise UsageError(
+                f"{table.path}: has {', '.join(signals_of(table))}, but {first.path} has "
+                f"{', '.join(signals_of(first))}; data that are diagnosed together need the same "
+                "channels"
+            )
+    return Data(tuple(tables[: len(paths)]), tuple(tables[len(paths) :]))
+
+
+def _write_folder(report: Report, folder: Path) -> None:
+    from teleop.cli.diagnose import page, residuals
+
+    found, files = report.found, report.data.files
+    remark = f"Fitted by teleop diagnose to {', '.join(files)}.\n{report_text.sentence(found)}"
+    model_file.save(folder / "model.yaml", model_file.of_diagnosis(found), remark)
+    text = page.render(found, files, report.accepted, report.data.further)
+    write_whole(folder / "report.html", text, "the page")
+    residuals.write(folder / "residuals.rrd", found, files)

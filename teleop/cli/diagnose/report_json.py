@@ -1,0 +1,190 @@
+"""report.json: a diagnosis for programs, in SI units, N and m or N m and rad."""
+
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
+
+from estimator.diagnosis import file_tables, report_text
+from estimator.diagnosis.law_choice import Choice
+from estimator.diagnosis.outcome import Diagnosis, Fitnesses, Ranked
+from estimator.diagnosis.prediction import Fitness, Predicted
+from teleop.cli.diagnose.acceptance import ComparedParameter
+from teleop.cli.report.json_values import json_values
+
+
+def tree(
+    found: Diagnosis,
+    files: Sequence[str],
+    seconds: float,
+    accepted: Mapping[str, ComparedParameter],
+    further: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Return the report; non-finite numbers are None.
+
+    Parameters
+    ----------
+    found : Diagnosis
+    files : sequence of str
+        Names of the data files.
+    seconds : float
+        Duration of the diagnosis.
+    accepted : mapping
+        Comparison with a calibration, by parameter.
+    further : sequence of str
+        Names of the files for validation.
+    """
+    names = file_tables.names_of(found, files, further)
+    report = {
+        "verdict": found.verdict.value,
+        "sentence": report_text.sentence(found),
+        "units": {"effort": found.units.effort, "travel": found.units.travel},
+        "closed_loop": found.dataset.records[0].loop,
+        "law": _choice(found.laws, found.dataset.base.law),
+        "loads": _choice(found.loads, found.dataset.base.loads),
+        "cause": list(found.causes),
+        "candidates": _candidates(found.ranking),
+        "ambiguous_with": list(found.ambiguous_with),
+        "steps": [
+            {
+                "name": step.effect.name,
+                "label": step.effect.label,
+                "rivals": step.rivals,
+                "candidates": _candidates(step.ranking),
+            }
+            for step in found.steps
+        ],
+        "parameters": {name: number._asdict() for name, number in found.parameters.items()},
+        "baseline": _fitnesses(found.before),
+        "extended": _fitnesses(found.after),
+        "simple_models": {one.name: one.rmse for one in found.simple_models},
+        "fit_all": found.fit_all,
+        "validation": _predicted(found.validation, names[len(files) :]),
+        "left_out": _predicted(found.left_out, files),
+        "forces": [
+            {"file": name, "validation": one.validation}
+            | {"before": one.before._asdict(), "after": one.after._asdict()}
+            for name, one in zip(names, found.forces, strict=False)
+        ],
+        "rivals": _rivals(found),
+        "simple_gain": {channel: gain._asdict() for channel, gain in found.simple_gain.items()},
+        "better_models": report_text.better_models(found),
+        "gain": {channel: gain._asdict() for channel, gain in found.gain.items()},
+        "noise": dict(found.noise),
+        "driver": {
+            "channel": found.dataset.records[0].driver,
+            "noise": [record.noise[record.driver] for record in found.dataset.records],
+        },
+        "left": found.left,
+        "wanders": found.wanders,
+        "structure": [one._asdict() for one in found.structure],
+        "detection_limits": {
+            name: least._asdict() for name, least in found.detection_limits.items()
+        },
+        "sheath": {
+            name: {"accepted": one.accepted, "agrees": one.agrees} for name, one in accepted.items()
+        },
+        "experiments": list(found.experiments),
+        "next": report_text.next_steps(found),
+        "troubles": [trouble._asdict() for trouble in found.troubles],
+        "files": list(files),
+        "samples": [int(record.measured.sum()) for record in found.dataset.records],
+        "thinned": [record.thinned for record in found.dataset.records],
+        "seconds": seconds,
+        "version": version("tendon-teleop"),
+    }
+    plain: dict[str, Any] = json_values(report)
+    return plain
+
+
+def _predicted(records: Sequence[Predicted], names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the errors of files that were not fitted."""
+    return [
+        {
+            "file": name,
+            "start": one.record.start,
+            "end": one.record.start + float(one.record.time[-1]),
+            "channels": {
+                channel: {
+                    "samples": int(one.record.good[channel].sum()),
+                    "spikes": one.spikes[channel],
+                    "baseline": _fitness(before),
+                    "extended": _fitness(one.fitness(one.after)[channel]),
+                }
+                for channel, before in one.fitness(one.before).items()
+            },
+        }
+        for name, one in zip(names, records, strict=False)
+    ]
+
+
+def _rivals(found: Diagnosis) -> list[dict[str, Any]]:
+    """Return the models of equally good causes, and what they would do to the force."""
+    forces = {(one.replaces, one.label): one for one in found.rival_forces}
+    tree = []
+    for one in found.rivals:
+        force = forces.get((one.replaces, one.effect.label))
+        model = one.fit.model
+        tree.append(
+            {
+                "name": one.effect.name,
+                "label": one.effect.label,
+                "replaces": one.replaces,
+                "base": {
+                    p.name: value
+                    for p, value in zip(found.dataset.base.shared, model.shared, strict=True)
+                },
+                "effects": {
+                    effect.name: {
+                        p.name: value for p, value in zip(effect.parameters, values, strict=True)
+                    }
+                    for effect, values in model.effects
+                },
+                "force_change": None if force is None else force._asdict(),
+            }
+        )
+    return tree
+
+
+def _candidates(ranking: Sequence[Ranked]) -> list[dict[str, Any]]:
+    """Return the candidates of a search, the best first."""
+    return [
+        {
+            "name": ranked.name,
+            "label": ranked.label,
+            "score": ranked.score,
+            "held_out_rmse": ranked.rmse,
+            "left": ranked.left,
+            "parameters": {
+                p.name: value
+                for p, value in zip(ranked.effect.parameters, ranked.values, strict=True)
+            },
+        }
+        for ranked in report_text.best(ranking, len(ranking))
+    ]
+
+
+def _choice(choice: Choice, chosen: str) -> dict[str, Any]:
+    """Return what was chosen, and the scores of all that could be."""
+    return {
+        "chosen": str(chosen),
+        "alike": list(choice.alike) if len(choice.alike) > 1 else [],
+        "scores": [
+            {"name": one.name, "score": one.score, "held_out_rmse": one.rmse}
+            for one in choice.scores
+        ],
+    }
+
+
+def _fitnesses(all_of: Fitnesses) -> dict[str, Any]:
+    return {
+        name: {channel: _fitness(one) for channel, one in getattr(all_of, name).items()}
+        for name in report_text.SETS
+    }
+
+
+def _fitness(one: Fitness) -> dict[str, float]:
+    return {
+        "rmse": one.rmse,
+        "max_percent": 100.0 * one.largest,
+        "mean_percent": 100.0 * one.mean,
+    }

@@ -1,0 +1,231 @@
+"""A supplement for a paper: one page, its figures as SVG and its tables as CSV beside it."""
+
+import csv
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from estimator.array_types import Array
+from estimator.diagnosis import file_tables, report_text
+from estimator.diagnosis.autocorrelation import Autocorrelation, of_channel
+from estimator.diagnosis.figures import figures
+from estimator.diagnosis.outcome import Diagnosis
+from estimator.diagnosis.prediction import Predicted
+from estimator.drawing import BLACK, BLUE, STYLE, svg
+from estimator.text_table import Table
+from estimator.units import Units
+from teleop.cli.diagnose import formulas
+from teleop.cli.diagnose.citation import citations
+from teleop.cli.report.page import Page
+from teleop.data.table import write_table
+from teleop.data.table_files import Column
+from teleop.runtime.output_file import replacing
+from teleop.runtime.process import write_whole
+
+SYMBOLS = (
+    "T tension at the friction coordinate s, from 0 at the housing to K at the tip; q_p, q_d "
+    "travel at the housing and at the tip; e elongation; L/EA compliance of the tendon; c "
+    "compliance of the load at the tip; v sliding speed; F friction per unit of s; t time from the "
+    "first sample; x a signal, r its reading; a, κ and σ inner states."
+)
+
+
+class Sources(NamedTuple):
+    """What a supplement says of its making."""
+
+    command: str
+    files: tuple[str, ...]
+    further: tuple[str, ...]  # for validation
+
+
+def write(folder: Path, found: Diagnosis, sources: Sources) -> Path:
+    """Write the page, its figures and its tables into a folder; return the page's path."""
+    page = Page(title(found, sources.files))
+    page.points(
+        [
+            f"Date: {datetime.now(UTC).date().isoformat()}",
+            f"Software: tendon-teleop {version('tendon-teleop')}",
+            f"Command: {sources.command}",
+        ]
+    )
+    page.text(report_text.sentence(found))
+    _add_data(page, found, sources)
+    _add_law(page, found, folder)
+    _add_table(page, folder, "parameters", report_text.parameters(found))
+    if found.rivals:
+        page.heading("Rivals")
+        page.text("Causes that explain the data equally well, each fitted to all samples.")
+        _add_table(page, folder, "rivals", file_tables.rival_parameters(found))
+    if found.rival_forces:
+        _add_table(page, folder, "rival-forces", file_tables.rivals(found))
+    _add_errors(page, found, folder, sources)
+    _add_residuals(page, found, folder)
+    page.heading("How to cite")
+    page.points(citations())
+    _write_records(folder, found)
+    path = folder / "supplement.html"
+    write_whole(path, page.render(), "the supplement")
+    return path
+
+
+def title(found: Diagnosis, files: Sequence[str]) -> str:
+    """Return a short title."""
+    names = [Path(file).name for file in files]
+    what = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+    causes = " and ".join(step.effect.label for step in found.steps)
+    return f"Model of {what}: {causes}" if causes else f"Model of {what}: {found.verdict.value}"
+
+
+def _add_data(page: Page, found: Diagnosis, sources: Sources) -> None:
+    rows = []
+    for file, record in zip(sources.files, found.dataset.records, strict=True):
+        count, time = int(record.measured.sum()), record.time[record.measured]
+        excluded = sum(trouble.samples for trouble in record.troubles if trouble.excluded)
+        rows.append(
+            (
+                Path(file).name,
+                f"{record.start:.6g} to {record.start + float(time[-1]):.6g} s",
+                str(count),
+                f"{1.0 / float(np.median(np.diff(time))):.4g} Hz",
+                str(excluded),
+                ", ".join(map(record.units.word, record.signals)),
+            )
+        )
+    page.heading("Data")
+    head = ("file", "time", "samples", "rate", "samples excluded", "channels")
+    page.table(Table(head, tuple(rows)), mark="")
+    driver = found.dataset.records[0].driver
+    judged = (
+        "All samples were fitted; errors are in-sample."
+        if found.fit_all
+        else "Held-out errors are those of two-fold cross-validation on alternating blocks of time."
+    )
+    page.text(f"The {found.units.word(driver)} drives the simulation. {judged}")
+
+
+def _add_law(page: Page, found: Diagnosis, folder: Path) -> None:
+    page.heading("Extended law")
+    lines = formulas.law(len(found.dataset.base.shared) > 1)
+    lines += formulas.extension([effect for effect, _ in found.extended.model.effects])
+    for k, line in enumerate(lines, start=1):
+        drawing = svg(formulas.drawn(line), cut=True)
+        write_whole(folder / f"equation-{k}.svg", drawing, "an equation")
+        page.drawing(drawing, f"({k})")
+    page.text(SYMBOLS)
+
+
+def _add_errors(page: Page, found: Diagnosis, folder: Path, sources: Sources) -> None:
+    names = file_tables.names_of(found, sources.files, sources.further)
+    fitted = len(found.dataset.records)
+    page.heading("Cross-validation" if not found.fit_all else "Errors")
+    _add_table(page, folder, "errors", report_text.fitness(found))
+    _add_table(page, folder, "models", report_text.models(found))
+    if found.validation:
+        page.heading("Validation")
+        _add_table(
+            page, folder, "validation", file_tables.predicted(found.validation, names[fitted:])
+        )
+    if found.left_out:
+        page.heading("Leave-one-file-out cross-validation")
+        _add_table(page, folder, "left-out", file_tables.predicted(found.left_out, names[:fitted]))
+    if found.forces:
+        page.heading("Estimated force")
+        _add_table(page, folder, "forces", file_tables.forces(found, names))
+    page.heading("Figures")
+    with mpl.rc_context(STYLE):
+        for drawn in figures(found, sources.files, sources.further):
+            drawing = svg(drawn.figure)
+            write_whole(folder / f"{drawn.name}.svg", drawing, "a figure")
+            page.drawing(drawing, drawn.caption)
+
+
+def _add_residuals(page: Page, found: Diagnosis, folder: Path) -> None:
+    page.heading("Residual")
+    page.points(
+        [
+            f"{found.units.word(one.channel)}: the residual correlates with {one.what}, which "
+            f"explains {one.share:.0%} of its variance"
+            for one in found.structure
+        ]
+        or ["The residual correlates with no tension, speed, direction, travel or time."]
+    )
+    channels = report_text.compared(found)
+    parts = {channel: of_channel(found, channel) for channel in channels}
+    drawing = svg(autocorrelations(parts, found.units))
+    write_whole(folder / "autocorrelation.svg", drawing, "a figure")
+    page.drawing(
+        drawing,
+        "Autocorrelation of the residual of the extended law; 95 % of white noise lie in the band.",
+    )
+    for channel, one in parts.items():
+        write_table(
+            folder / f"autocorrelation-{channel}.csv",
+            {"lag_s": one.lag, "autocorrelation": one.value},
+        )
+
+
+def autocorrelations(parts: dict[str, Autocorrelation], units: Units) -> Figure:
+    """Draw the autocorrelation of the residual of each channel."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(8.2, 0.4 + 1.8 * len(parts)))
+        grid = figure.subplots(len(parts), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (channel, one) in zip(grid, parts.items(), strict=True):
+            axes.axhspan(-one.band, one.band, color="#e6e6e6", linewidth=0.0)
+            axes.plot(one.lag, one.value, color=BLUE)
+            axes.axhline(0.0, color=BLACK, linewidth=0.6)
+            axes.set(title=units.word(channel), ylabel="autocorrelation")
+        grid[-1].set_xlabel("lag [s]")
+        return figure
+
+
+def _add_table(page: Page, folder: Path, name: str, table: Table) -> None:
+    """Add a table to the page, and write it beside it."""
+    page.table(table, mark="")
+    with (
+        replacing(folder / f"{name}.csv") as path,
+        path.open("w", newline="", encoding="utf-8") as file,
+    ):
+        csv.writer(file).writerows([table.head, *table.rows])
+
+
+def _write_records(folder: Path, found: Diagnosis) -> None:
+    """Write what was measured and simulated, a file for each record."""
+    fits = (found.baseline.simulated, found.extended.simulated)
+    for k, record in enumerate(found.dataset.records):
+        one = Predicted(record, *(fit[k] for fit in fits))
+        _write_record(folder / f"residuals-{k + 1}.csv", one)
+    for kind, records in (("validation", found.validation), ("left-out", found.left_out)):
+        for k, one in enumerate(records):
+            _write_record(folder / f"residuals-{kind}-{k + 1}.csv", one)
+
+
+def _write_record(path: Path, one: Predicted) -> None:
+    rows = one.record.measured
+    columns = {"time_s": (one.record.time + one.record.start)[rows]}
+    for channel in one.record.compared:
+        unit = one.record.units.of(channel).replace(" ", "")
+        known = one.record.known[channel]
+        measured, before, after = (
+            signals[channel]
+            for signals in (one.record.signals, one.before.signals, one.after.signals)
+        )
+        columns[f"{channel}_{unit}"] = _cells(measured, known)[rows]
+        columns[f"{channel}_plain_{unit}"] = before[rows]
+        columns[f"{channel}_extended_{unit}"] = after[rows]
+        columns[f"{channel}_residual_{unit}"] = _cells(measured - after, known)[rows]
+        columns[f"{channel}_counts"] = one.record.good[channel][rows].astype(np.int64)
+    write_table(path, columns)
+
+
+def _cells(values: Array, known: NDArray[np.bool_]) -> Column:
+    """Return values as cells of a table, empty where they are not known."""
+    cells = values.astype(object)
+    cells[~known] = None
+    return cells

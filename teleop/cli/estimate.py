@@ -1,0 +1,434 @@
+"""Estimate the distal tension in measured data, offline, exactly as a live slave does.
+
+  teleop estimate bench.csv --fit                      fit K to the measured distal tension
+  teleop estimate bench.csv --fit --save sheath.yaml   ... and save it as a calibration
+  teleop estimate run.csv --calibration sheath.yaml --out estimates.csv
+  teleop estimate run.csv --config configs/demo.yaml   with the models of a config (slave.tendons)
+  teleop estimate run.csv --model diagnosis/model.yaml     with a model of `teleop diagnose`
+
+The data: a CSV, CSV.gz or Parquet table with time_s and proximal_tension_N, optionally
+proximal_displacement_m, distal_tension_N and distal_displacement_m; or a recording (.mcap).
+A measured distal tension is compared with the estimate.
+"""
+
+import argparse
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator.calibration.sheath_fit import LONGEST, FitError, SheathFit, fit_sheath
+from estimator.diagnosis.api import signals_of
+from estimator.measured_data import Samples
+from estimator.online import online
+from estimator.online.estimator import Estimator
+from estimator.online.score import PULLED, Score
+from estimator.plausibility import contradiction, doubts, stretch_slip
+from estimator.spikes import without_spikes
+from estimator.units import LINEAR
+from slave import model_files
+from slave.calibration import file
+from slave.calibration.file import Calibration, JointTendons
+from slave.config import SlaveConfig, tendon_configs
+from slave.rigs.hardware import HardwareRigConfig
+from slave.rigs.joint_layout import joint_tendons
+from slave.rigs.simulated.simulated import SimulatedRigConfig
+from slave.tendon_config import TendonConfig
+from teleop.config.loading import RECORDING, as_tree, load
+from teleop.config.options import add_option, add_options
+from teleop.data.channel_names import numbered
+from teleop.data.table import Columns, MeasuredTable, read_table, write_table
+from teleop.errors import UsageError
+from teleop.messages.messages import MAX_TENDONS, PHASE_NAMES
+from teleop.ros.bag_table import is_bag
+from teleop.runtime.output_file import TABLES, OutputFile
+from teleop.runtime.process import write_summary
+from teleop.session.summary import force_line
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop estimate`."""
+    parser.add_argument("data", type=Path, metavar="DATA", help="measured data, or a recording")
+    model = parser.add_argument_group("the model of the sheath, one of")
+    model.add_argument("--fit", action="store_true", help="fit it to the data")
+    for name in ("--calibration", "--model", "--config"):
+        add_option(model, name)
+    fit = parser.add_argument_group("with --fit")
+    fit.add_argument(
+        "--save", type=OutputFile(), metavar="FILE", help="write the fit as a calibration"
+    )
+    fit.add_argument(
+        "--rig",
+        default="",
+        metavar="NAME",
+        help=(
+            "with --save: the rig (slave.rig.name) of the calibration; without it, it is only "
+            "valid for replayed data"
+        ),
+    )
+    fit.add_argument(
+        "--blocked-tip",
+        action="store_true",
+        help="a pull-release loop with a tip that cannot move: K and EA from the housing alone",
+    )
+    fit.add_argument(
+        "--length",
+        type=float,
+        default=1.0,
+        metavar="M",
+        help=(
+            "length of the sheath [m], also with --model; data determine only EA/L, so EA scales "
+            "with it (default 1)"
+        ),
+    )
+    add_options(parser, "--set", "--allow-imports", "--column", "--drop-nonfinite", "--json")
+    parser.add_argument(
+        "--tendon",
+        metavar="TENDON",
+        help="tendon to estimate, if data or model have several: joint and side (1a) or number "
+        "(default the first)",
+    )
+    parser.add_argument(
+        "--out",
+        type=OutputFile(*TABLES),
+        metavar="FILE",
+        help="write the estimates as a table",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Estimate and report the error; returns the exit code."""
+    check_words(args)
+    files = model_files.parse(args.model)
+    known, joints = ((), ()) if args.fit else load_models(args)
+    joints = joints or recorded_joints(args.data)
+    k = select_tendon(args.tendon, joints, len(known))
+    table = read_table(
+        args.data,
+        column_names(args.column, k),
+        args.drop_nonfinite,
+        zero_errors=() if args.fit else ("distal_tension",),
+    )
+    summary: dict[str, Any] = {"data": str(args.data), "samples": len(table.time)}
+    if args.tendon is not None or len(known) > 1:
+        summary["tendon"] = tendon_name(k, joints)
+    if args.fit:
+        try:
+            fit = fit_sheath(table, args.length, blocked_tip=args.blocked_tip)
+        except FitError as error:
+            raise UsageError(f"{table.path}, --fit: {error}") from error
+        tendon = tendon_config(fit)
+        if args.save is not None:
+            save(args.save, fit, tendon, table, args.rig)
+        summary["fit"] = {
+            "method": fit.method,
+            "parameters": {name: p._asdict() for name, p in fit.parameters.items()},
+            "length": tendon.length,
+            "accept": fit.accept,
+            "reason": fit.reason,
+        }
+    else:
+        tendon = of_tendon(k, known, joints, files) if files else known[k if len(known) > 1 else 0]
+        if not known:
+            tendon = of_data(tendon, table, args.length)
+    clean = without_spikes(table)
+    estimates = Estimator(tendon.model()).run(clean)
+    summary["model"] = as_tree(tendon)
+    if tendon.model_file is not None:
+        summary["effects"] = model_files.describe(tendon)
+    summary["spikes"] = list_spikes(clean, table)
+    summary["force_error"] = compare_with_bench(estimates, clean, tendon)
+    summary["travel_contradicts"] = travel_contradicts(tendon, clean, summary["force_error"])
+    summary["doubts"] = list_doubts(clean, tendon, summary)
+    summary["status"] = {
+        str(flag.name).lower(): float(np.mean(estimates.status & flag != 0))
+        for flag in online.Status
+        if flag
+    }
+    summary["phase"] = {
+        name: float(np.mean(estimates.phase == k)) for k, name in enumerate(PHASE_NAMES)
+    }
+    if args.out is not None:
+        write_table(args.out, table.columns(k + 1) | columns(estimates, k + 1))
+    write_summary(args.json, summary)
+    print("\n".join(format_report(summary)))
+    return 0
+
+
+def check_words(args: argparse.Namespace) -> None:
+    """Raise `UsageError` for conflicting options; a recording has its own config, if no other."""
+    if not (args.config or args.fit or args.calibration or args.model) and is_recording(args.data):
+        args.config = args.data
+    load_models = args.config is not None or bool(args.overrides)
+    ways = [args.fit, args.calibration is not None, load_models]
+    if args.fit and args.model:
+        raise UsageError("--model: conflicts with --fit; use one of them")
+    if sum(ways) > 1 or not (any(ways) or args.model):
+        raise UsageError(
+            "no model of the sheath; give one of --fit (needs a distal tension in the data), "
+            "--calibration FILE, and --config FILE, or --model FILE"
+        )
+    if not args.fit and (args.save is not None or args.blocked_tip):
+        raise UsageError("--save, --blocked-tip: require --fit")
+    if not 0.0 < args.length <= LONGEST:
+        raise UsageError(f"--length {args.length:g}: must be above 0 and at most {LONGEST:g} m")
+    if args.rig and args.save is None:
+        raise UsageError("--rig: requires --save")
+
+
+def column_names(words: Sequence[str], tendon: int = 0) -> Columns:
+    """Return the column names of a tendon, from 0, with the overrides NAME=COLUMN."""
+    known = [f.name for f in dataclasses.fields(Columns)]
+    renamed = {}
+    for word in words:
+        name, equals, column = word.partition("=")
+        if name not in known or not equals or not column:
+            raise UsageError(
+                f"--column {word}: expected NAME=COLUMN, NAME one of {', '.join(known)}"
+            )
+        renamed[name] = column
+    return dataclasses.replace(Columns.of_tendon(tendon + 1), **renamed)
+
+
+def of_tendon(
+    k: int, known: Sequence[TendonConfig], joints: JointTendons, files: model_files.ModelFiles
+) -> TendonConfig:
+    """Return tendon `k`, from 0, with its model file; a single model is for all."""
+    count = max(sum(map(len, joints)), len(known), k + 1)
+    every = list(known) * count if len(known) == 1 else list(known)
+    tendon = model_files.apply(every or [None] * count, joints, files)[k]
+    if tendon is None:
+        raise UsageError(f"--model: has none for tendon {tendon_name(k, joints)}")
+    return tendon
+
+
+def of_data(tendon: TendonConfig, table: MeasuredTable, length: float) -> TendonConfig:
+    """Return a tendon from a model file alone, with a length [m] and the noise of a record."""
+    try:
+        known = model_files.of_length(tendon, length)
+        return model_files.with_noise_of(known, table.proximal_tension, table.proximal_displacement)
+    except ValueError as error:
+        raise UsageError(f"{table.path}, --length {length:g}: {error}") from error
+
+
+def travel_contradicts(tendon: TendonConfig, table: Samples, error: dict[str, Any] | None) -> bool:
+    """Return whether the estimate without travel would be far better."""
+    if error is None or table.proximal_displacement is None:
+        return False
+    alone = Estimator(tendon.model()).run(table._replace(proximal_displacement=None))
+    without = compare_with_bench(alone, table, tendon)
+    return (
+        without is not None
+        and error["rmse_N"] > 2.0 * without["rmse_N"] + 0.01 * error["full_scale_N"]
+    )
+
+
+def list_doubts(clean: Samples, tendon: TendonConfig, summary: dict[str, Any]) -> list[str]:
+    """Return what is wrong with the data, or contradicts the model; one line each."""
+    out = list(doubts(clean))
+    error = summary["force_error"]
+    pulled = float(np.nanmax(clean.proximal_tension)) >= PULLED * tendon.tension_noise
+    if error is not None and pulled and "fit" not in summary:
+        said = contradiction(error["rmse_percent"] / 100.0, error["inside_interval"])
+        remedy = (
+            "check that the model is of this tendon and that it is calibrated anew since it was "
+            "moved, or see what `teleop diagnose` finds"
+        )
+        out += [f"data and model contradict: {said}; {remedy}"] if said else []
+    if clean.proximal_displacement is not None and clean.distal_displacement is not None:
+        stretch = clean.proximal_displacement - clean.distal_displacement
+        alone = Estimator(tendon.model()).run(clean._replace(proximal_displacement=None))
+        out += [said] if (said := stretch_slip(stretch, alone.elongation)) else []
+    return out
+
+
+def list_spikes(clean: Samples, table: MeasuredTable) -> dict[str, dict[str, float]]:
+    """Return the number of spikes of each channel, and the largest."""
+    out: dict[str, dict[str, float]] = {}
+    for name, signal in signals_of(clean).items():
+        measured = getattr(table, name)
+        spikes = np.flatnonzero(np.isnan(signal) & ~np.isnan(measured))
+        measured = measured[spikes]
+        out[name] = {"count": len(spikes)}
+        if len(spikes):
+            largest = int(np.abs(measured).argmax())
+            out[name] |= {
+                "largest": float(measured[largest]),
+                "time_s": float(table.time[spikes[largest]]),
+            }
+    return out
+
+
+def load_models(args: argparse.Namespace) -> tuple[tuple[TendonConfig, ...], JointTendons]:
+    """Return the models of the calibration file or the config, and the rig's joints.
+
+    A single model is for all tendons; none with model files only; joints are empty if unknown.
+    """
+    if args.calibration is not None:
+        calibration = file.load(args.calibration)
+        return calibration.tendons, calibration.joints
+    if args.config is None and not args.overrides:
+        return (), ()
+    config = load(args.config, SlaveConfig, "slave", args.overrides)
+    if is_recording(args.config) and config.initialise.at_start:
+        raise UsageError(
+            f"{args.config}: the session calibrated its rig at its start, and the recording has "
+            "not got the result; give --calibration FILE or --fit"
+        )
+    if isinstance(config.calibration, Path):
+        try:
+            calibration = file.load(config.calibration)
+        except UsageError as error:
+            where = f"; {args.config} was recorded with it" if is_recording(args.config) else ""
+            raise UsageError(f"{error}{where}; --calibration FILE names another") from error
+        return calibration.tendons, calibration.joints
+    joints = joints_of(config)
+    count = sum(map(len, joints)) or max(len(config.tendons), 1)
+    return tendon_configs(config, count), joints
+
+
+def is_recording(path: Path | None) -> bool:
+    """Return whether this is a recording of a session, which has its config."""
+    return path is not None and path.suffix == RECORDING and path.is_file() and not is_bag(path)
+
+
+def recorded_joints(path: Path) -> JointTendons:
+    """Return the tendons of the joints in a recording; empty if its config does not tell."""
+    if not is_recording(path):
+        return ()
+    try:
+        return joints_of(load(path, SlaveConfig, "slave"))
+    except UsageError:  # of another version
+        return ()
+
+
+def joints_of(config: SlaveConfig) -> JointTendons:
+    """Return the tendons of the joints of a configured rig; empty if its config does not tell."""
+    if not isinstance(config.rig, SimulatedRigConfig | HardwareRigConfig):
+        return ()
+    return joint_tendons([len(joint.tendons) for joint in config.rig.joints])
+
+
+def select_tendon(word: str | None, joints: JointTendons, count: int) -> int:
+    """Return the tendon of `--tendon`, from 0: 1a, 1b, 2a, ... or 1, 2, 3, ...
+
+    `count` is the number of models; a single one is for all tendons.
+    """
+    known = sum(map(len, joints)) or (count if count > 1 else MAX_TENDONS)
+    names = model_files.names_of(joints, known)
+    if word is None:
+        return 0
+    if word not in names:
+        raise UsageError(f"--tendon {word}: must be one of {', '.join(names)}")
+    return names[word]
+
+
+def tendon_name(k: int, joints: JointTendons) -> str:
+    """Return the name of tendon `k`, from 0: joint and side if known."""
+    for number, tendons in enumerate(joints, start=1):
+        if k in tendons:
+            return f"{number}{'ab'[tendons.index(k)]}"
+    return str(k + 1)
+
+
+def compare_with_bench(
+    estimates: online.Estimates, table: Samples, tendon: TendonConfig
+) -> dict[str, Any] | None:
+    """Return the error against the measured distal tension, None without one."""
+    if table.distal_tension is None:
+        return None
+    score = Score([tendon.model()])
+    score.add_columns(estimates.distal_tension, estimates.low, estimates.high, table.distal_tension)
+    return score.summary()
+
+
+def columns(estimates: online.Estimates, number: int = 1) -> dict[str, Any]:
+    """Return the estimates of tendon 1, 2, ... as columns of a table."""
+    named = {
+        "distal_tension_estimate_N": estimates.distal_tension,
+        "distal_tension_low_N": estimates.low,
+        "distal_tension_high_N": estimates.high,
+        "elongation_estimate_m": estimates.elongation,
+        "distal_displacement_estimate_m": estimates.distal_displacement,
+        "front_m": estimates.front,
+    }
+    codes = {"phase": estimates.phase, "status": estimates.status}
+    suffix = f"_{number}" if number > 1 else ""
+    return {numbered(name, number): column for name, column in named.items()} | {
+        name + suffix: column for name, column in codes.items()
+    }
+
+
+def tendon_config(fit: SheathFit) -> TendonConfig:
+    """Return a fitted tendon for a calibration file."""
+    model = fit.model
+    return TendonConfig(
+        effective_friction=fit.K.value,
+        length=fit.sheath.length,
+        axial_stiffness=fit.sheath.axial_stiffness,
+        tension_noise=model.tension_noise,
+        displacement_noise=model.displacement_noise,
+        friction_error=model.friction_error,
+    )
+
+
+def save(path: Path, fit: SheathFit, tendon: TendonConfig, table: MeasuredTable, rig: str) -> None:
+    """Write a calibration for `--calibration` and `slave.calibration`."""
+    ends = ", ".join(f"{n} {p.low:.4g} to {p.high:.4g}" for n, p in fit.parameters.items())
+    calibration = Calibration(
+        tendons=(tendon,),
+        rig=rig,
+        method=f"{fit.method}; 95 % intervals: {ends}",
+        source=f"{table.path.name}, {len(table.time)} samples",
+        accepted=fit.accept,
+        remark=fit.reason,
+    )
+    file.save(path, calibration)
+
+
+def format_report(summary: dict[str, Any]) -> list[str]:
+    """Return the summary as lines of text."""
+    lines = [f"{summary['data']}: {summary['samples']} samples"]
+    if "tendon" in summary:
+        lines.append(f"tendon    {summary['tendon']} (select with --tendon)")
+    if "fit" in summary:
+        fit = summary["fit"]
+        lines.append(f"fit       {fit['method']}")
+        for name, p in fit["parameters"].items():
+            lines.append(
+                f"          {name} = {p['value']:.4g} (95 %: {p['low']:.4g} to {p['high']:.4g})"
+            )
+        length, EA = fit["length"], summary["model"]["axial_stiffness"]
+        known = "" if "EA" in fit["parameters"] else " assumed"
+        lines.append(
+            f"          EA = {EA:.4g} N{known} for a length of {length:g} m (--length): "
+            f"EA and L only enter as EA/L = {EA / length:.4g} N/m"
+        )
+        lines.append(
+            f"          {'accepted' if fit['accept'] else 'NOT accepted'}: {fit['reason']}"
+        )
+    lines += [f"model     {sentence}" for sentence in summary.get("effects", ())]
+    lines.append(f"force     {force_line(summary['force_error'])}")
+    for name, spikes in summary["spikes"].items():
+        if spikes["count"]:
+            unit = LINEAR.of(name)
+            lines.append(
+                f"          {spikes['count']:g} single-sample spikes of {name.replace('_', ' ')} "
+                f"left out, the largest {spikes['largest']:.6g} {unit} at "
+                f"{spikes['time_s']:.6g} s: check the sensor's cable"
+            )
+    lines += [f"WARNING   {said}" for said in summary["doubts"]]
+    if summary["travel_contradicts"]:
+        lines.append(
+            "WARNING   the displacement contradicts the tension: without it the estimate is far "
+            "better. Check that its unit is metres, positive while pulling."
+        )
+    flags = [
+        f"{name.replace('_', ' ')} {share:.0%}"
+        for name, share in summary["status"].items()
+        if share
+    ]
+    lines.append("status    " + (", ".join(flags) or "no warnings"))
+    return lines

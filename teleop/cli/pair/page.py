@@ -1,0 +1,36 @@
+"""report.html: a study of a pair on one self-contained page."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from estimator.pair import report_text
+from estimator.pair.pair_study import PairStudy
+from teleop.cli.pair import figures
+from teleop.cli.report.page import Page
+
+
+def render(found: PairStudy) -> str:
+    """Return the page."""
+    page = Page(report_text.sentence(found))
+    for what in report_text.better_model(found):
+        page.text(what)
+    page.heading("Friction against bend")
+    page.table(report_text.frictions(found), mark="")
+    with TemporaryDirectory() as folder:
+        captions = figures.draw(found, Path(folder))
+        paths = {name: Path(folder) / name for name in captions}
+        page.figure(paths["pair-friction.png"], captions["pair-friction.png"])
+        page.heading("The model for all bends")
+        page.table(report_text.parameters(found), mark="")
+        page.heading("Bends that were not fitted")
+        page.text("Root mean square of the angle's error, and its share of the span.")
+        page.table(report_text.left_out(found), mark=report_text.OURS)
+        page.figure(paths["pair-loops.png"], captions["pair-loops.png"])
+        if found.validation:
+            page.heading("Bends kept apart")
+            page.table(report_text.validation(found.validation), mark="")
+        page.heading("What is wrong")
+        page.points(report_text.wrong(found))
+        page.table(report_text.parts(found), mark="")
+        page.figure(paths["pair-left.png"], captions["pair-left.png"])
+    return page.render()

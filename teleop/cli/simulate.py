@@ -1,0 +1,227 @@
+"""Simulate measured data of a rig, faster than real time.
+
+  teleop simulate configs/demo.yaml --out bench.csv
+  teleop simulate configs/demo.yaml --out nested.parquet --profile nested --duration 60 --seed 7
+
+The rig is slave.rig of the config file, defaults without one. In every joint one motor makes the
+motion; that of the other tendon, if any, keeps it taut. The table has the housing's sensors and, as
+on a calibration bench, those at the tip (docs/data-format.md). The same command writes the same
+file.
+"""
+
+import argparse
+import dataclasses
+import sys
+import time
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from estimator.array_types import Array
+from slave.config import SlaveConfig
+from slave.rigs.simulated.effect_text import describe_effect, late
+from slave.rigs.simulated.simulated import SimulatedRig, SimulatedRigConfig
+from teleop.cli.motion import MOTIONS, Keep, Motion, MotionSample, MotionState, Scale
+from teleop.config.loading import load
+from teleop.config.options import add_options
+from teleop.data.table import Columns, write_table
+from teleop.errors import UsageError
+from teleop.runtime.output_file import TABLES, OutputFile
+
+KEEP = 0.5  # [N] enough for a tendon not to go slack
+FOLLOW_SPEED = 0.04  # [m/s] most that the loose tendon's motor goes
+
+
+class Run(NamedTuple):
+    """Measurements: times [s], shape (samples,), others of shape (samples, tendons)."""
+
+    time: Array
+    proximal_tension: Array  # [N]
+    proximal_displacement: Array  # [m]
+    distal_tension: Array  # [N]
+    distal_displacement: Array  # [m]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    scale = Scale()
+    parser.add_argument("config", nargs="?", type=Path, metavar="CONFIG", help="config file (YAML)")
+    parser.add_argument(
+        "--out",
+        type=OutputFile(*TABLES),
+        required=True,
+        metavar="FILE",
+        help=".csv, .csv.gz or .parquet",
+    )
+    parser.add_argument(
+        "--duration", type=float, default=30.0, metavar="S", help="duration [s] (default 30)"
+    )
+    parser.add_argument(
+        "--profile",
+        choices=MOTIONS,
+        default="pull-release-pull",
+        help="pull-release-pull as in the paper's experiment, loop as for a calibration, "
+        "nested reversals, or a sine (default pull-release-pull)",
+    )
+    parser.add_argument(
+        "--rate", type=float, default=1000.0, metavar="HZ", help="sample rate [Hz] (default 1000)"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of the sensor noise (default the config's)"
+    )
+    for name, default, metavar, text in (
+        ("peak", scale.peak, "N", "housing tension at which the motor turns [N]"),
+        ("speed", scale.speed, "M/S", "speed of the motor between turns [m/s]"),
+        ("stroke", scale.stroke, "M", "stroke of the sine [m]"),
+        ("period", scale.period, "S", "period of the sine [s]"),
+        ("keep", KEEP, "N", "housing tension of the other tendon of a pair [N]"),
+    ):
+        parser.add_argument(
+            f"--{name}",
+            type=float,
+            default=default,
+            metavar=metavar,
+            help=f"{text} (default {default:g})",
+        )
+    parser.add_argument(
+        "--side",
+        choices=("a", "b"),
+        default="a",
+        help="which tendon of a pair makes the motion (default a)",
+    )
+    add_options(parser, "--set", "--allow-imports")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run the command."""
+    for name in ("duration", "rate", "peak", "speed", "stroke", "period", "keep"):
+        if not 0.0 < getattr(args, name) <= 1e5:
+            raise UsageError(f"--{name} {getattr(args, name)}: must be above 0 and at most 100 000")
+    config = _rig_config(args)
+    if args.rate * config.period > 1.0 + 1e-9:
+        raise UsageError(
+            f"--rate {args.rate:g}: the rig's slave.rig.period allows 1/period at most"
+        )
+    scale = Scale(args.peak, args.speed, args.stroke, args.period)
+    motion = MOTIONS[args.profile](scale)
+    SimulatedRig(config)  # compiles, outside the timed part
+    began = time.perf_counter()
+    run = simulate(
+        config,
+        motion,
+        args.duration,
+        args.rate,
+        side=args.side,
+        keep=args.keep,
+        progress=sys.stderr.isatty(),
+    )
+    took = time.perf_counter() - began
+    write_table(args.out, table_of(run))
+    _print_summary(args, config, run, took)
+    return 0
+
+
+def simulate(
+    config: SimulatedRigConfig,
+    motion: Motion,
+    duration: float,
+    rate: float,
+    *,
+    side: Literal["a", "b"] = "a",
+    keep: float = KEEP,
+    progress: bool = False,
+) -> Run:
+    """Move all joints of a simulated rig by `motion` for `duration` [s], sampled at `rate` [Hz].
+
+    In a pair tendon `side` makes the motion, and the other one is kept at `keep` [N]. Motors are
+    commanded at every step of the plant, for any output rate.
+    """
+    rig = SimulatedRig(config)
+    loose = Keep(keep, FOLLOW_SPEED)
+    pair = (motion, loose) if side == "a" else (loose, motion)
+    motions = [m for tendons in rig.joints for m in (pair if len(tendons) == 2 else (motion,))]
+    memories = [MotionState()] * rig.tendons
+    period, rows = config.period, []
+    due = [round(k / rate / period) for k in range(int(duration * rate + 1e-9) + 1)]
+    kept, last = set(due), due[-1]
+    for step in range(last + 1):
+        for sample in rig.read(step * period):
+            tensions = sample.proximal_tension.tolist()
+            moves = [
+                move.step(memory, MotionSample(sample.time_s, tension, period))
+                for move, memory, tension in zip(motions, memories, tensions, strict=True)
+            ]
+            memories = [memory for _, memory in moves]
+            rig.write(np.array([target for target, _ in moves]))
+            if step in kept:
+                rows.append(sample)
+        if progress and (step % 2000 == 0 or step == last):
+            _show_progress((step + 1) / (last + 1))
+    rig.close()
+    if not rows:
+        raise UsageError("slave.rig.effects: all samples were lost")
+    return Run(
+        np.array([row.time_s for row in rows]),
+        np.array([row.proximal_tension for row in rows]),
+        np.array([row.proximal_displacement for row in rows]),
+        np.array([row.bench_distal_tension for row in rows]),
+        np.array([row.bench_distal_displacement for row in rows]),
+    )
+
+
+def table_of(run: Run) -> dict[str, Array]:
+    """Return a run as the columns of a measured-data file; tendons 2, 3, ... are numbered."""
+    columns = {"time_s": run.time}
+    for tendon in range(run.proximal_tension.shape[1]):
+        names = Columns.of_tendon(tendon + 1).names()
+        del names["time"]
+        columns |= {name: getattr(run, item)[:, tendon] for item, name in names.items()}
+    return columns
+
+
+def _rig_config(args: argparse.Namespace) -> SimulatedRigConfig:
+    config = load(args.config, SlaveConfig, "slave", args.overrides).rig
+    place = args.config or "defaults"
+    if not isinstance(config, SimulatedRigConfig):
+        raise UsageError(f"{place}: slave.rig.type: must be simulated, not {config.type}")
+    if args.seed is None:
+        return config
+    try:
+        return dataclasses.replace(config, seed=args.seed)
+    except ValueError as error:
+        raise UsageError(f"--{error}") from error
+
+
+def _show_progress(share: float) -> None:
+    bar = "#" * round(40 * share)
+    print(f"\r[{bar:<40}] {share:4.0%}", end="\n" if share == 1.0 else "", file=sys.stderr)
+
+
+def _print_summary(
+    args: argparse.Namespace, config: SimulatedRigConfig, run: Run, took: float
+) -> None:
+    span = float(run.time[-1])
+    print(f"{args.out}: {len(run.time)} rows, {span:g} s, simulated {span / took:.3g} x real time")
+    tendons = [tendon for joint in config.joints for tendon in joint.tendons]
+    for i, tendon in enumerate(tendons):
+        sheath = tendon.sheath
+        bend = sum(section.length / section.radius for section in sheath.sections)
+        print(
+            f"tendon {i + 1}: K = {sheath.friction * bend:.4g}, EA = {sheath.axial_stiffness:g} N; "
+            f"peaks {run.proximal_tension[:, i].max():.3g} N at the housing, "
+            f"{run.distal_tension[:, i].max():.3g} N at the tip; "
+            f"the motor moved {1e3 * np.ptp(run.proximal_displacement[:, i]):.3g} mm, "
+            f"the tip {1e3 * np.ptp(run.distal_displacement[:, i]):.3g} mm"
+        )
+        most = tendon.load_cell.range
+        if run.proximal_tension[:, i].max() >= most:
+            beyond = f", --peak {args.peak:g} N is never read" if args.peak >= most else ""
+            print(
+                f"WARNING: tendon {i + 1}: its load cell's readings end at {most:g} N "
+                f"(load_cell.range){beyond}"
+            )
+    for effect in config.effects:
+        print(f"effect {describe_effect(effect)}")
+    for line in late(config.effects, args.duration):
+        print(line)

@@ -1,0 +1,1 @@
+"""Configs: YAML, defaults, overrides, and the errors that name file and key."""

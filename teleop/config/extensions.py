@@ -1,0 +1,134 @@
+"""Rigs, devices and effects of other packages, named in a config or a model file.
+
+An installed package declares them as entry points, in the group `teleop.rigs`, `teleop.devices` or
+`teleop.effects`; a file may name these, and only what is named is imported. Any other code, as
+`package.module:Name`, only if the user allows it: the file may be somebody else's.
+"""
+
+import importlib
+import traceback
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any, ClassVar
+
+from teleop.config.options import ALLOW_IMPORTS
+from teleop.config.suggestions import did_you_mean
+from teleop.runtime.process import print_warning
+
+
+@dataclass
+class ImportPolicy:
+    """What this process imports because a config or a model file names it."""
+
+    any_module: bool = False  # `package.module:Name`, besides entry points of installed packages
+
+
+policy = ImportPolicy()
+
+
+def allow_imports() -> None:
+    """Let configs and model files name any code as `package.module:Name`, in this process."""
+    policy.any_module = True
+
+
+class ExtensionError(ValueError):
+    """A name is not that of an extension; the message gives reason and remedy."""
+
+
+@dataclass(frozen=True)
+class Extension:
+    """Base of the configs of extensions; subclasses are frozen dataclasses.
+
+    The fields of a subclass are the keys of its section in the config, checked as built-in ones
+    are: a `ValueError` of its `__post_init__` becomes a line that names the place.
+    """
+
+    GROUP: ClassVar[str] = ""
+
+    type: str = ""  # name in the config
+
+
+def resolve(name: str, group: str) -> Any:
+    """Return the object of a name, which is imported.
+
+    Parameters
+    ----------
+    name : str
+        `package.module:Name`, or the name of an entry point.
+    group : str
+        Of entry points.
+
+    Raises
+    ------
+    ExtensionError
+        There is no such package, module, attribute or entry point, importing it fails, or it is
+        neither an entry point nor allowed (`allow_imports`).
+    """
+    reference = name
+    points = {point.name: point.value for point in entry_points(group=group)}
+    if ":" not in name:
+        if name not in points:
+            raise ExtensionError(
+                f"no installed package declares {name!r} in the entry points {group!r}"
+                f"{did_you_mean(name, points)}"
+            )
+        reference = points[name]
+    elif not policy.any_module and name not in points.values():
+        raise ExtensionError(
+            f"{name} is code that no installed package declares in the entry points {group!r}; if "
+            f"you trust this file and that package, add {ALLOW_IMPORTS}"
+        )
+    module_name, _, attribute = reference.partition(":")
+    try:
+        found = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise ExtensionError(
+            f"{reference}: no module {error.name!r}; install its package"
+        ) from None
+    except Exception as error:
+        raise ExtensionError(
+            f"{reference}: importing {module_name} fails: {type(error).__name__}: {error}"
+        ) from error
+    for part in attribute.split("."):
+        if not hasattr(found, part):
+            hint = did_you_mean(part, dir(found))
+            raise ExtensionError(f"{reference}: {module_name} has no {part!r}{hint}")
+        found = getattr(found, part)
+    return found
+
+
+def names_of(base: type[Extension]) -> set[str]:
+    """Return the entry points that installed packages declare for a kind of extension."""
+    return {point.name for point in entry_points(group=base.GROUP)}
+
+
+def resolve_class(name: str, base: type[Extension]) -> type[Extension]:
+    """Return the class of a name; `ExtensionError` unless it is a subclass of `base`."""
+    found = resolve(name, base.GROUP)
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise ExtensionError(f"{name}: must be a subclass of {base.__module__}:{base.__name__}")
+    return found
+
+
+def call_failed(place: str, method: str, error: Exception) -> str:
+    """Return one line on an exception of an extension's own code, with the place in its code."""
+    message_text = " ".join(str(error).split())
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    where = f"{frame.filename}, line {frame.lineno}"
+    return f"{place}: {method} fails: {type(error).__name__}: {message_text} ({where})"
+
+
+def opening_failed(place: str, config: Extension, error: Exception) -> str:
+    """Return one line on an exception raised by an extension's own code while opening."""
+    message_text = " ".join(str(error).split())
+    return f"{place}: {config.type} cannot be opened: {type(error).__name__}: {message_text}"
+
+
+def close_extension(place: str, opened: Any) -> None:
+    """Close a rig or device; an exception of its code is a warning, as it would hide others."""
+    try:
+        opened.close()
+    except Exception as error:
+        print_warning(
+            f"{call_failed(place, 'close', error)}: check that its motors are without power"
+        )

@@ -1,0 +1,438 @@
+"""Strict conversion of YAML to nested frozen dataclasses.
+
+Each config dataclass is next to the code it configures, with a default for every field and its
+ranges checked in `__post_init__` by `ValueError("field: what is wrong, what is allowed")`. This
+module builds such dataclasses from a file and from `--set key=value` overrides, using only their
+annotations:
+
+=========================== =====================================================================
+annotation                  what the file may say
+=========================== =====================================================================
+`bool` `int` `float` `str`  that, and nothing converted into it (a whole number will do for `float`)
+`Path`                      text; relative to the config file's folder
+`Literal["a", "b"]`         one of the values
+`X | None`                  X, or `null`
+`A | B` (dataclasses)       a mapping whose key `type` names one of them
+`tuple[X, ...]`             a list
+dataclass                   a mapping; keys left out keep their defaults
+=========================== =====================================================================
+
+Numbers are finite, unless the field's default is infinite or it says `metadata=MAY_BE_INFINITE`.
+Anything else is a `UsageError` of one line: file, dotted key, what it is, what is allowed.
+"""
+
+import dataclasses
+import math
+import re
+import types
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from teleop.config import strict_yaml
+from teleop.config.extensions import Extension, ExtensionError, names_of, resolve_class
+from teleop.config.suggestions import did_you_mean
+from teleop.errors import UsageError
+
+# of teleop.session.config.RunConfig
+SHARED = ("session", "rate_hz", "link", "confidence", "coupling", "health", "realtime")
+SECTIONS = ("record", "view", "master", "slave", "impair", "ros", "router")
+RECORDING = ".mcap"  # a recording is a config file, too: that of its session
+_OF_ONE_RUN = ("session", "link")  # where a session ran; another one takes its own place
+MAY_BE_INFINITE: Mapping[str, object] = {"may_be_infinite": True}
+
+T = TypeVar("T")
+
+_FIELD_FIRST = re.compile(r"^(?P<field>[A-Za-z_]\w*)(?P<rest>[\w.\[\]]*): (?P<what>.*)$", re.DOTALL)
+_INDEX = re.compile(r"0|[1-9][0-9]{0,8}")
+_MISSING = object()
+
+
+def load(path: Path | None, cls: type[T], section: str | None, overrides: Sequence[str] = ()) -> T:
+    """Build `cls` from one section of a config file.
+
+    Parameters
+    ----------
+    path : Path or None
+        The file, or a recording, which has the config of its session; None for defaults throughout.
+    cls : type
+        The config dataclass.
+    section : str or None
+        The top-level key of the section; None if `cls` has top-level keys itself: the shared ones
+        of a session's config, or all keys of another kind of file.
+    overrides : sequence of str
+        `dotted.key=YAML value`; override the file, the last one wins.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, or is invalid for `cls`.
+    """
+    source = _Source(path, [_Override.parse(text) for text in overrides])
+    tree = source.tree()
+    own = tuple(f.name for f in dataclasses.fields(cast(Any, cls)))
+    shared = SHARED + SECTIONS
+    known = shared if section is not None or set(own) <= set(shared) else own
+    for key in tree:
+        if key not in known:
+            raise source.error((key,), f"unknown key{_suggest(key, known)}")
+    if section is not None:
+        return cast(T, _Builder(source).dataclass(cls, tree.get(section), (section,), None))
+    mine = {key: value for key, value in tree.items() if key in own}
+    return cast(T, _Builder(source).dataclass(cls, mine, (), None))
+
+
+def stated_keys(path: Path | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Return what a config file and overrides state, as nested mappings, unchecked."""
+    return _Source(path, [_Override.parse(text) for text in overrides]).tree()
+
+
+def as_tree(config: Any) -> Any:
+    """Return a config as plain YAML values; the inverse of `load`."""
+    if dataclasses.is_dataclass(config) and not isinstance(config, type):
+        return {
+            f.name: as_tree(getattr(config, f.name)) for f in dataclasses.fields(config) if f.init
+        }
+    if isinstance(config, tuple):
+        return [as_tree(item) for item in config]
+    return str(config) if isinstance(config, Path) else config
+
+
+@dataclass(frozen=True, slots=True)
+class _Override:
+    """One `--set` argument."""
+
+    text: str
+    keys: tuple[str, ...]
+    value: Any
+
+    @classmethod
+    def parse(cls, text: str) -> "_Override":
+        """Parse `dotted.key=value`."""
+        key, equals, value = text.partition("=")
+        keys = tuple(key.strip().split("."))
+        if not equals or not all(re.fullmatch(r"\w+", k) for k in keys):
+            raise UsageError(f"--set {text}: expected dotted.key=value, e.g. master.force.scale=2")
+        if re.fullmatch(r"\[[0-9A-Fa-f:.]*::?[0-9A-Fa-f:.]*\]:\d+", value):  # no YAML: [::1]:7451
+            return cls(text, keys, value)
+        return cls(text, keys, strict_yaml.parse(value, f"--set {text}"))
+
+
+class _Source:
+    """The merged tree of file and overrides, with the origin of each key."""
+
+    def __init__(self, path: Path | None, overrides: list[_Override]) -> None:
+        self.path = path
+        self.overrides = overrides
+
+    def tree(self) -> dict[str, Any]:
+        """Return the file's mapping with the overrides applied."""
+        tree = {} if self.path is None else self._read(self.path)
+        for override in self.overrides:
+            tree = self._replaced(tree, override, override.keys)
+        return tree
+
+    def _read(self, path: Path) -> dict[str, Any]:
+        """Return the mapping of a config file, or of the session that a recording is of."""
+        if path.suffix != RECORDING:
+            return strict_yaml.read(path)
+        from teleop.recording.reader import recorded_config
+
+        text, overrides = recorded_config(path)
+        tree = strict_yaml.parse_mapping(text, str(path))
+        for override in map(_Override.parse, overrides):
+            tree = self._replaced(tree, override, override.keys)
+        return {key: value for key, value in tree.items() if key not in _OF_ONE_RUN}
+
+    def _replaced(self, node: Any, override: _Override, rest: tuple[str, ...]) -> Any:
+        """Return a copy of `node` with the value at the keys `rest` replaced.
+
+        Nodes on the way are copied: an alias in YAML makes one node of several places.
+        """
+        if not rest:
+            return override.value
+        slot: Any = rest[0]
+        if isinstance(node, list):
+            if not _INDEX.fullmatch(slot) or int(slot) >= len(node):
+                raise self.error(override.keys, f"the list has {len(node)} items, counted from 0")
+            slot = int(slot)
+            copy: Any = node.copy()
+            inner = node[slot]
+        else:
+            copy = dict(node) if isinstance(node, dict) else {}
+            inner = copy.get(slot)
+        copy[slot] = self._replaced(inner, override, rest[1:])
+        return copy
+
+    def by_override(self, keys: tuple[str, ...]) -> _Override | None:
+        """Return the override that set the value at `keys` or one of its parents."""
+        for override in reversed(self.overrides):
+            shared = min(len(keys), len(override.keys))
+            if override.keys[:shared] == keys[:shared]:
+                return override
+        return None
+
+    def error(self, keys: tuple[str, ...], what: str) -> UsageError:
+        """Return the error to raise about the value at `keys`."""
+        override = self.by_override(keys) if keys else None
+        if override is not None:
+            place = f"--set {override.text}"
+        else:
+            place = "defaults" if self.path is None else str(self.path)
+        dotted = ".".join(keys)
+        return UsageError(f"{place}: {dotted}: {what}" if dotted else f"{place}: {what}")
+
+
+class _Builder:
+    """Builds values from a YAML tree by annotations."""
+
+    def __init__(self, source: _Source) -> None:
+        self.source = source
+
+    def dataclass(self, cls: type[Any], data: Any, keys: tuple[str, ...], base: Any) -> Any:
+        """Build `cls` from a mapping; missing keys come from `base` or from the defaults."""
+        data = {} if data is None else data  # an empty section
+        if not isinstance(data, dict):
+            raise self.source.error(keys, f"{_shown(data)} is not a mapping (key: value lines)")
+        hints = get_type_hints(cls)
+        fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
+        for key in data:
+            if key not in fields:
+                raise self.source.error((*keys, str(key)), f"unknown key{_suggest(key, fields)}")
+        values = {}
+        for name, item in fields.items():
+            preset = getattr(base, name) if isinstance(base, cls) else _default(item)
+            if name in data:
+                allow = "may_be_infinite" in item.metadata or item.default == math.inf
+                values[name] = self.value(hints[name], data[name], (*keys, name), preset, allow)
+            elif preset is _MISSING:
+                raise self.source.error(
+                    (*keys, name), f"is missing; it is {_describe(hints[name])}"
+                )
+            else:
+                values[name] = preset
+        try:
+            return cls(**values)
+        except ValueError as error:
+            raise self._refused(error, fields, values, keys) from error
+
+    def _refused(
+        self,
+        error: ValueError,
+        fields: Iterable[str],
+        values: Mapping[str, Any],
+        keys: tuple[str, ...],
+    ) -> UsageError:
+        """Prefix the message of a `__post_init__` with its place."""
+        if isinstance(error, UsageError):
+            return error
+        found = _FIELD_FIRST.match(" ".join(str(error).split()))
+        if found is None or found["field"] not in fields:
+            return self.source.error(keys, " ".join(str(error).split()))
+        inner = re.findall(r"\w+", found["rest"])
+        value, what = values[found["field"]], found["what"]
+        for name in inner:
+            value = value[int(name)] if isinstance(value, tuple) else getattr(value, name, None)
+        plain = isinstance(value, int | float | str | Path) and str(value) not in what
+        shown = f"{_shown(value)}: " if plain else ""
+        return self.source.error((*keys, found["field"], *inner), shown + what)
+
+    def value(
+        self, hint: Any, data: Any, keys: tuple[str, ...], preset: Any, infinite: bool = False
+    ) -> Any:
+        """Convert `data` to the type `hint`, or raise."""
+        origin = get_origin(hint)
+        if origin in (Union, types.UnionType):
+            return self._union(get_args(hint), data, keys, preset, infinite)
+        if origin is Literal:
+            allowed = get_args(hint)
+            if not any(data == a and type(data) is type(a) for a in allowed):
+                raise self._wrong(hint, data, keys, _suggest(data, allowed, listed=False))
+            return data
+        if origin is tuple:
+            return self._tuple(get_args(hint), hint, data, keys, preset, infinite)
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            return self.dataclass(hint, data, keys, preset)
+        if hint is float:
+            return self._float(data, keys, infinite)
+        if hint is Path and isinstance(data, str) and data:
+            override = self.source.by_override(keys)
+            try:
+                path = Path(data).expanduser()
+            except RuntimeError as error:
+                raise self.source.error(keys, f"{_shown(data)}: no such home folder") from error
+            in_file = self.source.path is not None and override is None
+            return cast(Path, self.source.path).parent / path if in_file else path
+        if hint in (bool, int, str) and type(data) is hint:
+            return data
+        if hint in (bool, int, str, Path):
+            quote = "; put it in quotes" if hint is str and isinstance(data, int | float) else ""
+            raise self._wrong(hint, data, keys, quote)
+        raise TypeError(f"{'.'.join(keys)}: config fields cannot be of type {hint!r}")
+
+    def _wrong(self, hint: Any, data: Any, keys: tuple[str, ...], more: str = "") -> UsageError:
+        return self.source.error(keys, f"{_shown(data)} is not {_describe(hint)}{more}")
+
+    def _float(self, data: Any, keys: tuple[str, ...], infinite: bool) -> float:
+        if infinite and data in ("inf", "+inf", "-inf"):
+            data = float(data)
+        if isinstance(data, bool) or not isinstance(data, int | float):
+            raise self._wrong(float, data, keys, " (or .inf)" * infinite)
+        try:
+            number = float(data)
+        except OverflowError:
+            number = math.inf
+        if math.isnan(number) or (math.isinf(number) and not infinite):
+            raise self.source.error(keys, f"{_shown(data)} is not a finite number")
+        return number
+
+    def _tuple(
+        self,
+        args: tuple[Any, ...],
+        hint: Any,
+        data: Any,
+        keys: tuple[str, ...],
+        preset: Any,
+        infinite: bool,
+    ) -> tuple[Any, ...]:
+        bases: tuple[Any, ...] = ()
+        if isinstance(data, dict) and data and isinstance(preset, tuple):  # --set key.0.name=...
+            bases, changed = preset, data
+            if "type" in changed:  # of one item, without its brackets
+                item = f"; [{{type: {changed['type']}, ...}}] is wanted"
+                raise self._wrong(hint, data, keys, item)
+            if not all(_INDEX.fullmatch(str(k)) and int(k) < len(bases) for k in changed):
+                count = f"the list has {len(bases)} items, counted from 0"
+                raise self.source.error((*keys, str(next(iter(changed)))), count)
+            data = [changed.get(str(i), base) for i, base in enumerate(bases)]
+        if not isinstance(data, list):
+            raise self._wrong(hint, data, keys)
+        many = len(args) == 2 and args[1] is Ellipsis
+        if not many and len(data) != len(args):
+            raise self.source.error(keys, f"has {len(data)} items, {len(args)} are needed")
+        built = []
+        for i, item in enumerate(data):
+            if bases and item is bases[i]:
+                built.append(item)
+                continue
+            base = bases[i] if bases else _MISSING
+            built.append(
+                self.value(args[0] if many else args[i], item, (*keys, str(i)), base, infinite)
+            )
+        return tuple(built)
+
+    def _union(
+        self,
+        members: tuple[Any, ...],
+        data: Any,
+        keys: tuple[str, ...],
+        preset: Any,
+        infinite: bool,
+    ) -> Any:
+        if data is None and type(None) in members:
+            return None
+        classes = [m for m in members if dataclasses.is_dataclass(m)]
+        if isinstance(data, dict) and classes:
+            return self.dataclass(self._tagged(classes, data, keys, preset), data, keys, preset)
+        rest = [m for m in members if m is not type(None) and m not in classes]
+        if isinstance(data, list):
+            rest = [m for m in rest if get_origin(m) is tuple] or rest
+        else:
+            rest = [m for m in rest if get_origin(m) is not tuple] or rest
+        if len(rest) == 1 and not classes:
+            return self.value(rest[0], data, keys, preset, infinite)
+        for member in rest:
+            try:
+                return self.value(member, data, keys, preset, infinite)
+            except UsageError:  # try the next member
+                continue
+        named = len(classes) > 1 and isinstance(data, str) and data in _by_tag(classes)
+        meant = f"; {{type: {data}, ...}} is wanted" if named else ""
+        raise self._wrong(Union[members], data, keys, meant)  # noqa: UP007 - built at run time
+
+    def _tagged(
+        self, classes: list[Any], data: Any, keys: tuple[str, ...], preset: Any
+    ) -> type[Any]:
+        """Pick the dataclass that `data` names by its key `type`, or else the preset's."""
+        if len(classes) == 1:
+            return cast(type[Any], classes[0])
+        by_tag = _by_tag(classes)
+        if "type" not in data and type(preset) in classes:
+            return type(preset)
+        tag = data.get("type")
+        others = [c for c in classes if issubclass(c, Extension)]
+        if others and isinstance(tag, str) and (":" in tag or tag in names_of(others[0])):
+            try:
+                return resolve_class(tag, others[0])
+            except ExtensionError as error:
+                raise self.source.error((*keys, "type"), str(error)) from error
+        if not isinstance(tag, str) or tag not in by_tag:
+            problem = "is missing" if tag is None else f"{_shown(tag)} is unknown"
+            suggestion = _suggest(tag, by_tag)
+            raise self.source.error((*keys, "type"), f"{problem}{suggestion}")
+        return cast(type[Any], by_tag[tag])
+
+
+def _by_tag(classes: Iterable[Any]) -> dict[str, Any]:
+    """Return the dataclasses of a union by the value of their key `type`."""
+    built_in = [c for c in classes if not issubclass(c, Extension)]
+    return {get_args(get_type_hints(c)["type"])[0]: c for c in built_in}
+
+
+def _default(item: "dataclasses.Field[Any]") -> Any:
+    if item.default is not dataclasses.MISSING:
+        return item.default
+    if item.default_factory is not dataclasses.MISSING:
+        return item.default_factory()
+    return _MISSING
+
+
+def _shown(value: Any) -> str:
+    """Return a value for an error message: short, on one line."""
+    text = {None: "null", True: "true", False: "false"}.get(value) if _is_word(value) else None
+    text = text or repr(str(value) if isinstance(value, Path) else value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _is_word(value: Any) -> bool:
+    return value is None or isinstance(value, bool)
+
+
+def _suggest(problem: Any, known: Iterable[Any], listed: bool = True) -> str:
+    """Return the allowed values and the closest match."""
+    names = [str(k) for k in known]
+    return did_you_mean(str(problem), names) + (
+        f" (allowed: {', '.join(sorted(names))})" if listed else ""
+    )
+
+
+def _described(members: Iterable[Any]) -> list[str]:
+    """Return the members of a union as text, tagged dataclasses as one."""
+    classes = [m for m in members if dataclasses.is_dataclass(m)]
+    words = [_describe(m) for m in members if m not in classes]
+    if len(classes) > 1:
+        return ["{type: ..., ...}", *words]
+    return [*map(_describe, classes), *words]
+
+
+def _describe(hint: Any) -> str:
+    """Return an annotation as text."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is Literal:
+        return "one of " + ", ".join(map(_shown, args))
+    if origin is tuple:
+        return f"a list (of {_describe(args[0])})"
+    if origin in (Union, types.UnionType):
+        return " or ".join(_described(args))
+    if dataclasses.is_dataclass(hint):
+        return "a mapping (key: value lines)"
+    words = {
+        bool: "true or false",
+        int: "a whole number",
+        float: "a number",
+        str: "text",
+        Path: "a path",
+        type(None): "null",
+    }
+    return words.get(hint, str(hint))

@@ -1,0 +1,221 @@
+"""Start and supervise a whole session: slave, master, recorder and viewer.
+
+  teleop run --config configs/demo.yaml                 the simulated rig, until Ctrl-C
+  teleop run --config configs/demo.yaml --duration 30 --record recordings --json run.json
+  teleop run --replay bench.csv --calibration sheath.yaml     replayed data as the rig
+  teleop run --config rig.yaml --model diagnosis/model.yaml   with the model of a diagnosis
+  teleop run --set impair.to_slave.delay=0.02           with a network impairment: `teleop impair`
+
+It takes free endpoints and a session name of its own, which the first line shows, unless config or
+options state them (`--session`, `link.master`, `link.slave`): any number of sessions run side by
+side on one machine. `teleop sessions` lists yours.
+
+Slave, master, recorder (`teleop record`) and viewer (`teleop view`) can also run alone, each on its
+own machine: see `teleop slave --help` etc.
+"""
+
+import argparse
+import json
+import signal
+from contextlib import ExitStack
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from teleop.config.loading import load
+from teleop.config.options import add_option, add_options
+from teleop.errors import TeleopError, UsageError
+from teleop.impair.config import wanted
+from teleop.launch import watch
+from teleop.launch.console import Console
+from teleop.launch.keys import HELP, Keys
+from teleop.launch.supervisor import Child, Supervisor
+from teleop.link import Link
+from teleop.messages.topics import EVENT, LATENCY, LINK, REPORT, Role
+from teleop.ros.config import RosConfig, check_ports
+from teleop.runtime.compiling import compiling_beside
+from teleop.runtime.output_file import SharedFolder
+from teleop.runtime.process import ENDINGS, Stop, exit_code_of, has_display, write_summary
+from teleop.runtime.scratch_folder import ScratchFolder
+from teleop.runtime.status_line import StatusLine
+from teleop.session import own_endpoints
+from teleop.session import summary as summaries
+from teleop.session.config import RateChecked, RunConfig
+from teleop.session.running_sessions import registered
+from teleop.view.config import ViewConfig
+from teleop.view.ports import hold_port
+
+# the sections of a config file and who checks them; imported by name, as the command line does
+SECTIONS = {
+    "master": ("master.config", "MasterConfig"),
+    "slave": ("slave.config", "SlaveConfig"),
+    "record": ("teleop.recording.config", "RecordConfig"),
+    "view": ("teleop.view.config", "ViewConfig"),
+    "impair": ("teleop.impair.config", "ImpairConfig"),
+    "ros": ("teleop.ros.config", "RosConfig"),
+    "router": ("teleop.link.router_config", "RouterConfig"),
+}
+ENDING = (
+    "master",
+    "slave",
+    "impair",
+    "ros",
+    "view",
+    "record",
+)  # the recorder stops last, to capture the final messages
+# exit codes of a child told to end while it started
+_NEVER_BEGAN = (*(128 + number for number in ENDINGS), -signal.SIGTERM)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `teleop run`."""
+    add_options(
+        parser,
+        "--config",
+        "--set",
+        "--allow-imports",
+        "--insecure",
+        "--duration",
+        "--view",
+        "--calibration",
+        "--model",
+        "--json",
+    )
+    add_option(parser, "--session", help="name of the session (default one of its own)")
+    parser.add_argument(
+        "--record", type=SharedFolder(), metavar="DIR", help="record the session into DIR"
+    )
+    parser.add_argument(
+        "--replay", type=Path, metavar="DATA", help="measured data in place of the rig"
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run a session; returns the exit code."""
+    stop = Stop()
+    overrides = [*args.overrides, *_rig_overrides(args)]
+    overrides += own_endpoints.choose(args.config, overrides, args.session)
+    config = load(args.config, RunConfig, None, overrides)
+    for section, (module, name) in SECTIONS.items():
+        part = load(args.config, getattr(import_module(module), name), section, overrides)
+        if isinstance(part, RateChecked):
+            part.check_rate(config.rate_hz)
+    ros = load(args.config, RosConfig, "ros", overrides)
+    if ros.start:
+        check_ports(ros.router, config.link)
+    shared = [f"--set={text}" for text in overrides]
+    if args.config:
+        shared = ["--config", str(args.config), *shared]
+    sides = [*shared, *["--allow-imports"] * args.allow_imports]
+    impair = wanted(args.config, overrides)
+    if impair is not None:
+        impair.require_direct(config.link)
+    to_slave = [] if impair is None else [f"--set=link.slave={impair.link(config.link).slave}"]
+    view = args.view or ("native" if has_display() else "web")
+
+    console = Console(StatusLine())
+    with ExitStack() as stack:
+        scratch = Path(stack.enter_context(ScratchFolder()))
+        family = Supervisor(scratch, console.say)
+        stack.callback(family.stop, ENDING)
+        link = stack.enter_context(Link(config.link, config.session, Role.LAUNCHER))
+        watch.require_free(link)  # before anything is started
+        stack.enter_context(registered(own_endpoints.entry_of(config, impair, args.config)))
+        console.status.say(_how_to_join(config.session))
+        listener, hearing = link.listen((EVENT, REPORT, LATENCY, LINK)), watch.Hearing()
+        if args.record:
+            family.start("record", [*shared, "--out", str(args.record)])
+        if impair is not None:
+            family.start("impair", shared)
+        family.start("slave", [*sides, *(f"--model={word}" for word in args.model)])
+        if ros.start:
+            family.start("ros", shared)
+        if view != "none":
+            held, told = hold_port(load(args.config, ViewConfig, "view", overrides).web_port)
+            stack.enter_context(held)
+            family.start("view", [*shared, "--view", str(view)], told, (held.fileno(),))
+        stack.enter_context(compiling_beside(_compile_master))
+        keys = stack.enter_context(Keys())
+        keyboard = watch.Keyboard(keys, link)
+        if keys.there:
+            console.status.say(HELP)
+        try:
+            ended = watch.wait_for_slave(link, listener, hearing, family, console, stop, keyboard)
+            if not ended and not stop():
+                family.start("master", [*sides, *to_slave])
+                ended = watch.watch(
+                    link, listener, hearing, family, console, stop, args.duration, keyboard
+                )
+        finally:
+            console.status.clear()
+            family.stop(ENDING)
+            console.finish()
+        summary = _summary(family, ended, stop.reason)
+    return _conclude(summary, args.json, console)
+
+
+def _how_to_join(session: str) -> str:
+    return (
+        f"Session {session}. In another terminal: teleop view --session {session} (or stop, "
+        "record, set KEY VALUE)"
+    )
+
+
+def _compile_master() -> None:
+    import_module("master.process").warm_up()
+
+
+def _conclude(
+    summary: dict[str, Any],
+    path: Path | None,
+    console: Console | None = None,
+) -> int:
+    """Write and print the summary; return the exit code, or raise what ended the session."""
+    began = summaries.ran(summary.get("master"))
+    write_summary(path, summary)
+    (console or Console(StatusLine())).summarise(summary)
+    if summary["exit_code"]:
+        raise TeleopError(summary["reason"])
+    return 0 if began else exit_code_of(summary["reason"])
+
+
+def _rig_overrides(args: argparse.Namespace) -> list[str]:
+    out = []
+    if args.replay:
+        rig = {"type": "replayed", "file": str(args.replay.absolute())}
+        # a tip that the hand does not move would do work on it without energy in the ledger
+        out += [f"slave.rig={json.dumps(rig)}", "coupling={type: direct}"]
+    if args.calibration:
+        out += [
+            "slave.tendons=[]",
+            f"slave.calibration={json.dumps(str(args.calibration.absolute()))}",
+        ]
+    return out
+
+
+def _recorder_trouble(family: Supervisor) -> str:
+    """Return why the recording is not whole; empty if it is, or if there is none."""
+    child = family.children.get("record")
+    if child is None or child.exit_code in (0, *_NEVER_BEGAN):
+        return ""
+    return f"recorder: {child.complaint or f'ended {child.how()}; its last messages are missing'}"
+
+
+def _summary(family: Supervisor, ended: Child | None, reason: str) -> dict[str, Any]:
+    """Combine the children's summaries and decide the exit code."""
+    out: dict[str, Any] = {
+        name: summaries.read_child(child.summary)
+        for name, child in family.children.items()
+        if child.exit_code not in _NEVER_BEGAN
+    }
+    out["reason"] = reason
+    out["exit_code"] = 0
+    if ended is not None:
+        out["reason"] = ended.complaint or f"{ended.name} ended {ended.how()}"
+        if ended.exit_code == UsageError.exit_code:
+            raise UsageError(out["reason"])
+        out["exit_code"] = TeleopError.exit_code if ended.exit_code else 0
+    trouble = "" if out["exit_code"] else summaries.trouble(out) or _recorder_trouble(family)
+    if trouble:
+        out |= {"reason": trouble, "exit_code": TeleopError.exit_code}
+    return out

@@ -1,0 +1,171 @@
+"""What `teleop run` shows in the terminal: events with their time, the status, the summary."""
+
+import threading
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from teleop.link.health import link_text
+from teleop.messages.messages import Latency, LinkReport, LoopReport, SlaveState
+from teleop.messages.topics import Role
+from teleop.runtime.status_line import StatusLine
+from teleop.session import summary as summaries
+from teleop.session.state_machine import Reason, State
+
+_STYLES = {
+    State.ENGAGED: "bold green", State.HOLDING: "bold yellow", State.FAULT: "bold white on red",
+    State.STOPPED: "bold white on red", State.CLUTCHED: "bold cyan", State.READY: "bold blue",
+}  # fmt: skip
+
+
+class Repeats:
+    """Collapses lines that a source repeats: the first is printed, the others are counted."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[str, int]] = {}  # by source: its last line, and how often
+
+    def take(self, source: str, text: str) -> list[str]:
+        """Return the lines to print for one more line of a source."""
+        last, count = self._last.get(source, ("", 0))
+        if text == last:
+            self._last[source] = (text, count + 1)
+            return []
+        self._last[source] = (text, 1)
+        return [*_counted(last, count), text]
+
+    def rest(self) -> list[tuple[str, str]]:
+        """Return (source, line) of what is still only counted, and forget it."""
+        rest = [(source, line) for source, held in self._last.items() for line in _counted(*held)]
+        self._last.clear()
+        return rest
+
+
+def _counted(text: str, count: int) -> list[str]:
+    return [f"{text} ({count} times)"] if count > 1 else []
+
+
+def time_of_day() -> str:
+    """Return the local time to a tenth of a second."""
+    return datetime.now().astimezone().strftime("%H:%M:%S.%f")[:-5]
+
+
+class Console:
+    """Prints lines of sources with their time, repeats collapsed, above a status line."""
+
+    def __init__(self, status: StatusLine, clock: Callable[[], str] = time_of_day) -> None:
+        self.status = status
+        self._clock = clock
+        self._repeats = Repeats()
+        self._lock = threading.Lock()
+
+    def say(self, source: str, text: str) -> None:
+        """Print a line of a source, from any thread."""
+        with self._lock:
+            lines = self._repeats.take(source, text)
+        for line in lines:
+            self._print(source, line)
+
+    def finish(self) -> None:
+        """Remove the status line, and print what was only counted."""
+        self.status.clear()
+        with self._lock:
+            rest = self._repeats.rest()
+        for source, line in rest:
+            self._print(source, line)
+
+    def _print(self, source: str, line: str) -> None:
+        self.status.say(f"{self._clock()} [{source}] {line}")
+
+    def summarise(self, summary: Mapping[str, Any]) -> None:
+        """Print the summary of the session: in a terminal its loops as a table."""
+        if self.status.live:
+            table = summary_table(summary)
+            if table.row_count:
+                self.status.say(table)
+        for line in summaries.lines(summary, with_loops=not self.status.live):
+            self.status.say(line)
+
+
+def summary_table(summary: Mapping[str, Any]) -> Table:
+    """Return the figures of both loops as a table; without rows if none ran."""
+    table = Table(title="Session")
+    table.add_column("")
+    loops = {
+        role: loop
+        for role in ("slave", "master")
+        if (loop := summary.get(role)) is not None and summaries.ran(loop)
+    }
+    for role in loops:
+        table.add_column(role, justify="right")
+    rows = {name: [cell(loop) for loop in loops.values()] for name, cell in _ROWS.items()}
+    for name, cells in rows.items() if loops else ():
+        table.add_row(name, *cells)
+    return table
+
+
+def _engaged(loop: Mapping[str, Any]) -> str:
+    seconds = loop["ticks_in"]["engaged"] / (loop["ticks"] or 1) * loop["seconds"]
+    return f"{seconds:.1f} s"
+
+
+_ROWS: dict[str, Callable[[Mapping[str, Any]], str]] = {
+    "rate": lambda loop: f"{loop['rate_hz']:.1f} Hz",
+    "duration": lambda loop: f"{loop['seconds']:.1f} s",
+    "engaged": _engaged,
+    "overruns": lambda loop: str(loop["overruns"]),
+    "latest tick": lambda loop: f"{loop['lateness_max_ms']:.2f} ms",
+    "work, median": lambda loop: f"{loop['work_us']['p50'] or 0:.0f} us",
+    "work, 99 %": lambda loop: f"{loop['work_us']['p99'] or 0:.0f} us",
+    "received": lambda loop: str(loop["received"]),
+    "lost": lambda loop: str(loop["lost"]),
+    "rejected": lambda loop: str(sum(loop["rejected"].values())),
+    "faults": lambda loop: str(len(loop["faults"])),
+    "last fault": lambda loop: loop["faults"][-1] if loop["faults"] else "none",
+}
+
+
+def status_text(
+    reports: Mapping[Role, LoopReport],
+    state: SlaveState | None,
+    latency: Latency | None = None,
+    recorder: str = "",
+    links: Mapping[Role, LinkReport] | None = None,
+    insecure: bool = False,
+) -> Text:
+    """Return the status of a session in one line: state, force, rates, latency, losses.
+
+    An `insecure` session says so first.
+    """
+    master, slave = reports.get(Role.MASTER), reports.get(Role.SLAVE)
+    text = Text()
+    if insecure:
+        text.append("INSECURE", "bold white on red")
+        text.append(" │ ")
+    if master:
+        now = State(master.state)
+        text.append(now.name, _STYLES.get(now, "bold"))
+    else:
+        text.append("waiting for the master", "bold")
+    if state and state.joints:
+        text.append(" │ force " + " ".join(f"{f:.1f}" for f in state.force[: state.joints]) + " N")
+    rates = [f"{report.rate_hz:.0f}" for report in (master, slave) if report]
+    text.append(f" │ {' / '.join(rates)} Hz" if rates else " │ slave starting")
+    if latency and latency.answered:
+        text.append(f" │ latency {latency.p50_ns[-1] * 1e-6:.2f} ms")
+        text.append(f" (99 %: {latency.p99_ns[-1] * 1e-6:.2f})")
+    elif master and master.latency_p50_ns:
+        text.append(f" │ latency {master.latency_p50_ns * 1e-6:.2f} ms")
+        text.append(f" (99 %: {master.latency_p99_ns * 1e-6:.2f})")
+    lost = sum(report.lost + report.rejected for report in (master, slave) if report)
+    if rates:
+        text.append(f" │ lost {lost}", "yellow" if lost else "")
+    for link in (links or {}).values():
+        if link.role == Role.MASTER or link.reason:
+            bad = link.reason != Reason.NONE
+            text.append(f" │ {link_text(link)}", "bold yellow" if bad else "")
+    if recorder:
+        text.append(f" │ {recorder}", "yellow" if "missing" in recorder else "")
+    return text

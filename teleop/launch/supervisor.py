@@ -1,0 +1,306 @@
+"""Start, supervise and stop child processes."""
+
+import math
+import os
+import shlex
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from teleop.errors import UsageError
+from teleop.runtime.output_file import FORCE
+from teleop.runtime.process import HEARTBEAT, STANDBY, STATUS, SUPERVISED, module_command
+from teleop.view.ports import WEB_VIEW
+
+VITAL = ("master", "slave", "impair")  # the session continues without the others
+RESTARTED = ("view",)  # started again after a failure, if it ever worked
+COMPLAINT = "teleop: "  # prefix of an error line of the command line
+_HUNG_S = 3.0  # a child that has beaten and then waits for so long, without a beat, is killed
+_STARVED_S = 20.0  # and so is one that computes all the time, or is not given a processor
+_SHORT_LIFE_S = 10.0  # a restarted child that fails sooner is started again later each time
+_LONGEST_PAUSE_S = 30.0
+_PATIENCE_S = 5.0  # a child that has not ended by then, nor printed since, is killed
+_LONGEST_S = 90.0  # and so is one that keeps printing
+_DRAINING = ("record",)  # may take as long as it prints, and so long without:
+_DRAINING_PATIENCE_S = 60.0  # one write of a slow disk
+_POLL_S = 0.02
+_READ_S = 1.0  # time to read the remaining output of an ended child
+
+
+@dataclass
+class Child:
+    """A child process."""
+
+    name: str
+    process: subprocess.Popen[str]
+    summary: Path
+    arguments: tuple[str, ...] = ()
+    told: Mapping[str, str] = field(default_factory=dict)  # added to its environment
+    descriptors: tuple[int, ...] = ()  # that it has too
+    status: str = ""  # of its own, for the status line
+    complaint: str = ""  # its error line, which the launcher repeats at the end
+    threads: list[threading.Thread] = field(default_factory=list)
+    heard_s: float = field(default_factory=time.monotonic)  # when it started or last printed
+    beat_s: float | None = None  # when it last beat, None = never
+    worked: bool = False  # it has beaten, or one before it in its place has
+    began_s: float = field(default_factory=time.monotonic)
+    pause_s: float = 0.0  # before it is started again
+    again: str = ""  # why it was started again, until it has said so
+    reborn: bool = False  # it was started again
+
+    @property
+    def exit_code(self) -> int | None:
+        """Exit code, negative for a signal, None while it runs."""
+        return self.process.poll()
+
+    @property
+    def fatal(self) -> bool:
+        """Whether its end is that of the session: it is vital, or failed by a usage error."""
+        code = self.exit_code
+        return code is not None and (self.name in VITAL or code == UsageError.exit_code)
+
+    @property
+    def hung(self) -> bool:
+        """Whether it runs, but its heartbeats have ceased."""
+        if self.beat_s is None or self.exit_code is not None:
+            return False
+        late_s = time.monotonic() - self.beat_s
+        return late_s > _STARVED_S or (late_s > _HUNG_S and not computes(self.process.pid))
+
+    @property
+    def restarts(self) -> bool:
+        """Whether it is to be started again after it ended."""
+        return self.name in RESTARTED and self.worked and self.exit_code not in (None, 0)
+
+    def hear_out(self) -> None:
+        """Wait for the remaining output of an ended child."""
+        for thread in self.threads:
+            thread.join(_READ_S)
+
+    def how(self) -> str:
+        """Return how it ended, as text."""
+        code = self.exit_code or 0
+        return f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+
+
+class Supervisor:
+    """Starts children with `teleop COMMAND ...`, relays what they print, and ends them.
+
+    Of a child that is started again after a failure a spare is kept, which has imported all it
+    needs: on a busy machine that takes longer than all the rest.
+
+    Children run in their own process sessions, so that Ctrl-C reaches only the launcher, which
+    stops them in order. Each child ends by itself if the launcher dies (`die_with_launcher`).
+
+    Parameters
+    ----------
+    scratch : Path
+        Folder for the children's summaries.
+    say : callable
+        Called with (child name, line) for each line a child prints, from a reader thread.
+    """
+
+    def __init__(self, scratch: Path, say: Callable[[str, str], None]) -> None:
+        self.children: dict[str, Child] = {}
+        self._scratch, self._say = scratch, say
+        self._missed: set[str] = set()
+        self._spares: dict[str, Child] = {}  # of RESTARTED ones: all imported, waiting for a call
+
+    def start(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        told: Mapping[str, str] | None = None,
+        descriptors: tuple[int, ...] = (),
+    ) -> Child:
+        """Start `teleop NAME ARGUMENTS --json ...`.
+
+        `told` is added to its environment, and `descriptors` are those that it has too.
+        """
+        child = self.children[name] = self._spawn(name, tuple(arguments), told or {}, descriptors)
+        self._listen(child)
+        return child
+
+    def _spawn(
+        self,
+        name: str,
+        arguments: tuple[str, ...],
+        told: Mapping[str, str],
+        descriptors: tuple[int, ...],
+        standby: bool = False,
+    ) -> Child:
+        summary = self._scratch / f"{name}.json"
+        process = subprocess.Popen(
+            [*module_command("teleop"), name, *arguments, "--json", str(summary), FORCE],
+            stdin=subprocess.PIPE if standby else subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env=os.environ
+            | {SUPERVISED: str(os.getpid()), "NO_COLOR": "1", **told}
+            | ({STANDBY: "1"} if standby else {}),
+            start_new_session=True,
+            pass_fds=descriptors,
+        )
+        return Child(name, process, summary, arguments, told, descriptors)
+
+    def _spawn_like(self, child: Child, standby: bool = False) -> Child:
+        return self._spawn(child.name, child.arguments, child.told, child.descriptors, standby)
+
+    def _listen(self, child: Child) -> None:
+        reader = threading.Thread(target=self._relay, args=(child,), daemon=True)
+        reader.start()
+        child.threads.append(reader)
+
+    def casualty(self) -> Child | None:
+        """Return a child whose end ends the session.
+
+        Of the others that ended, `RESTARTED` ones are started again, as are those that hang; for
+        the rest one line is printed.
+        """
+        for child in list(self.children.values()):
+            if child.hung and child.name in RESTARTED:
+                child.complaint = "it hung"
+                child.process.kill()
+                child.process.wait()
+            if child.exit_code is None and child.worked and child.name not in self._spares:
+                self._spares[child.name] = self._spawn_like(child, standby=True)
+            if child.exit_code is None or child.name in self._missed:
+                continue
+            if child.restarts:
+                self._start_again(child)
+                continue
+            child.hear_out()
+            if child.fatal:
+                return child
+            self._missed.add(child.name)
+            why = child.complaint or f"ended {child.how()}"
+            self._say(child.name, f"{why}; the session goes on{self._remedy(child)}")
+        return None
+
+    def _start_again(self, child: Child) -> None:
+        """Start an ended child again, at once, or after a pause if it was started again lately."""
+        if time.monotonic() < child.heard_s + child.pause_s:
+            return
+        child.hear_out()
+        new = self._called(child.name) or self._spawn_like(child)
+        new.worked = new.reborn = True
+        new.again = child.complaint or f"ended {child.how()}"
+        if child.reborn and time.monotonic() - child.began_s < _SHORT_LIFE_S:
+            new.pause_s = min(max(1.0, 2 * child.pause_s), _LONGEST_PAUSE_S)
+        self.children[child.name] = new
+        self._listen(new)
+
+    def _called(self, name: str) -> Child | None:
+        """Return the spare of a child, told to begin; None if there is none."""
+        spare = self._spares.pop(name, None)
+        if spare is None or spare.process.stdin is None:
+            return None
+        try:
+            with spare.process.stdin as line:
+                line.write("begin\n")
+        except BrokenPipeError:
+            return None
+        spare.began_s = spare.heard_s = time.monotonic()
+        return spare
+
+    def _remedy(self, child: Child) -> str:
+        if child.name not in RESTARTED:
+            return ""
+        command = shlex.join(["teleop", child.name, *child.arguments])
+        return f"; start it again with: {command}"
+
+    def stop(self, order: Sequence[str]) -> None:
+        """Stop the children in `order`, with time to finish.
+
+        A child that still prints has more time: a slave lowers the tensions first.
+        """
+        for spare in self._spares.values():
+            spare.process.kill()
+            spare.process.communicate()
+        self._spares.clear()
+        for name in order:
+            child = self.children.get(name)
+            if child is None:
+                continue
+            if child.exit_code is None:
+                child.process.terminate()
+            if not ends(child):
+                self._say(name, f"did not end within {_patience_s(child):g} s and was killed")
+                child.process.kill()
+                child.process.wait()
+            child.hear_out()
+
+    def _relay(self, child: Child) -> None:
+        assert child.process.stdout is not None  # noqa: S101 - given as PIPE above
+        with child.process.stdout as lines:
+            for line in map(str.rstrip, lines):
+                now = time.monotonic()
+                if line == HEARTBEAT:
+                    child.beat_s, child.worked = now, True
+                    continue
+                child.heard_s = now
+                if line.startswith(STATUS):
+                    child.status = line.removeprefix(STATUS)
+                elif line.startswith(COMPLAINT):
+                    child.complaint = line.removeprefix(COMPLAINT)
+                else:
+                    if child.again:
+                        line = f"started again ({child.again}); {opening(line)}"  # noqa: PLW2901
+                        child.again = ""
+                    with suppress(OSError):  # the main thread ends for it; the pipe must not fill
+                        self._say(child.name, line)
+
+
+def computes(pid: int) -> bool:
+    """Return whether a thread of a process runs or would if it had a processor (Linux; else False).
+
+    Any thread: the first one may wait for another that is not given a processor.
+    """
+    try:
+        stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
+    except OSError:
+        return False
+    return any(stat.rpartition(")")[2].split()[0] in ("R", "D") for stat in stats)
+
+
+def opening(line: str) -> str:
+    """Return how to open a view, from the first line that it prints."""
+    if not line.startswith(WEB_VIEW):
+        return line
+    address = line.removeprefix(WEB_VIEW)
+    return f"an open page reconnects; to open one: xdg-open {address}"
+
+
+def _patience_s(child: Child) -> float:
+    return _DRAINING_PATIENCE_S if child.name in _DRAINING else _PATIENCE_S
+
+
+def ends(child: Child) -> bool:
+    """Return whether a child told to stop ends within its timeout.
+
+    A recorder that tells of its progress is waited for without end.
+    """
+    asked_s = time.monotonic()
+    longest_s = math.inf if child.name in _DRAINING else _LONGEST_S
+    while child.exit_code is None:
+        patience_s = max(asked_s, child.heard_s) + _patience_s(child)
+        if time.monotonic() > min(patience_s, asked_s + longest_s):
+            return False
+        time.sleep(_POLL_S)
+    return True
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float, poll_s: float = 0.02) -> bool:
+    """Wait until `condition` holds; return whether it does in time."""
+    end = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() >= end:
+            return False
+        time.sleep(poll_s)
+    return True

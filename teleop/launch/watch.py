@@ -1,0 +1,169 @@
+"""Supervise a session: collect its reports, decide when it ends."""
+
+import time
+from collections.abc import Iterable
+
+from teleop.errors import PeerError, TeleopError
+from teleop.launch.console import Console, status_text
+from teleop.launch.keys import Keys
+from teleop.launch.supervisor import Child, Supervisor
+from teleop.link import Link, Listener, ReceivedMessage
+from teleop.messages.messages import Event, Latency, LinkReport, LoopReport, text_of
+from teleop.messages.topics import LATENCY, LINK, REPORT, STATE, Role, role_name
+from teleop.remote.requests import call_reset, call_stop
+from teleop.remote.stop_over_link import SIDES, state_of, stops_of
+from teleop.runtime.process import Stop
+from teleop.session.state_machine import State
+
+START_S = 240.0  # timeout for the slave; the first start compiles estimator and plant
+_LOOK_S = 0.1
+
+
+class Hearing:
+    """State of a session as received: newest reports, latency, and events as text."""
+
+    def __init__(self) -> None:
+        self.reports: dict[Role, LoopReport] = {}
+        self.latency: Latency | None = None
+        self.links: dict[Role, LinkReport] = {}
+
+    @property
+    def running(self) -> bool:
+        """Whether both loops have reported."""
+        return Role.MASTER in self.reports and Role.SLAVE in self.reports
+
+    def take(self, messages: Iterable[ReceivedMessage]) -> list[tuple[str, str]]:
+        """Process events and reports; return (source, text) of the lines to print."""
+        lines = []
+        for item in messages:
+            if item.topic is REPORT:
+                report = LoopReport.unpack(item.data)
+                if report.role in (Role.MASTER, Role.SLAVE):
+                    self.reports[Role(report.role)] = report
+            elif item.topic is LATENCY:
+                self.latency = Latency.unpack(item.data)
+            elif item.topic is LINK:
+                link = LinkReport.unpack(item.data)
+                if link.role in (Role.MASTER, Role.SLAVE):
+                    self.links[Role(link.role)] = link
+            else:
+                event = Event.unpack(item.data)
+                lines.append((role_name(event.role), text_of(event.text)))
+        return lines
+
+
+class Keyboard:
+    """Keys of the terminal: space requests an emergency stop, `r` resets it.
+
+    A stop is repeated until both sides report that they have stopped, so a side that is still
+    starting gets it too. A reset is repeated until it has been executed, or a newer stop requested.
+    """
+
+    def __init__(self, keys: Keys, link: Link) -> None:
+        self._keys, self._link = keys, link
+        self._wanted = False
+        self._resets: dict[Role, int] = {}  # by side, number of the stop to be reset
+
+    def look(self, seconds: float) -> None:
+        """Wait for keys for at most `seconds` [s] and execute them; a stop has precedence."""
+        pressed = self._keys.wait(seconds)
+        stops = {
+            side: stops_of(self._link, side)
+            for side in SIDES
+            if state_of(self._link, side) is State.STOPPED
+        }
+        if " " in pressed:
+            self._wanted, self._resets = True, {}
+        elif "r" in pressed:
+            self._wanted, self._resets = False, stops
+        self._wanted = self._wanted and (" " in pressed or len(stops) < len(SIDES))
+        if self._wanted:
+            call_stop(self._link, Role.LAUNCHER, "space bar of the terminal")
+        self._resets = {s: n for s, n in self._resets.items() if stops.get(s) == n}
+        for side, number in self._resets.items():
+            call_reset(self._link, Role.LAUNCHER, "the terminal", side, number)
+
+
+def require_free(link: Link) -> None:
+    """Raise `PeerError` if the session has a slave or a master before we start ours."""
+    for role in (Role.SLAVE, Role.MASTER):
+        if link.present(role):
+            raise PeerError(
+                f"session {link.session!r} has a {role.name.lower()} already; stop that one first, "
+                "or choose another session name and other endpoints"
+            )
+
+
+def wait_for_slave(
+    link: Link,
+    listener: Listener,
+    hearing: Hearing,
+    family: Supervisor,
+    console: Console,
+    stop: Stop,
+    keyboard: Keyboard,
+) -> Child | None:
+    """Wait for the slave to answer; return a child that ended before, if any.
+
+    A slave that calibrates its rig first answers late and prints its progress.
+    """
+    link.subscribe_latest(STATE)
+    while not stop() and link.latest(STATE).message is None:
+        for source, text in hearing.take(listener.drain()):
+            console.say(source, text)
+        child = family.casualty()
+        if child is not None:
+            return child
+        if time.monotonic() > family.children["slave"].heard_s + START_S:
+            raise TeleopError(f"the slave did not start within {START_S:g} s")
+        keyboard.look(_LOOK_S)
+    return None
+
+
+def watch(
+    link: Link,
+    listener: Listener,
+    hearing: Hearing,
+    family: Supervisor,
+    console: Console,
+    stop: Stop,
+    duration_s: float | None,
+    keyboard: Keyboard,
+) -> Child | None:
+    """Supervise a session until it ends; return the child that ended it, if any.
+
+    Parameters
+    ----------
+    listener : Listener
+        Of events and reports, since before the first child was started.
+    hearing : Hearing
+        State of the session so far.
+    duration_s : float or None
+        [s] of running, counted from when both loops have reported; None for ever.
+    keyboard : Keyboard
+        Reads the keys.
+    """
+    patience = time.monotonic() + START_S
+    end = float("inf")
+    while not stop():
+        for source, text in hearing.take(listener.drain()):
+            console.say(source, text)
+        child = family.casualty()
+        if child is not None:
+            return child
+        if hearing.running and end == float("inf") and duration_s is not None:
+            end = time.monotonic() + duration_s
+        if time.monotonic() >= end:
+            stop.request("duration reached")
+        if not hearing.running and time.monotonic() > patience:
+            raise TeleopError(f"the loops did not start within {START_S:g} s")
+        if console.status.live:
+            state = link.latest(STATE).message
+            record = family.children.get("record")
+            recorder = "" if record is None else record.status
+            line = status_text(
+                hearing.reports, state, hearing.latency, recorder, hearing.links, link.insecure
+            )
+            console.status.show(line)
+        keyboard.look(_LOOK_S)
+    return None

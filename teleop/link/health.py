@@ -1,0 +1,373 @@
+"""Health of the link to the peer: clock offset, round trip, jitter, loss, delay in each direction.
+
+Everything is found from what the messages carry: the sender's stamp, the echo of our own newest
+stamp that the sender had, and sequence numbers. With our stamp `e` echoed in a message that the
+peer sent at `s` of its clock and that we received at `r` of ours, the offset of the peer's clock,
+theta = peer's - ours, is certified by
+
+    s - r  <=  theta  <=  s - hold - e        (no message arrives before it is sent)
+
+where `hold` is how long the peer kept our message, if it says so. `LinkWindow` keeps the tightest
+bounds of one to two `WINDOW_NS`; half their distance is the uncertainty of the offset. Bounds that
+contradict each other show that a clock was set. Jitter is the mean |D| of RFC 3550, section 6.4.1.
+
+`observe` takes a message, `take_figures` ends a span of them, `step` decides what follows.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from estimator.compiled import compiled
+from estimator.records import I64, Flag, Record, Records, one
+from teleop.link.reception import DRIFT, NEVER_NS, Counts
+from teleop.messages.messages import LinkReport
+from teleop.messages.topics import Role
+from teleop.runtime.timing import Durations
+from teleop.session.state_machine import Reason, reason_of
+
+WINDOW_NS = 1_000_000_000  # [ns] of the bounds of the offset, which drift apart in longer ones
+SPAN_NS = 100_000_000  # [ns] between two decisions
+LOSS_SPANS = 10  # spans of which losses are counted together
+_FAR_NS = 2**62
+_DRIFT_NS = 2 * WINDOW_NS // DRIFT  # that bounds may contradict each other without a clock set
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HealthConfig:
+    """Bounds of the link. Beyond one of them force and motion are scaled down, then held.
+
+    The defaults leave a session over 300 ms +- 50 ms and with losses of a third as it is.
+    """
+
+    round_trip: float = 1.0  # [s] from a message to the first one that echoes it
+    jitter: float = 0.2  # [s] mean difference of the delays of two messages in a row
+    loss: float = 0.5  # share of the peer's messages in the last second
+    scale_min: float = 0.3  # of force and motion, reached just before holding
+    hold_after: float = 2.0  # [s] beyond a bound, while force and motion are scaled down
+    recover: float = 0.8  # of each bound, below which the link is good again
+    recover_after: float = 1.0  # [s] below it
+
+    def __post_init__(self) -> None:
+        """Check the values; raises `ValueError`."""
+        for name, least, most, unit in (
+            ("round_trip", 1e-3, 10.0, " s"),
+            ("jitter", 1e-4, 10.0, " s"),
+            ("loss", 0.001, 1.0, ""),
+            ("scale_min", 0.01, 1.0, ""),
+            ("hold_after", 0.1, 60.0, " s"),
+            ("recover", 0.1, 1.0, ""),
+            ("recover_after", 0.0, 60.0, " s"),
+        ):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"{name}: {value:g} is outside {least:g} to {most:g}{unit}")
+
+
+DEFAULT_BOUNDS = HealthConfig()
+
+
+class LinkWindow(Record):
+    """What is known of the clocks, and the sums of the present span."""
+
+    since_ns: I64 = 0  # when the present window began, 0 = none has
+    low_ns: I64 = -_FAR_NS  # bounds of the offset in it
+    high_ns: I64 = _FAR_NS
+    low_before_ns: I64 = -_FAR_NS  # in the one before
+    high_before_ns: I64 = _FAR_NS
+    echo_ns: I64 = 0  # newest own stamp that the peer has echoed
+    transit_ns: I64 = 0  # received less sent, of the last message
+    has_transit: Flag = False
+    clock_set: Flag = False  # bounds contradicted each other, since the last `take_figures`
+    steps: I64 = 0  # of the span: differences of delays
+    step_sum_ns: I64 = 0
+    answers: I64 = 0  # of the span: round trips
+    answer_sum_ns: I64 = 0
+    answer_max_ns: I64 = 0
+
+
+@compiled
+def observe(windows: Records, sent_ns: int, received_ns: int, echo_ns: int, hold_ns: int) -> None:
+    """Take one message of the peer.
+
+    Parameters
+    ----------
+    windows : Records
+        `LinkWindow`, shape (1,), changed in place.
+    sent_ns, received_ns : int
+        Stamps of the message: on the peer's clock, and on ours.
+    echo_ns : int
+        Our newest stamp that the peer had; 0 = none.
+    hold_ns : int
+        How long the peer had it; 0 = unknown.
+    """
+    window = windows[0]
+    if received_ns - window.since_ns > WINDOW_NS or received_ns < window.since_ns:
+        window.low_before_ns, window.high_before_ns = window.low_ns, window.high_ns
+        window.low_ns, window.high_ns = -_FAR_NS, _FAR_NS
+        window.since_ns = received_ns
+    transit_ns = received_ns - sent_ns
+    if window.has_transit:
+        window.steps += 1
+        window.step_sum_ns += abs(transit_ns - window.transit_ns)
+    window.transit_ns = transit_ns
+    window.has_transit = True
+    window.low_ns = max(window.low_ns, -transit_ns)
+    if 0 < echo_ns <= received_ns:
+        window.high_ns = min(window.high_ns, sent_ns - hold_ns - echo_ns)
+        if echo_ns > window.echo_ns:
+            round_trip_ns = max(received_ns - echo_ns - hold_ns, 0)
+            window.answers += 1
+            window.answer_sum_ns += round_trip_ns
+            window.answer_max_ns = max(window.answer_max_ns, round_trip_ns)
+    window.echo_ns = echo_ns
+    low_ns = max(window.low_ns, window.low_before_ns)
+    high_ns = min(window.high_ns, window.high_before_ns)
+    if low_ns - high_ns > _DRIFT_NS:
+        window.clock_set = True
+        window.low_before_ns, window.high_before_ns = -_FAR_NS, _FAR_NS
+        window.low_ns, window.high_ns = -transit_ns, _FAR_NS
+        window.since_ns = received_ns
+
+
+def compile_observer() -> None:
+    """Compile `observe`, before a loop has to be on time."""
+    observe(LinkWindow.array(), 0, 0, 0, 0)
+
+
+class Figures(NamedTuple):
+    """What was measured in a span; None where there was nothing to measure."""
+
+    offset_ns: int | None = None  # the peer's clock less ours
+    uncertainty_ns: int | None = None  # of it, certified
+    round_trip_ns: int | None = None  # mean
+    round_trip_max_ns: int | None = None
+    jitter_ns: int | None = None
+    delay_in_ns: int | None = None  # of the last message from the peer, by the offset
+    delay_out_ns: int | None = None  # the rest of the round trip
+    loss: float | None = None  # share in the last `LOSS_SPANS`
+    repeated: int = 0  # in the span
+    out_of_order: int = 0
+    clock_set: bool = False  # a clock was set since the last span
+
+
+class Decision(NamedTuple):
+    """What follows from the health of the link."""
+
+    reason: Reason = Reason.NONE  # the bound that is exceeded
+    holds: bool = False  # hold: not scaled down, but held
+    scale: float = 1.0  # of force and motion
+    over_s: float = 0.0  # [s] beyond a bound, at most `hold_after`
+    good_s: float = 0.0  # [s] below all bounds
+
+
+_GOOD = Decision()
+
+
+def step(
+    config: HealthConfig, before: Decision, figures: Figures, dt: float, peer: Reason = Reason.NONE
+) -> Decision:
+    """Return what follows from the figures of a span.
+
+    Beyond a bound the scale falls within `hold_after` to `scale_min`; then the session is held.
+    Both end after `recover_after` below all bounds times `recover`, the scale as slowly as it fell;
+    in between nothing changes.
+
+    Parameters
+    ----------
+    dt : float
+        Length of the span [s].
+    peer : Reason
+        Bound that the peer finds exceeded, of what it receives.
+    """
+    reasons = _exceeded(config, figures, 1.0)
+    if peer in REASONS:
+        reasons.append(peer)
+    if reasons:
+        over_s = min(before.over_s + dt, config.hold_after)
+        return _decision(config, reasons[0], before.holds, over_s, 0.0)
+    if _exceeded(config, figures, config.recover):
+        return before._replace(good_s=0.0)
+    if before.reason is Reason.NONE and not before.over_s:
+        return _GOOD
+    good_s = before.good_s + dt
+    if good_s < config.recover_after:
+        return before._replace(good_s=good_s)
+    return _decision(config, Reason.NONE, False, max(0.0, before.over_s - dt), good_s)
+
+
+REASONS = (Reason.LINK_SLOW, Reason.LINK_JITTER, Reason.LINK_LOSS)
+
+
+def _decision(
+    config: HealthConfig, reason: Reason, holds: bool, over_s: float, good_s: float
+) -> Decision:
+    scale = 1.0 - (1.0 - config.scale_min) * over_s / config.hold_after
+    holds = reason is not Reason.NONE and (holds or over_s >= config.hold_after - 1e-9)
+    return Decision(reason, holds, scale, over_s, good_s)
+
+
+def _exceeded(config: HealthConfig, figures: Figures, share: float) -> list[Reason]:
+    """Return the bounds that are exceeded, the worst first."""
+    pairs = (
+        (Reason.LINK_SLOW, figures.round_trip_ns, config.round_trip * 1e9),
+        (Reason.LINK_JITTER, figures.jitter_ns, config.jitter * 1e9),
+        (Reason.LINK_LOSS, figures.loss, config.loss),
+    )
+    excess = [
+        (value / (share * bound), reason)
+        for reason, value, bound in pairs
+        if value is not None and value > share * bound
+    ]
+    return [reason for _, reason in sorted(excess, reverse=True)]
+
+
+class LinkHealth:
+    """Health of one side's link: the window, the counts of the last second, the decision.
+
+    Attributes
+    ----------
+    windows : Records
+        `LinkWindow`, shape (1,), for `observe`.
+    figures : Figures
+        Of the last span.
+    decision : Decision
+        As of it.
+    """
+
+    def __init__(self, config: HealthConfig) -> None:
+        self.windows = LinkWindow.array()
+        self.figures, self.decision = Figures(), Decision()
+        self.round_trip, self.jitter = Durations(), Durations()  # means of spans, of the whole run
+        self.scaled_s = self.held_s = 0.0  # [s] in which force and motion were scaled, held
+        self._config, self._due_ns = config, 0
+        self._counts: deque[Counts] = deque(maxlen=LOSS_SPANS + 1)
+
+    def is_due(self, now_ns: int) -> bool:
+        """Return whether a span ends at `now_ns` [ns]."""
+        return now_ns >= self._due_ns
+
+    def update(self, now_ns: int, counts: Counts, peer: Reason = Reason.NONE) -> bool:
+        """End a span; return whether the decision has changed. See `step`."""
+        dt = SPAN_NS * 1e-9 if self._due_ns else 0.0
+        self._due_ns = now_ns + SPAN_NS
+        self._counts.append(counts + Counts())  # a copy
+        self.figures = take_figures(one(self.windows), self._counts[0], counts)
+        before, self.decision = (
+            self.decision,
+            step(self._config, self.decision, self.figures, dt, peer),
+        )
+        self._note(dt)
+        return self.decision != before
+
+    def _note(self, dt: float) -> None:
+        self.scaled_s += dt * (self.decision.scale < 1.0)
+        self.held_s += dt * self.decision.holds
+        for durations, value in (
+            (self.round_trip, self.figures.round_trip_ns),
+            (self.jitter, self.figures.jitter_ns),
+        ):
+            if value is not None:
+                durations.add(value)
+                durations.take_span()  # unused here, and would grow
+
+    def message(self, role: Role, counts: Counts, age_ns: int) -> LinkReport:
+        """Return the message of the present health; `age_ns` of the peer's newest message."""
+        figures, decision = self.figures, self.decision
+        return LinkReport(
+            role=role,
+            reason=decision.reason,
+            holds=decision.holds,
+            scale=decision.scale,
+            offset_ns=figures.offset_ns or 0,
+            uncertainty_ns=_or_none(figures.uncertainty_ns),
+            round_trip_ns=_or_none(figures.round_trip_ns),
+            round_trip_max_ns=_or_none(figures.round_trip_max_ns),
+            jitter_ns=_or_none(figures.jitter_ns),
+            delay_in_ns=_or_none(figures.delay_in_ns),
+            delay_out_ns=_or_none(figures.delay_out_ns),
+            age_ns=-1 if age_ns == NEVER_NS else age_ns,
+            loss=-1.0 if figures.loss is None else figures.loss,
+            repeated=counts.repeated,
+            out_of_order=counts.out_of_order,
+            clock_jumps=counts.clock_jumps,
+        )
+
+    def summary(self, counts: Counts) -> dict[str, Any]:
+        """Return the run in numbers."""
+        figures = self.figures
+        return {
+            "round_trip_ms": self.round_trip.percentiles(1e-6),
+            "jitter_ms": self.jitter.percentiles(1e-6),
+            "offset_ms": None if figures.offset_ns is None else figures.offset_ns * 1e-6,
+            "uncertainty_ms": None
+            if figures.uncertainty_ns is None
+            else figures.uncertainty_ns * 1e-6,
+            "loss": counts.lost / max(counts.lost + counts.received, 1),
+            "repeated": counts.repeated,
+            "out_of_order": counts.out_of_order,
+            "clock_jumps": counts.clock_jumps,
+            "scaled_s": self.scaled_s,
+            "held_s": self.held_s,
+        }
+
+
+def _or_none(value: int | None) -> int:
+    return -1 if value is None else value
+
+
+def take_figures(window: LinkWindow, before: Counts, now: Counts) -> Figures:
+    """Return the figures of the span, and begin a new one.
+
+    Parameters
+    ----------
+    window : LinkWindow
+        Of the messages; its sums are cleared.
+    before, now : Counts
+        Of the messages: `LOSS_SPANS` ago and now.
+    """
+    low_ns = max(int(window.low_ns), int(window.low_before_ns))
+    high_ns = min(int(window.high_ns), int(window.high_before_ns))
+    known = low_ns > -_FAR_NS and high_ns < _FAR_NS
+    round_trip_ns = int(window.answer_sum_ns // window.answers) if window.answers else None
+    offset_ns = (low_ns + high_ns) // 2 if known else None
+    delay_in_ns = None if offset_ns is None else max(int(window.transit_ns) + offset_ns, 0)
+    out_ns = None
+    if round_trip_ns is not None and delay_in_ns is not None:
+        out_ns = max(round_trip_ns - delay_in_ns, 0)
+    # a message that is overtaken counts as lost first
+    late = now.out_of_order - before.out_of_order
+    lost = max(now.lost - before.lost - late, 0)
+    sent = lost + now.received - before.received
+    figures = Figures(
+        offset_ns=offset_ns,
+        uncertainty_ns=max(high_ns - low_ns, 0) // 2 if known else None,
+        round_trip_ns=round_trip_ns,
+        round_trip_max_ns=int(window.answer_max_ns) if window.answers else None,
+        jitter_ns=int(window.step_sum_ns // window.steps) if window.steps else None,
+        delay_in_ns=delay_in_ns,
+        delay_out_ns=out_ns,
+        loss=lost / sent if sent else None,
+        repeated=now.repeated - before.repeated,
+        out_of_order=late,
+        clock_set=bool(window.clock_set),
+    )
+    window.clock_set = False
+    window.steps = window.step_sum_ns = 0
+    window.answers = window.answer_sum_ns = window.answer_max_ns = 0
+    return figures
+
+
+def link_text(link: LinkReport) -> str:
+    """Return the health of a link in words: `link 0.5 ms +- 0.1, loss 0 %`."""
+    if link.round_trip_ns < 0:
+        text = "link -"
+    else:
+        jitter = "" if link.jitter_ns < 0 else f" +- {link.jitter_ns * 1e-6:.1f}"
+        text = f"link {link.round_trip_ns * 1e-6:.1f}{jitter} ms"
+    if link.loss > 0.0:
+        text += f", loss {100 * link.loss:.1f} %"
+    if link.reason:
+        what = "held" if link.holds else f"scaled to {100 * link.scale:.0f} %"
+        text += f": {reason_of(link.reason).text}, {what}"
+    return text

@@ -1,0 +1,1 @@
+"""Messages with a fixed layout, and the topics on which they are sent."""

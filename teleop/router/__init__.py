@@ -1,1 +1,0 @@
-"""A router: where the processes of many sessions meet."""

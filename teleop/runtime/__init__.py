@@ -1,0 +1,1 @@
+"""What processes need of the machine: clocks, scheduling, files, child processes."""

@@ -1,0 +1,219 @@
+"""What each of our processes does around its work: when to stop, and what it leaves."""
+
+import argparse
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from teleop.errors import TeleopError, UsageError
+from teleop.runtime.output_file import replacing
+
+_PR_SET_PDEATHSIG = 1
+
+# What ends a command: Ctrl-C, a service manager, and a terminal that is gone (ssh dropped).
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SUPERVISED = "TELEOP_SUPERVISED"  # the launcher's process id, in the environment of its children
+STANDBY = "TELEOP_STANDBY"  # set in the environment of a spare, which waits for a line to begin
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+REPEAT_S = 0.01  # [s] until a signal whose exception was ignored is delivered again
+HEARTBEAT = "\x06"  # a line that says: not hung; the launcher does not print it
+STATUS = "\x05"  # begins a line for the launcher's status line
+
+
+def module_command(module: str) -> list[str]:
+    """Return the words that run a module of ours in a process of its own.
+
+    It imports nothing from the current folder (`-P`), where any file may have the name of a module.
+    """
+    return [sys.executable, "-P", "-m", module]
+
+
+def supervised() -> bool:
+    """Return whether a launcher started this process, and speaks for it."""
+    return SUPERVISED in os.environ
+
+
+def wait_in_standby() -> bool:
+    """Wait until the launcher calls this process, if it was started as a spare for another.
+
+    Returns False if the launcher ended instead. Called when all is imported, which takes longest.
+    """
+    return STANDBY not in os.environ or bool(sys.stdin.readline())
+
+
+def beat() -> None:
+    """Tell the launcher, if one started this process, that it is not hung."""
+    if supervised():
+        print(HEARTBEAT, flush=True)
+
+
+def on_ending(handler: Callable[[int, FrameType | None], None]) -> None:
+    """Install the handler of every signal of `ENDINGS`; under `nohup` SIGHUP stays ignored."""
+    for number in ENDINGS:
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+class _Interruption:
+    """Of a signal to a command without a loop to stop: raised, and remembered."""
+
+    number = 0  # of the signal; 0 before it
+
+    def __call__(self, number: int, _frame: FrameType | None) -> None:
+        self.number = self.number or number
+        raise KeyboardInterrupt
+
+    def deliver_again(self, ignored: Any) -> None:
+        """Deliver the signal again if Python ignores what it raised, as in `__del__`.
+
+        For `sys.unraisablehook`.
+        """
+        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(ignored)
+            return
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(self.number or signal.SIGINT))
+        signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+
+    @property
+    def exit_code(self) -> int:
+        """Of a command that was told to end before it began, or was done."""
+        return 128 + (self.number or signal.SIGINT)
+
+
+interruption = _Interruption()
+
+
+def exit_code_of(reason: str) -> int:
+    """Return the exit code of a command that a signal of this name ended; 0 for another reason."""
+    return 128 + signal.Signals[reason] if reason in signal.Signals.__members__ else 0
+
+
+class Stop:
+    """Asked by a loop before each tick; becomes true and stays so.
+
+    The signals of `ENDINGS` set it, so does the end of `duration_s`, counted from the first asking
+    since setting up can take long, and `request` from inside.
+    """
+
+    def __init__(self, duration_s: float | None = None) -> None:
+        self.reason = ""
+        self.wake: Callable[[], None] = lambda: None  # called by the handler: ends a wait
+        self._duration_s = math.inf if duration_s is None else duration_s
+        self._began_s: float | None = None
+        on_ending(self._on_signal)
+
+    def __call__(self) -> bool:
+        """Return whether to stop."""
+        now = time.monotonic()
+        self._began_s = now if self._began_s is None else self._began_s
+        if now - self._began_s >= self._duration_s:
+            self.request("duration reached")
+        return bool(self.reason)
+
+    def request(self, reason: str) -> None:
+        """Stop at the next asking; the first reason is kept."""
+        self.reason = self.reason or reason
+
+    @property
+    def exit_code(self) -> int:
+        """Of a command that a signal ended before it was done; 0 without a signal."""
+        return exit_code_of(self.reason)
+
+    @contextmanager
+    def interrupting(self) -> Iterator[None]:
+        """Let a signal raise `KeyboardInterrupt`, where nobody asks for long."""
+        on_ending(interruption)
+        try:
+            if self.exit_code:  # it came before
+                interruption(signal.Signals[self.reason], None)
+            yield
+        finally:
+            on_ending(self._on_signal)
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        self.request(signal.Signals(number).name)
+        self.wake()
+
+
+def die_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:
+    """Ask Linux to end this process when its parent dies; elsewhere nothing can be asked.
+
+    Raises
+    ------
+    TeleopError
+        The process `parent` had died before this was asked.
+    """
+    if sys.platform == "linux":
+        import ctypes  # slow to import, and not needed by a command that a user starts
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, by)
+    if os.getppid() != parent:
+        raise TeleopError(f"the process that started this one ({parent}) has ended")
+
+
+def die_with_launcher() -> None:
+    """End this process when the launcher that started it dies, if one did."""
+    if supervised():
+        die_with_parent(int(os.environ[SUPERVISED]))
+
+
+def limit_numeric_threads() -> None:
+    """Let numeric libraries compute in one thread, unless the environment says otherwise.
+
+    To be called before numpy is imported. Arrays are small: a second thread is slower, and each
+    library's pool would hold locked stacks.
+    """
+    for name in _THREAD_COUNTS:
+        os.environ.setdefault(name, "1")
+
+
+def let_loops_first() -> None:
+    """Lower the priority of this process: loops on the same processor go first."""
+    os.nice(5)
+
+
+def print_warning(text: str) -> None:
+    """Print a warning in one line on standard error, which is not the output."""
+    print(f"WARNING: {text}", file=sys.stderr, flush=True)
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened here."""
+    if sys.platform != "linux":
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
+def seconds(text: str) -> float:
+    """Read a duration [s] from the command line: the `type` of an argument."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value <= 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
+    return value
+
+
+def write_summary(path: str | Path | None, summary: dict[str, Any]) -> None:
+    """Write `summary` as JSON to `path`, whole or not at all; `UsageError` if that cannot be."""
+    if path is not None:
+        import json  # slow to import
+
+        write_whole(path, json.dumps(summary, indent=2) + "\n", "the summary")
+
+
+def write_whole(path: str | Path, text: str, what: str) -> None:
+    """Write `text` to `path`, whole or not at all; `UsageError` if that cannot be."""
+    try:
+        with replacing(Path(path)) as partial:
+            partial.write_text(text)
+    except OSError as error:
+        raise UsageError(f"{path}: {what} cannot be written: {error.strerror}") from error

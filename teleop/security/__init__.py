@@ -1,0 +1,17 @@
+"""Keys and certificates: who may take part in a session, and as what.
+
+A process proves its role by a certificate of an authority that all processes of a session trust.
+"""
+
+from teleop.security.credentials import CertificateError, Credentials, NotYetValidError
+from teleop.security.identity import OFFICE_OF, RIGHTS, Identity, Office
+
+__all__ = [
+    "OFFICE_OF",
+    "RIGHTS",
+    "CertificateError",
+    "Credentials",
+    "Identity",
+    "NotYetValidError",
+    "Office",
+]

@@ -1,0 +1,122 @@
+"""Zenoh's access control of a session, generated from the table of topics.
+
+Each process refuses, on arrival, what the certificate at the other end of the connection must not
+send: messages of topics that its role does not publish, presence tokens of another role, any token
+or queryable of a listener, and subscribers of anything but a topic. Each would take memory, and
+Zenoh sends nothing while it removes those of a connection that ends. What may be sent through a
+router is decided by that router, which has the same rules.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+from teleop.link.publisher import sampled_key
+from teleop.messages.topics import SETTING, STOP, TOPICS, Role, Topic
+from teleop.security.identity import ALL_SESSIONS, OFFICE_OF, RIGHTS, Identity, Office, supervisors
+from teleop.security.presence import LISTENERS, root
+
+_EVERYTHING = [
+    "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable",
+    "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
+]  # fmt: skip
+_WATCHING = ["liveliness_query", "declare_liveliness_subscriber"]
+
+
+def access_control(sessions: Iterable[str]) -> dict[str, Any]:
+    """Return Zenoh's `access_control` for a process, or a router, of these sessions."""
+    rules: list[dict[str, Any]] = [
+        {
+            "id": "egress",
+            "permission": "allow",
+            "flows": ["egress"],
+            "messages": _EVERYTHING,
+            "key_exprs": ["**", "teleop/*/@/**", "teleop/*/@impair"],
+        }
+    ]
+    policies: list[dict[str, Any]] = [{"rules": ["egress"], "subjects": ["anyone"]}]
+    subjects: dict[str, dict[str, Any]] = {"anyone": {"id": "anyone"}}
+
+    def allow(rule: str, messages: list[str], keys: list[str], names: list[str]) -> None:
+        rules.append(
+            {
+                "id": rule,
+                "permission": "allow",
+                "flows": ["ingress"],
+                "messages": messages,
+                "key_exprs": keys,
+            }
+        )
+        for name in names:
+            subjects[name] = {"id": name, "cert_common_names": [name]}
+        policies.append({"rules": [rule], "subjects": names})
+
+    for session in sessions:
+        top, tokens = f"teleop/{session}", root(session)
+        routers = [_name(Office.ROUTER, session), _name(Office.ROUTER, ALL_SESSIONS)]
+        allow(f"{session} router", _EVERYTHING, [f"{top}/**", f"{tokens}/**", f"{top}/@impair"],
+              routers)  # fmt: skip
+        everybody = [name for office in Office for name in names_of(office, session)]
+        listeners = {_name(OFFICE_OF[role], session) for role in LISTENERS}
+        members = [name for name in everybody if name not in listeners]
+        allow(f"{session} watch", _WATCHING, [f"{tokens}/**"], everybody)
+        allow(f"{session} proof", ["declare_queryable", "reply"], [f"{tokens}/prove/**"], members)
+        heard: list[str] = []
+        for topic in TOPICS:
+            publishers = names_of_publishers(topic, session)
+            keys = [f"{top}/{topic.name}"]
+            if topic.sampled_hz:
+                keys.append(sampled_key(keys[0]))
+            heard += keys
+            allow(f"{session} {topic.name}", ["put"], keys, publishers)
+        allow(f"{session} listen", ["declare_subscriber"], heard, everybody)
+        for name in everybody:
+            groups = groups_of_holder(name)
+            if groups:
+                keys = [f"{tokens}/{group}/**" for group in groups]
+                if Role.SLAVE.name.lower() in groups:
+                    keys.append(f"{tokens}/relay/master/**")
+                if name in members:
+                    allow(f"token of {name}", ["liveliness_token"], keys, [name])
+                allow(f"challenge of {name}", ["query"],
+                      [f"{tokens}/prove/{group}/**" for group in groups], [name])  # fmt: skip
+        allow(f"{session} impair", ["query"], [f"{top}/@impair"],
+              names_of(Office.SUPERVISOR, session))  # fmt: skip
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": list(subjects.values()),
+        "policies": policies,
+    }
+
+
+def names_of(office: Office, session: str) -> list[str]:
+    """Return the common names of a role's certificates in a session."""
+    if office is Office.SUPERVISOR:
+        return sorted({name for right in RIGHTS for name in supervisors(session, right)})
+    return [_name(office, session)]
+
+
+def groups_of_holder(name: str) -> list[str]:
+    """Return the groups of tokens (`Token.group`) of the holder of a common name."""
+    holder = Identity.parse(name)
+    return [
+        f"{role.name.lower()}{holder.limit}" for role in Role if OFFICE_OF[role] is holder.office
+    ]
+
+
+def names_of_publishers(topic: Topic[Any], session: str) -> list[str]:
+    """Return the common names of certificates that may publish `topic` in a session."""
+    names: list[str] = []
+    for office in dict.fromkeys(OFFICE_OF[role] for role in topic.publishers):
+        if office is not Office.SUPERVISOR:
+            names += names_of(office, session)
+        elif topic is SETTING:
+            names += supervisors(session, "set")
+        elif topic is STOP:
+            names += sorted({*supervisors(session, "stop"), *supervisors(session, "reset")})
+    return names
+
+
+def _name(office: Office, session: str) -> str:
+    return Identity(office, session).common_name

@@ -1,0 +1,174 @@
+"""The credentials of a process: its certificate, its private key, and whom it trusts.
+
+A folder of credentials holds `authority.pem` and `revoked.pem`, and for each role of each session
+that runs on this machine `<session>.<role>.pem` and `<session>.<role>.key`.
+"""
+
+import base64
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.x509.oid import NameOID
+
+from teleop.errors import TeleopError, UsageError
+from teleop.security.authority import (
+    AUTHORITY,
+    UNREADABLE,
+    is_signed_by,
+    load_certificate,
+    load_key,
+    load_revoked,
+    require_unshared,
+)
+from teleop.security.identity import ALL_SESSIONS, Identity, Office
+
+NAME_MAX = 64  # characters of a common name (X.520)
+WARN = timedelta(days=14)  # before a certificate expires
+
+
+class CertificateError(TeleopError):
+    """A certificate that is not believed; the message says why."""
+
+
+class NotYetValidError(CertificateError):
+    """A certificate that will be believed later, or as soon as a clock is set."""
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """What a process proves its role with, and checks others by."""
+
+    identity: Identity
+    certificate: x509.Certificate
+    key: Ed25519PrivateKey
+    authority: x509.Certificate
+    revoked: frozenset[int] = frozenset()
+    lasting: bool = True  # issued by a person, who must issue the next one
+    folder: Path | None = None  # where the list of revoked certificates lies
+
+    def identify(self, certificate: x509.Certificate) -> Identity:
+        """Return whom a certificate stands for; `CertificateError` if it is not to be believed."""
+        return identify(certificate, self.authority, self.revoked)
+
+    @property
+    def warning(self) -> str:
+        """Empty, or that the certificate expires soon."""
+        left = self.certificate.not_valid_after_utc - datetime.now(UTC)
+        if not self.lasting or left > WARN:
+            return ""
+        return f"the certificate {self.identity.common_name} expires in {left.days} days"
+
+    def for_tls(self) -> dict[str, str]:
+        """Return the authority, our certificate and our key as Zenoh's TLS takes them."""
+        key = self.key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+        authority, ours = (
+            base64.b64encode(one.public_bytes(Encoding.PEM)).decode()
+            for one in (self.authority, self.certificate)
+        )
+        private = base64.b64encode(key).decode()
+        return {
+            "root_ca_certificate_base64": authority,
+            "listen_certificate_base64": ours,
+            "connect_certificate_base64": ours,
+            "listen_private_key_base64": private,
+            "connect_private_key_base64": private,
+        }
+
+
+def identify(
+    certificate: x509.Certificate, authority: x509.Certificate, revoked: frozenset[int]
+) -> Identity:
+    """Return whom a certificate stands for.
+
+    Raises
+    ------
+    CertificateError
+        It is of another authority, expired, revoked, or names no role.
+    NotYetValidError
+        It is not yet valid.
+    """
+    try:
+        name = common_name(certificate)
+        start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    except UNREADABLE as error:
+        raise CertificateError("a certificate that cannot be read") from error
+    if not is_signed_by(certificate, authority):
+        raise CertificateError(f"the certificate {name} is of another authority")
+    now = datetime.now(UTC)
+    if now > end:
+        raise CertificateError(
+            f"the certificate {name} expired on {end:%Y-%m-%d %H:%M} "
+            "UTC; issue a new one with `teleop keys issue`"
+        )
+    if now < start:
+        raise NotYetValidError(
+            f"the certificate {name} is valid from {start:%Y-%m-%d %H:%M} UTC on; check the clock"
+        )
+    if now > authority.not_valid_after_utc:
+        raise CertificateError(
+            f"the authority of the certificate {name} expired on "
+            f"{authority.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; make a new one with "
+            "`teleop keys init`"
+        )
+    if certificate.serial_number in revoked:
+        raise CertificateError(f"the certificate {name} was revoked")
+    try:
+        return Identity.parse(name)
+    except ValueError as error:
+        raise CertificateError(f"the certificate {error}") from error
+
+
+def common_name(certificate: x509.Certificate) -> str:
+    """Return the common name of a certificate, which anybody may have made, fit for a terminal."""
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    if not names:
+        return "without a name"
+    return "".join(c if c.isprintable() else "?" for c in str(names[0].value))[:NAME_MAX]
+
+
+def stem(office: Office, session: str) -> str:
+    """Return the name, without its ending, of the files of a certificate."""
+    return f"{'all' if session == ALL_SESSIONS else session}.{office}"
+
+
+def load(folder: Path, session: str, office: Office) -> Credentials:
+    """Load the credentials of a role in a session.
+
+    Raises
+    ------
+    UsageError
+        A file is missing or damaged; the private key can be read by others; the certificate is not
+        valid now, revoked, or of another authority, session or role.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"link.keys: {folder}: no such folder; see `teleop keys --help`")
+    require_unshared(folder)
+    authority = load_certificate(folder / AUTHORITY)
+    revoked = load_revoked(folder, authority)
+    names = [stem(office, session)]
+    if office is Office.ROUTER:
+        names.append(stem(office, ALL_SESSIONS))
+    there = [name for name in names if (folder / f"{name}.pem").is_file()]
+    if not there:
+        others = sorted(path.stem for path in folder.glob("*.*.pem"))
+        raise UsageError(
+            f"link.keys: {folder}: no certificate of a {office} of session {session!r}"
+            f" (there: {', '.join(others) or 'none'}); issue one with `teleop keys issue`"
+        )
+    path = folder / f"{there[0]}.pem"
+    certificate, key = load_certificate(path), load_key(path.with_suffix(".key"))
+    if key.public_key() != certificate.public_key():
+        raise UsageError(f"{path.with_suffix('.key')}: is not the key of {path.name}")
+    try:
+        identity = identify(certificate, authority, revoked)
+    except CertificateError as error:
+        raise UsageError(f"{path}: {error}") from error
+    if identity.office is not office:
+        raise UsageError(f"{path}: is of a {identity.office}, this process is a {office}")
+    if not identity.may_join(session):
+        raise UsageError(f"{path}: is of session {identity.session!r}, not {session!r}")
+    return Credentials(identity, certificate, key, authority, revoked, folder=folder)

@@ -1,0 +1,96 @@
+"""Whom a certificate stands for: a role in a session, with the rights of a supervisor.
+
+The common name of a certificate says it, `<role>.<session>`, since that is what Zenoh's access
+control compares: `master.bench`, `supervisor.bench` (all rights), `supervisor-stop.bench` (stops
+only), `router.*` (the router of all sessions).
+"""
+
+import re
+from enum import StrEnum
+from itertools import combinations
+from typing import NamedTuple
+
+from teleop.messages.topics import Role
+
+ALL_SESSIONS = "*"  # of a router's certificate
+RIGHTS = ("reset", "set", "stop")  # of a supervisor, in this order in its name
+LIMITS = (
+    "",
+    *("".join(f"-{right}" for right in rights)
+      for count in range(1, len(RIGHTS)) for rights in combinations(RIGHTS, count)),
+)  # fmt: skip
+"""What follows the role in the common name of a supervisor: nothing, or the only rights it has."""
+_NAME = re.compile(r"(?P<role>[a-z]+)(?P<rights>(?:-[a-z]+)*)\.(?P<session>[a-z0-9_-]+|\*)")
+
+
+class Office(StrEnum):
+    """Role that a certificate is issued for."""
+
+    MASTER = "master"
+    SLAVE = "slave"
+    SUPERVISOR = "supervisor"  # of `teleop run`, `teleop stop` and `teleop set`
+    RECORDER = "recorder"
+    VIEWER = "viewer"
+    ROUTER = "router"  # of a router, and of the proxy of `teleop impair`
+
+
+OFFICE_OF: dict[Role, Office] = {
+    Role.LAUNCHER: Office.SUPERVISOR,
+    Role.MASTER: Office.MASTER,
+    Role.SLAVE: Office.SLAVE,
+    Role.RECORDER: Office.RECORDER,
+    Role.VIEWER: Office.VIEWER,
+    Role.REMOTE: Office.SUPERVISOR,
+    Role.WATCH: Office.SUPERVISOR,
+}
+"""The certificate that a process of a role shows."""
+
+
+class Identity(NamedTuple):
+    """Holder of a certificate."""
+
+    office: Office
+    session: str  # `ALL_SESSIONS` for a router of all
+    rights: tuple[str, ...] = ()  # of a supervisor, as in `RIGHTS`
+
+    @property
+    def limit(self) -> str:
+        """What its common name says of its rights, one of `LIMITS`."""
+        limited = self.office is Office.SUPERVISOR and self.rights != RIGHTS
+        return "".join(f"-{right}" for right in self.rights) if limited else ""
+
+    @property
+    def common_name(self) -> str:
+        """The common name of the certificate."""
+        return f"{self.office}{self.limit}.{self.session}"
+
+    @classmethod
+    def parse(cls, common_name: str) -> "Identity":
+        """Return the holder named by a common name; raises `ValueError`."""
+        found = _NAME.fullmatch(common_name)
+        if found is None:
+            raise ValueError(f"{common_name!r} is not ROLE.SESSION")
+        office = Office(found["role"])
+        rights: tuple[str, ...] = ()
+        if office is Office.SUPERVISOR:
+            rights = tuple(found["rights"].split("-")[1:]) or RIGHTS
+        identity = cls(office, found["session"], rights)
+        if identity.common_name != common_name or not set(rights) <= set(RIGHTS):
+            raise ValueError(f"{common_name!r} is not ROLE.SESSION")
+        if identity.session == ALL_SESSIONS and office is not Office.ROUTER:
+            raise ValueError(f"{common_name!r}: only a router is for all sessions")
+        return identity
+
+    def may_join(self, session: str) -> bool:
+        """Return whether the holder belongs to a session."""
+        return self.session in (session, ALL_SESSIONS)
+
+
+def supervisors(session: str, right: str) -> list[str]:
+    """Return the common names of all supervisors of a session that have a right."""
+    return [
+        Identity(Office.SUPERVISOR, session, rights).common_name
+        for count in range(1, len(RIGHTS) + 1)
+        for rights in combinations(RIGHTS, count)
+        if right in rights
+    ]

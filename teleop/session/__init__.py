@@ -1,0 +1,1 @@
+"""A session: its states, config, summary, and what both loops' processes share."""

@@ -1,0 +1,263 @@
+"""What both sides of a session do around their tick: start, count, report, and end."""
+
+import argparse
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from enum import IntFlag
+from typing import Any, ClassVar, TypeVar
+
+from estimator.records import Records
+from teleop.coupling import LedgerPublisher
+from teleop.errors import PeerError, TeleopError
+from teleop.link import Counts, Latest, Link
+from teleop.link.health import DEFAULT_BOUNDS, HealthConfig, LinkHealth, observe
+from teleop.messages.topics import LEDGER, LINK, REPORT, Role
+from teleop.remote.requests import RequestListener, Requests
+from teleop.remote.stop_socket import SILENT, StopSocket
+from teleop.runtime.clock import Tick, TickStats, now_ns, quiet_garbage
+from teleop.runtime.process import Stop, supervised, write_summary
+from teleop.runtime.realtime import enter_loop, go_realtime
+from teleop.session.config import RunConfig
+from teleop.session.events import publish_event
+from teleop.session.meter import LoopMeter
+from teleop.session.state_machine import (
+    OutlineReader,
+    Reason,
+    SessionOutline,
+    State,
+    known_state,
+    reason_of,
+)
+from teleop.session.summary import loop_lines, trouble
+
+PEER_NS = 1_000_000_000  # [ns] without a message, after which a peer is not connected
+MANY = 50  # messages without a tag between two reports; fewer are of a process that just starts
+
+
+class LoopProcess(ABC):
+    """One side of a session: its link, its counts, and why it ended.
+
+    Parameters
+    ----------
+    link : Link
+        Of the session.
+    stats : TickStats
+        Of the clock that it ticks by.
+    memory : Records
+        State of the loop, shape (1,): `session`, and `coupling` with the energy ledger.
+    joints : int
+        Ports of the ledger in use.
+    requests : RequestListener, optional
+        A listener that is there already.
+    health : HealthConfig
+        Bounds of the link.
+
+    Attributes
+    ----------
+    error : TeleopError or None
+        What ended the session, if it was not asked to end.
+    ended : str
+        Why it is over, from this side; empty while it is not.
+    """
+
+    role: ClassVar[Role]
+    verdict: ClassVar[type[IntFlag]]  # of the gate
+
+    def __init__(
+        self,
+        link: Link,
+        stats: TickStats,
+        memory: Records,
+        joints: int,
+        requests: RequestListener | None = None,
+        health: HealthConfig = DEFAULT_BOUNDS,
+    ) -> None:
+        self.error: TeleopError | None = None
+        self.ended = ""
+        self._link = link
+        self._outline = OutlineReader(memory["session"])
+        self._ledger = LedgerPublisher(self.role, memory["coupling"], joints)
+        self._requests = requests or RequestListener(link)
+        self._meter = LoopMeter(self.role, stats)
+        self._verdicts = Counter[int]()
+        self._refused: dict[str, int] = {}  # by topic
+        self._forged: dict[str, int] = {}  # of them
+        self._health = LinkHealth(health)
+        self._link_reason, self._link_holds = int(Reason.NONE), False  # for the session
+        self._link_scale = 1.0  # of force and motion
+        self._observed_ns = 0  # stamp of the newest message observed
+
+    @abstractmethod
+    def tick(self, tick: Tick) -> None:
+        """Do one cycle of the loop."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the actuators safe and tell the peers; called however the loop ends."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the run in numbers."""
+        verdicts = {str(self.verdict(bits).name): n for bits, n in self._verdicts.items()}
+        counts = self._link.counts()
+        summary = self._meter.summary(self._outline(), counts, verdicts)
+        return summary | {"link": self._health.summary(counts)}
+
+    def publish_end(self) -> None:
+        """Publish the last report, from which a recorder sees whether it has everything."""
+        report = self._meter.last_report(now_ns(), self._outline(), self._link.counts())
+        self._link.publish(REPORT, replace(report, ended=1, sent=self._link.last_sequences()))
+
+    def _end(self, error: TeleopError) -> None:
+        """End the session; the first error is kept."""
+        self.error = self.error or error
+        self.ended = str(self.error)
+
+    def _finish_requests(
+        self, side: SessionOutline, requests: Requests, latest: Latest[Any], now: int
+    ) -> None:
+        """Tell the others of an executed stop, and answer requests from this machine."""
+        self._requests.relay(self.role, side, requests.words)
+        if self._requests.is_asked:
+            answer_requests(
+                self._link, self._requests, self.role, side, self._outline.stops, latest, now
+            )
+
+    def _warn(self, texts: Iterable[str]) -> None:
+        """Publish what is doubtful about this side; empty texts are left out."""
+        for text in texts:
+            if text:
+                publish_event(self._link, self.role, self._outline(), f"WARNING: {text}")
+
+    def _publish_ledger(self, stamp_ns: int) -> None:
+        if self._ledger.is_due(stamp_ns) and not self._link.skip_unsubscribed(LEDGER):
+            self._link.publish_packet(LEDGER, self._ledger.filled())
+
+    def _watch_link(
+        self, stamp_ns: int, latest: Latest[Any], echo_ns: int, hold_ns: int, peer: int = 0
+    ) -> None:
+        """Take the peer's newest message; now and then decide what the link allows.
+
+        See `link_health.observe`. `peer` is the `Reason` of an engaged peer.
+        """
+        if latest.stamp_ns != self._observed_ns:
+            self._observed_ns = latest.stamp_ns
+            observe(self._health.windows, latest.stamp_ns, latest.received_ns, echo_ns, hold_ns)
+        if self._health.is_due(stamp_ns):
+            if self._health.update(stamp_ns, latest.counts, reason_of(peer)):
+                decision = self._health.decision
+                self._link_reason, self._link_holds = int(decision.reason), decision.holds
+                self._link_scale = decision.scale
+            if self._health.figures.clock_set:
+                latest.clock_was_set()
+
+    def _report(self, stamp_ns: int, latest: Latest[Any]) -> bool:
+        """Publish the reports if they are due, and check that no peer is there twice."""
+        counts = latest.counts
+        report = self._meter.report(stamp_ns, self._outline(), counts)
+        if report is None:
+            return False
+        health = self._health.message(self.role, counts, latest.age_ns(stamp_ns))
+        self._link.publish(LINK, health)
+        self._link.publish(REPORT, replace(report, sent=self._link.last_sequences()))
+        self._publish_refusals(counts)
+        try:
+            self._link.check_peers()
+        except PeerError as error:
+            self._end(error)
+        return True
+
+    def _publish_refusals(self, counts: Counts) -> None:
+        """Publish what was refused since the last time."""
+        peers = "messages of the peer"
+        forged = self._requests.forged() | {peers: counts.forged}
+        refused = self._requests.refused() | {peers: counts.forged + counts.unknown}
+        for name, count in refused.items():
+            wrong = forged[name] - self._forged.get(name, 0)
+            new = count - self._refused.get(name, 0)
+            if wrong:
+                self._link.refusals.note(f"{name} with a wrong tag", wrong)
+            if new - wrong >= MANY:
+                self._link.refusals.note(f"{name} of an unknown sender", new - wrong)
+        self._refused, self._forged = refused, forged
+        for line in self._link.refusals.take():
+            publish_event(self._link, self.role, self._outline(), line)
+
+
+def answer_requests(
+    link: Link,
+    requests: RequestListener,
+    role: Role,
+    side: SessionOutline,
+    stops: int,
+    latest: Latest[Any],
+    now_ns: int,
+) -> None:
+    """Answer the executed requests from this machine for a side whose peer's newest is `latest`."""
+    other, peer = Role.SLAVE if role is Role.MASTER else Role.MASTER, ""
+    if latest.is_fresh(now_ns, PEER_NS):
+        peer = State(known_state(latest.packet.records["state"][0])).name.lower()
+    elif link.present(other):  # it hangs, or starts, and may move its motors
+        peer = SILENT
+    requests.answer(role, side, stops, other, peer)
+
+
+Process = TypeVar("Process", bound=LoopProcess)
+Started = tuple[Process, Iterable[Tick], Stop]
+
+
+def run(process: LoopProcess, clock: Iterable[Tick], stop_for: Callable[[str], None]) -> None:
+    """Tick until told to stop; the actuators are left safe however this ends."""
+    try:
+        with quiet_garbage():
+            for tick in clock:
+                process.tick(tick)
+                if process.ended:
+                    stop_for(process.ended)
+    finally:
+        try:
+            process.close()
+        finally:
+            process.publish_end()
+
+
+def run_session(
+    role: Role,
+    shared: RunConfig,
+    start: Callable[[Link, RequestListener, ExitStack], Started[Process]],
+) -> tuple[Process, dict[str, Any]]:
+    """Join the session, `start` the process with its hardware, and run it to its end.
+
+    Returns the process and its summary.
+    """
+    granted = go_realtime(shared.realtime)  # before the link: its threads inherit the priority
+    with ExitStack() as stack:
+        # a process that is refused as the second of its role must not have touched the hardware
+        link = stack.enter_context(Link(shared.link, shared.session, role))
+        stop_socket = stack.enter_context(StopSocket(shared.session, role.name.lower()))
+        process, clock, stop = start(link, RequestListener(link, stop_socket), stack)
+        for warning in filter(None, (link.warning, stop_socket.warning)):
+            publish_event(link, role, SessionOutline(), warning)
+        enter_loop(granted, shared.realtime)
+        run(process, clock, stop.request)
+        summary = process.summary()
+    return process, summary | {"stopped": stop.reason, "realtime": granted}
+
+
+def conclude(
+    args: argparse.Namespace,
+    process: LoopProcess,
+    summary: dict[str, Any],
+    further: Sequence[str] = (),
+) -> int:
+    """Write and print the summary; return the exit code, or raise what ended the session."""
+    write_summary(args.json, summary)
+    if not supervised():
+        print("\n".join([*loop_lines(summary), *further]))
+    if process.error:
+        raise process.error
+    if not supervised() and (ended := trouble({process.role.name.lower(): summary})):
+        raise TeleopError(ended)
+    return 0

@@ -1,0 +1,135 @@
+"""Timing of a control loop: reports while it runs, and its part of the summary."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from teleop.link import REJECTED, Counts
+from teleop.messages.messages import LoopReport
+from teleop.messages.topics import Role
+from teleop.runtime.clock import TickStats, now_ns
+from teleop.runtime.timing import Durations
+from teleop.session.stages import StageMeter
+from teleop.session.state_machine import Reason, SessionOutline, State
+
+REPORT_PERIOD_NS = 500_000_000
+
+
+class LoopMeter:
+    """Measures one loop's grid, the work of its ticks and, on the master, its round trips."""
+
+    def __init__(self, role: Role, stats: TickStats) -> None:
+        self.work = Durations()
+        self.latency = Durations()
+        self.answer = Durations()  # from the start of a tick to its message on the link
+        self.without_rig = Durations()  # work, without the computation of a simulated rig
+        self.stages = StageMeter()
+        self._role, self._stats = role, stats
+        self._due_ns = now_ns() + REPORT_PERIOD_NS
+        self._ticks = 0
+        self._since_ns = now_ns()
+        self._in_state: Counter[State] = Counter()  # ticks
+        self._faults: list[str] = []
+        self._pending = ""  # the fault since the last engagement
+        self._state = State.OFF
+        self._words = self._not_usable = Reason.NOT_USABLE.text
+
+    def tick(self, side: SessionOutline, work_ns: int, detail: str = "") -> None:
+        """Add one tick that left the session at `side` and took `work_ns` [ns].
+
+        `detail` of the session's reason: which tendon, or why it is not usable.
+        """
+        self._words = format_reason(side.reason, detail)
+        if side.reason is Reason.NOT_USABLE:
+            self._not_usable = self._words
+        self.work.add(work_ns)
+        self._in_state[side.state] += 1
+        if side.state is State.FAULT and self._state is not State.FAULT:
+            self._faults.append(self._words)
+            if self._state in (State.ENGAGED, State.CLUTCHED, State.HOLDING):
+                self._pending = self._words
+        if side.state is State.ENGAGED:
+            self._pending = ""
+        self._state = side.state
+
+    def report(self, stamp_ns: int, side: SessionOutline, counts: Counts) -> LoopReport | None:
+        """Return the report that is due at `stamp_ns`, or None."""
+        if stamp_ns < self._due_ns:
+            return None
+        periods = 1 + (stamp_ns - self._due_ns) // REPORT_PERIOD_NS  # several after a stall
+        self._due_ns += periods * REPORT_PERIOD_NS
+        return self.last_report(stamp_ns, side, counts)
+
+    def last_report(self, stamp_ns: int, side: SessionOutline, counts: Counts) -> LoopReport:
+        """Return the report of the time since the last one, due or not."""
+        stats = self._stats
+        rate_hz = (stats.ticks - self._ticks) * 1e9 / max(stamp_ns - self._since_ns, 1)
+        self._ticks, self._since_ns = stats.ticks, stamp_ns
+        span = self.latency.take_span()
+        self.work.take_span()
+        self.answer.take_span()
+        self.without_rig.take_span()
+        return LoopReport(
+            role=self._role,
+            state=side.state,
+            reason=side.reason,
+            ticks=stats.ticks,
+            overruns=stats.overruns,
+            received=counts.received,
+            lost=counts.lost,
+            rejected=counts.rejected,
+            corrupted=counts.corrupted,
+            repeated=counts.repeated,
+            out_of_order=counts.out_of_order,
+            foreign=counts.foreign,
+            forged=counts.forged,
+            unknown=counts.unknown,
+            delayed=counts.delayed,
+            clock_jumps=counts.clock_jumps,
+            restarts=counts.restarts,
+            rate_hz=rate_hz,
+            lateness_max_ns=stats.lateness_max_ns,
+            latency_p50_ns=span.p50,
+            latency_p99_ns=span.p99,
+        )
+
+    def summary(
+        self, side: SessionOutline, counts: Counts, verdicts: Mapping[str, int]
+    ) -> dict[str, Any]:
+        """Return the summary of the whole run."""
+        stats = self._stats
+        return {
+            "role": self._role.name.lower(),
+            "seconds": (stats.last_ns - stats.first_ns) * 1e-9,
+            "ticks": stats.ticks,
+            "rate_hz": stats.rate_hz,
+            "overruns": stats.overruns,
+            "lateness_max_ms": stats.lateness_max_ns * 1e-6,
+            "work_us": self.work.percentiles(1e-3),
+            "answer_us": self.answer.percentiles(1e-3),
+            "without_rig_us": self.without_rig.percentiles(1e-3),
+            "latency_ms": self.latency.percentiles(1e-6),
+            "stages_us": self.stages.summary(),
+            "received": counts.received,
+            "lost": counts.lost,
+            "overwritten": counts.overwritten,
+            "rejected": {kind: getattr(counts, kind) for kind in REJECTED},
+            "unknown": counts.unknown,
+            "delayed": counts.delayed,
+            "clock_jumps": counts.clock_jumps,
+            "restarts": counts.restarts,
+            "gate": dict(verdicts),
+            "ticks_in": {state.name.lower(): self._in_state[state] for state in State},
+            "faults": self._faults,
+            "final_state": side.state.name.lower(),
+            "reason": self._words,
+            "not_usable": self._not_usable,
+            "ended_in": self._words
+            if side.state in (State.FAULT, State.STOPPED)
+            else self._pending,
+        }
+
+
+def format_reason(reason: Reason, detail: str) -> str:
+    """Return a reason and its detail in one line."""
+    return f"{reason.text}: {detail}" if detail else reason.text

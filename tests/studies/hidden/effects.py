@@ -1,0 +1,485 @@
+"""What can be wrong with a bench: each effect changes the `Plant`, or how a channel is read.
+
+An effect has parameters drawn at random around its full size; those named in `sized` grow with the
+size asked for and are 0 where there is no effect.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tests.studies.hidden import sensors
+from tests.studies.hidden.chain import Law, Tip
+
+BENCHES = ("blocked", "spring")
+
+
+class Scene(NamedTuple):
+    """What an effect may look at when it is drawn."""
+
+    bench: str
+    duration: float  # [s]
+    holds: list  # [(s, s)] while the motor rests under tension
+    full: float  # [m] motor travel of a pull to 20 N
+    length: float  # [m] of the sheath
+    stiffness: float  # [N/m] of the tip's spring
+    clean: dict  # channel -> true values without any effect
+
+
+@dataclass
+class Plant:
+    """The bench before it runs: clean as made, then changed by effects."""
+
+    sections: list  # (length [m], angle [rad])
+    law: Law = field(default_factory=Law)
+    tip: Tip = field(default_factory=Tip)
+    pretension: float = 0.0  # [N]
+    antagonist: tuple | None = None  # (length [m], friction coefficient * angle, tension [N])
+    scales: list = field(default_factory=list)  # functions of time and motor travel
+    growth: list = field(default_factory=list)  # strain, functions of time
+    wall: list = field(default_factory=list)  # [m] functions of time
+    parts: int = 1  # steps of a sample
+    readings: dict = field(default_factory=dict)  # channel -> functions of sensors.py
+    ceilings: dict = field(default_factory=dict)  # channel -> most that it reads, noise and all
+
+    def bend(self, parts=1, **changes):
+        self.law = self.law._replace(**changes)
+        self.parts = max(self.parts, parts)
+
+    def read(self, channel, function):
+        self.readings.setdefault(channel, []).append(function)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """How to draw an effect, which of its parameters are its size, and how it acts."""
+
+    draw: Callable  # (rng, scene) -> parameters
+    sized: tuple
+    act: Callable  # (plant, **parameters) -> the same in other words, if any
+    benches: tuple
+    units: dict
+    read: bool  # whether it acts on readings alone
+
+
+EFFECTS: dict[str, Effect] = {}
+OUTSIDE: dict[str, Effect] = {}
+
+
+def effect(sized, draw, *, benches=BENCHES, read=False, outside=False, **units):
+    """Register a function as an effect by its own name."""
+
+    def register(act):
+        new = Effect(draw, tuple(sized.split()), act, benches, units, read)
+        if outside:
+            OUTSIDE["outside:" + act.__name__] = new
+        else:
+            EFFECTS[act.__name__] = new
+        return act
+
+    return register
+
+
+def about(rng, value):
+    return value * rng.uniform(0.8, 1.2)
+
+
+def either(rng, value):
+    return about(rng, value) * rng.choice([-1.0, 1.0])
+
+
+def some_time(rng, scene):
+    return scene.duration * rng.uniform(0.2, 0.8)
+
+
+# Friction
+
+
+@effect("change", lambda r, s: {"change": either(r, 0.25), "time": some_time(r, s)}, time="s")
+def friction_step(plant, change, time):
+    plant.scales.append(lambda t, _q: 1.0 + change * (t >= time))
+
+
+@effect("change", lambda r, _: {"change": either(r, 0.15)})
+def friction_drift(plant, change):
+    """`change` is that at the end."""
+    plant.scales.append(lambda t, _q: 1.0 + change * t / t[-1])
+
+
+@effect("drag", lambda r, _: {"drag": about(r, 0.6)}, drag="N")
+def constant_drag(plant, drag):
+    plant.bend(drag=drag)
+
+
+@effect("viscosity", lambda r, _: {"viscosity": about(r, 500.0)}, viscosity="N s/m")
+def viscous_friction(plant, viscosity):
+    plant.bend(parts=2, viscosity=viscosity)
+
+
+@effect(
+    "ratio",
+    lambda r, s: {"ratio": about(r, 0.25), "speed": about(r, 0.2) * s.full, "memory": 0.2},
+    speed="m/s",
+    memory="s",
+)
+def stribeck_friction(plant, ratio, speed, memory):
+    """Friction follows the speed a little late: without it a tendon would stick and slip."""
+    plant.bend(parts=2, stribeck_ratio=ratio, stribeck_speed=speed, stribeck_memory=memory)
+
+
+@effect("bristle", lambda r, _: {"bristle": about(r, 5e-5)}, bristle="m")
+def presliding(plant, bristle):
+    """`bristle` is what a contact gives at 10 N before it slides; its stiffness is constant."""
+    plant.bend(bristle=bristle)
+
+
+@effect("change", lambda r, _: {"change": either(r, 0.2)})
+def direction_asymmetry(plant, change):
+    """Friction towards the tip is 1 + change times that towards the housing."""
+    plant.bend(asymmetry=1.0 + change)
+    return {"ratio": 1.0 + change}
+
+
+@effect("change", lambda r, _: {"change": -about(r, 0.15)})
+def tension_dependent_friction(plant, change):
+    plant.bend(exponent=1.0 + change)
+    return {"exponent": 1.0 + change}
+
+
+@effect(
+    "excess",
+    lambda r, _: {"excess": about(r, 0.3), "time": about(r, 0.3), "distance": about(r, 2e-5)},
+    time="s",
+    distance="m",
+)
+def stick_slip(plant, excess, time, distance):
+    """A contact at rest grows by `excess` with `time`; sliding `distance` undoes it."""
+    plant.bend(parts=2, static_excess=excess, static_time=time, static_distance=distance)
+
+
+# Elasticity and geometry
+
+
+def some_sections(rng, scene):
+    count = rng.integers(2, 5)
+    cuts = np.sort(rng.uniform(0.15, 0.85, count - 1))
+    return {"spread": about(rng, 1.5), "cuts": cuts, "order": rng.permutation(count)}
+
+
+@effect("spread", some_sections)
+def nonuniform_curvature(plant, spread, cuts, order):
+    """The sharpest section is exp(spread) times as sharp as the gentlest; `cuts` in lengths."""
+    ((length, angle),) = plant.sections
+    shares = np.diff([0.0, *cuts, 1.0])
+    bends = shares * np.exp(spread * order / order.max())
+    plant.sections = list(zip(length * shares, angle * bends / bends.sum(), strict=True))
+
+
+@effect(
+    "strain",
+    lambda r, s: {"strain": about(r, 1.5e-4) / s.length, "tension": r.uniform(1.0, 5.0)},
+    tension="N",
+)
+def nonlinear_stiffness(plant, strain, tension):
+    plant.bend(toe_strain=strain, toe_tension=tension)
+
+
+@effect("share", lambda r, _: {"share": about(r, 0.1), "time": about(r, 8.0)}, time="s")
+def creep(plant, share, time):
+    plant.bend(creep_share=share, creep_time=time)
+
+
+@effect(
+    "compression",
+    lambda r, _: {"compression": about(r, 5e-7), "threshold": r.uniform(0.0, 5.0)},
+    compression="m/N^2",
+    threshold="N",
+)
+def sheath_compression(plant, compression, threshold):
+    plant.bend(compression=compression, compression_threshold=threshold)
+
+
+@effect("length", lambda r, _: {"length": about(r, 5e-4)}, length="m")
+def slack(plant, length):
+    plant.bend(slack=length)
+
+
+def some_growth(rng, scene):
+    return {"growth": about(rng, 1e-4), "time": rng.choice([np.inf, scene.duration / 3])}
+
+
+@effect("growth", some_growth, growth="m", time="s")
+def thermal_expansion(plant, growth, time):
+    """The tendon is `growth` longer at the end: evenly, or exponentially with `time`."""
+    length = sum(length for length, _ in plant.sections)
+
+    def strain(t):
+        grown = t / t[-1] if np.isinf(time) else np.expm1(-t / time) / np.expm1(-t[-1] / time)
+        return growth / length * grown
+
+    plant.growth.append(strain)
+
+
+# Ends of the tendon
+
+
+def some_pretension(rng, scene):
+    """Less than what pulls bring to the tip, or there would be none there but by letting go."""
+    return {"tension": about(rng, min(6.0, 0.6 * scene.clean["distal_tension"].max()))}
+
+
+@effect("tension", some_pretension, tension="N")
+def pretension(plant, tension):
+    plant.pretension = tension
+
+
+@effect("width", lambda r, _: {"width": about(r, 1e-4)}, benches=("spring",), read=True, width="m")
+def joint_backlash(plant, width):
+    plant.read("distal_displacement", lambda _t, y, _q: sensors.play(y, width))
+
+
+@effect("friction", lambda r, _: {"friction": about(r, 0.5)}, benches=("spring",), friction="N")
+def joint_friction(plant, friction):
+    plant.tip = plant.tip._replace(friction=friction)
+
+
+@effect(
+    "tension",
+    lambda r, _: {"tension": about(r, 0.2), "K": r.uniform(0.5, 1.5)},
+    benches=("spring",),
+    tension="N",
+)
+def antagonist_tension(plant, tension, K):
+    """A second tendon through a sheath of its own, held with `tension` at its housing."""
+    ((length, _),) = plant.sections[:1]
+    plant.antagonist = (length, K, tension) if tension > 0.0 else None
+
+
+@effect(
+    "damping mass",
+    lambda r, s: {
+        "damping": about(r, 0.06) * s.stiffness,
+        "mass": s.stiffness / about(r, 25.0) ** 2,
+    },
+    benches=("spring",),
+    damping="N s/m",
+    mass="kg",
+)
+def tip_inertia(plant, damping, mass):
+    plant.tip = plant.tip._replace(damping=damping, mass=mass)
+    plant.parts = max(plant.parts, 4)
+
+
+def some_visit(rng, scene):
+    """Move the tip in one of the motor's holds."""
+    start, end = scene.holds[rng.integers(len(scene.holds))]
+    begin = rng.uniform(start + 0.1 * (end - start), start + 0.4 * (end - start))
+    ramp = rng.uniform(0.2, 1.0)
+    back = np.inf if rng.random() < 0.5 else begin + ramp + rng.uniform(1.0, 2.5)
+    return {"travel": either(rng, 6e-4), "time": begin, "ramp": ramp, "back": back}
+
+
+@effect("travel", some_visit, travel="m", time="s", ramp="s", back="s")
+def tip_moved(plant, travel, time, ramp, back):
+    """Blocked: the wall moves; spring: its far end."""
+
+    def wall(t):
+        return travel * (np.clip((t - time) / ramp, 0, 1) - np.clip((t - back) / ramp, 0, 1))
+
+    plant.wall.append(wall)
+
+
+# Sensors
+
+
+def cell_effects(side, gain, bias, drift):
+    """Register gain, bias and drift of the load cell at one end."""
+    channel = side + "_tension"
+
+    def register(what, name, value, unit, make):
+        def act(plant, **parameters):
+            plant.read(channel, make(*parameters.values()))
+
+        act.__name__ = f"{channel}_{what}"
+        units = {name: unit} if unit else {}
+        effect(name, lambda r, _: {name: either(r, value)}, read=True, **units)(act)
+
+    register("gain", "gain", gain, "", sensors.gained)
+    register("bias", "bias", bias, "N", sensors.biased)
+    register("drift", "drift", drift, "N", sensors.drifting)
+
+
+cell_effects("proximal", 0.06, 0.4, 0.6)
+cell_effects("distal", 0.05, 0.3, 0.5)
+
+
+def encoders(scene):
+    """Encoders that move: that of a blocked tip does not."""
+    both = ["proximal_displacement", "distal_displacement"]
+    return both if scene.bench == "spring" else both[:1]
+
+
+def some_lag(rng, scene):
+    channel = rng.choice(["proximal_tension", "distal_tension", *encoders(scene)])
+    kind = rng.choice(["delay", "filter"])
+    return {"lag": about(rng, 0.06), "channel": str(channel), "kind": str(kind)}
+
+
+@effect("lag", some_lag, read=True, lag="s")
+def sensor_lag(plant, lag, channel, kind):
+    plant.read(channel, sensors.delayed(lag) if kind == "delay" else sensors.filtered(lag))
+
+
+def some_ceiling(rng, scene):
+    channel = str(rng.choice(["proximal_tension", "distal_tension"]))
+    return {"depth": about(rng, 0.2), "peak": scene.clean[channel].max(), "channel": channel}
+
+
+@effect("depth", some_ceiling, read=True, peak="N", limit="N")
+def saturation(plant, depth, peak, channel):
+    limit = (1.0 - depth) * peak
+    plant.ceilings[channel] = limit
+    return {"limit": limit}
+
+
+@effect(
+    "gain",
+    lambda r, s: {"gain": either(r, 0.04), "channel": str(r.choice(encoders(s)))},
+    benches=("spring",),  # with a blocked tip it is a stiffer tendon
+    read=True,
+)
+def encoder_scale(plant, gain, channel):
+    plant.read(channel, sensors.gained(gain))
+
+
+@effect(
+    "slip",
+    lambda r, s: {
+        "slip": either(r, 8e-5),
+        "time": some_time(r, s),
+        "channel": str(r.choice(encoders(s))),
+    },
+    read=True,
+    slip="m",
+    time="s",
+)
+def encoder_slip(plant, slip, time, channel):
+    plant.read(channel, sensors.slipped(slip, time))
+
+
+def on_pulley(rng, amplitude, order):
+    """Over less than a turn only a wave near its crest is more than another radius."""
+    crest = rng.choice([0.5, 1.5]) * np.pi
+    return {
+        "amplitude": about(rng, amplitude),
+        "radius": rng.uniform(5e-3, 15e-3),
+        "order": order,
+        "phase": crest + rng.uniform(-0.6, 0.6),
+    }
+
+
+@effect(
+    "amplitude",
+    lambda r, _: on_pulley(r, 2e-4, 1),
+    benches=("spring",),  # over the short travel of a blocked tip it is a stiffer tendon
+    read=True,
+    amplitude="m",
+    radius="m",
+)
+def pulley_eccentricity(plant, **ripple):
+    plant.read("proximal_displacement", sensors.wave(**ripple))
+
+
+@effect(
+    "amplitude",
+    lambda r, _: on_pulley(r, 0.2, int(r.integers(10, 61))),
+    read=True,
+    amplitude="N",
+    radius="m",
+)
+def cogging_ripple(plant, **ripple):
+    plant.read("proximal_tension", sensors.wave(**ripple))
+
+
+@effect(
+    "force",
+    lambda r, _: {"force": about(r, 0.3), "give": about(r, 2e-5)},
+    read=True,
+    force="N",
+    give="m",
+)
+def sheath_rub(plant, force, give):
+    plant.read("proximal_tension", sensors.rubbing(force, give))
+
+
+# Outside the catalogue
+
+
+def some_walk(rng, spread):
+    """Return a random walk of 60 places whose farthest is 1."""
+    walk = np.cumsum(rng.standard_normal(60))
+    walk -= walk.mean()
+    return {"spread": about(rng, spread), "walk": walk / np.abs(walk).max()}
+
+
+def along(walk, t):
+    return np.interp(t, np.linspace(0.0, t[-1], len(walk)), walk)
+
+
+@effect("spread", lambda r, _: some_walk(r, 0.3), outside=True)
+def wandering_friction(plant, spread, walk):
+    plant.scales.append(lambda t, _q: 1.0 + spread * along(walk, t))
+
+
+@effect("spread", lambda r, _: some_walk(r, 0.1), outside=True, read=True)
+def wandering_gain(plant, spread, walk):
+    plant.read("proximal_tension", lambda t, y, _q: y * (1.0 + spread * along(walk, t)))
+
+
+@effect(
+    "height",
+    lambda r, s: {
+        "height": about(r, 0.5),
+        "place": s.full * r.uniform(0.3, 0.8),
+        "width": s.full * about(r, 0.08),
+    },
+    outside=True,
+    place="m",
+    width="m",
+)
+def rough_spot(plant, height, place, width):
+    plant.scales.append(lambda _t, q: 1.0 + height * np.exp(-(((q - place) / width) ** 2)))
+
+
+@effect(
+    "amplitude",
+    lambda r, _: {
+        "amplitude": about(r, 0.3),
+        "period": r.uniform(0.8, 3.0),
+        "shape": r.standard_normal((3, 2)),
+        "channel": str(r.choice(["proximal_tension", "distal_tension"])),
+    },
+    outside=True,
+    read=True,
+    amplitude="N",
+    period="s",
+)
+def periodic_disturbance(plant, amplitude, period, shape, channel):
+    def disturbed(t, y, _q):
+        angle = 2 * np.pi * t / period * np.arange(1, 4)[:, None]
+        waves = shape[:, 0] @ np.sin(angle) + shape[:, 1] @ np.cos(angle)
+        return y + amplitude * waves / np.abs(shape).sum() * 2
+
+    plant.read(channel, disturbed)
+
+
+VISIBLE = {name: e.benches for name, e in (EFFECTS | OUTSIDE).items()}
+
+
+def fresh(plant):
+    """Return a copy that effects may change."""
+    lists = {n: list(getattr(plant, n)) for n in ("scales", "growth", "wall")}
+    readings = {channel: list(functions) for channel, functions in plant.readings.items()}
+    return replace(plant, readings=readings, ceilings=dict(plant.ceilings), **lists)

@@ -1,0 +1,122 @@
+"""The makers of hidden effects obey mechanics, and hide what they say."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.studies.hidden import CHANNELS, VISIBLE, make, motion
+from tests.studies.hidden.chain import SPRUNG, Law, Tip, at_rest, lay, run, step
+from tests.studies.hidden.session import JUST_SEEN, draw_bench, visible
+
+QUICK = {"duration": 30.0, "rate": 20.0}
+EXACT = {"noise": 0.0, "resolution": 0.0}
+K, L, EA = 1.1, 1.5, 9e3
+TIPS = [Tip(), Tip(SPRUNG, stiffness=2000.0)]
+PLACES = [(name, bench) for name, benches in VISIBLE.items() for bench in benches]
+
+
+def conditions(motor):
+    zero = np.zeros(len(motor))
+    return np.column_stack([motor, zero, zero + 1.0, zero])
+
+
+def wandering(tip, count, seed=4):
+    """A motor that swings, turns back early and goes slack."""
+    rng = np.random.default_rng(seed)
+    far = 8e-3 if tip.kind == SPRUNG else 2e-3
+    ends = far * np.array([0, 1, 0.1, 0.9, 0.5, 0.7, 0.6, -0.1, 0.8, 0, *rng.uniform(0, 1, 4)])
+    return np.interp(np.linspace(0, len(ends) - 1, count), np.arange(len(ends)), ends)
+
+
+@pytest.mark.parametrize("tip", TIPS)
+def test_every_node_is_in_balance_and_every_bead_obeys_coulomb(tip):
+    line = lay([(L / 3, K / 2), (2 * L / 3, K / 2)], 1.0, EA, beads=40)
+    state = at_rest(line, Law(), tip)
+    outside = conditions(wandering(tip, 400))
+    slid = set()
+    for before, after in pairwise(outside):
+        x = state.x.copy()
+        step(line, Law(), tip, state, before, after, 0.01)
+        T = np.maximum(EA * (state.x[:-1] - state.x[1:]) / line.length, 0.0)
+        jump, moved = T[:-1] - T[1:], (state.x - x)[1:-1]
+        limit = line.friction[1:-1] * (T[:-1] + T[1:]) / 2
+        assert np.abs(state.tension - T).max() < 1e-6
+        assert state.x[0] == pytest.approx(after[0], abs=1e-12)
+        assert np.all(np.abs(jump) <= limit + 1e-6)
+        slides = np.abs(moved) > 1e-9
+        taut = slides & (limit > 1e-6)
+        np.testing.assert_allclose(jump[taut], np.sign(moved[taut]) * limit[taut], atol=1e-6)
+        assert T[-1] == pytest.approx(tip.stiffness * state.x[-1], abs=1e-6) or tip.kind != SPRUNG
+        slid |= set(np.sign(moved[taut]))
+    assert slid == {-1.0, 1.0}
+
+
+@pytest.mark.parametrize("bench", ["blocked", "spring"])
+def test_more_beads_change_less_than_two_millinewtons(bench):
+    there, clean, _, _ = draw_bench(3, bench, **QUICK)
+    tensions = {}
+    for beads in (30, 60, 120, 360):
+        line = lay(clean.sections, 1.0, there.EA, beads=beads)
+        state = at_rest(line, Law(), there.tip)
+        motor = motion.trace(there.ways, there.time, state.x[0], 0.0)
+        out = run(line, Law(), there.tip, state, conditions(motor), there.time[1], 1)
+        tensions[beads] = out[:, [0, 2]]
+    errors = [np.abs(tensions[beads] - tensions[360]).max() for beads in (30, 60, 120)]
+    assert errors[2] < 2e-3
+    assert errors[0] > 3 * errors[1] > 9 * errors[2]
+
+
+@pytest.mark.parametrize(("name", "bench"), PLACES)
+def test_an_effect_shows_at_full_size_and_is_gone_without(name, bench):
+    clean = make(1, (), bench=bench, **QUICK, **EXACT)
+    full = make(1, name, bench=bench, **QUICK, **EXACT)
+    none = make(1, name, size=0.0, bench=bench, **QUICK, **EXACT)
+    assert visible(full.channels, clean.channels) > 5.0
+    for channel in CHANNELS:
+        np.testing.assert_allclose(
+            none.channels[channel],
+            clean.channels[channel],
+            atol=1e-3 * JUST_SEEN[channel.split("_")[1]],
+        )
+    assert np.diff(full.heat).min() > -1e-12
+    assert full.heat[-1] > 0.0
+
+
+def test_half_the_size_is_half_the_parameter():
+    full, half = (make(2, "constant_drag", size=size, **QUICK) for size in (1.0, 0.5))
+    drag = full.truth["constant_drag"]["drag"]
+    assert half.truth["constant_drag"]["drag"] == pytest.approx(drag / 2)
+
+
+def test_a_seed_is_a_record():
+    pair = ("friction_step", "encoder_slip")
+    once, again, other = (make(seed, pair, **QUICK) for seed in (5, 5, 6))
+    for channel in CHANNELS:
+        np.testing.assert_array_equal(once.channels[channel], again.channels[channel])
+    assert once.truth["sheath"] == again.truth["sheath"] != other.truth["sheath"]
+
+
+@pytest.mark.parametrize("bench", ["blocked", "spring"])
+def test_every_motion_tells_enough(bench):
+    for seed in range(3):
+        record = make(seed, (), bench=bench, rate=50.0)
+        T, q = record.channels["proximal_tension"], record.channels["proximal_displacement"]
+        speed = np.abs(np.gradient(q, record.time)) / np.ptp(q)
+        assert abs(T[:20].mean()) < 0.02
+        assert 17.0 < T.max() < 21.0
+        assert np.mean(np.abs(T) < 0.08) * record.time[-1] > 0.5
+        there = draw_bench(seed, bench, 60.0, 50.0)[0]
+        long = [end - start for start, end in there.ways.holds]
+        assert len(long) >= 2
+        assert min(long) > 7.8
+        assert speed.max() > 5 * np.quantile(speed[speed > 0.02], 0.2)
+
+
+def test_noise_and_resolution_are_as_asked():
+    quiet = make(7, (), **QUICK, **EXACT)
+    noisy = make(7, (), **QUICK, noise=0.05, resolution=1e-5)
+    noise = noisy.channels["distal_tension"] - quiet.channels["distal_tension"]
+    assert noise.std() == pytest.approx(0.05, rel=0.1)
+    steps = noisy.channels["proximal_displacement"] / 1e-5
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)

@@ -1,0 +1,114 @@
+"""The paper's estimator against the brute-force chain of a uniform sheath, where it is exact."""
+
+import math
+
+import numpy as np
+import pytest
+
+from studies.paper import paper_method
+from studies.paper.paper_method import Phase
+from tests.brute.chain import Chain, Force, Position
+
+K, L, EA, MU = 0.6, 1.5, 9000.0, 0.15
+UNEVEN = ((0.2, 0.05), (1.3, 0.5))  # (length, radius) [m]: a tight bend at the motor
+
+
+def moved_through(levels, sections=((L, MU * L / K),), n=100):
+    """Return T_in, T_out, e of a chain with its tip held, T_in moved through `levels`."""
+    chain = Chain(sections, MU, EA, beads=150, tension=1e-3)
+    rows = []
+    for low, high in zip((1e-3, *levels[:-1]), levels, strict=True):
+        for T in np.linspace(low, high, n):
+            chain.move(Force(T), Position(0.0))
+            rows.append((chain.T_in, chain.T_out, chain.elongation))
+    return np.array(rows).T
+
+
+def largest_errors(found, T_out, e):
+    return (
+        np.abs(found.distal_tension - T_out).max() / T_out.max(),
+        np.abs(found.elongation - e).max() / e.max(),
+    )
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    """The model as the first pull of a chain gives it: M_e = e/T_in."""
+    T_in, _, e = moved_through((20.0,))
+    return paper_method.initialise(e[-1] / T_in[-1], L, EA)
+
+
+def run(model, tension, continued=False):
+    return paper_method.run(model, np.arange(len(tension)), tension, 0.0, continued)
+
+
+def test_initialisation_on_a_uniform_sheath_finds_its_friction(calibrated):
+    assert pytest.approx(K, rel=1e-4) == calibrated.K
+
+
+@pytest.mark.parametrize("continued", [False, True])
+@pytest.mark.parametrize("levels", [(20.0, 5.0, 20.0), (20.0, 1.0, 10.0, 1.0, 20.0)])
+def test_full_pulls_and_releases_of_a_uniform_sheath_are_exact(calibrated, levels, continued):
+    T_in, T_out, e = moved_through(levels)
+    force, elongation = largest_errors(run(calibrated, T_in, continued), T_out, e)
+    assert force < 1e-4
+    assert elongation < 1e-4
+
+
+def test_the_phases_come_in_the_papers_order(calibrated):
+    T_in, _, _ = moved_through((20.0, 5.0, 20.0))
+    phase = run(calibrated, T_in).phase
+    changes = phase[np.flatnonzero(np.diff(phase, prepend=-1))]
+    assert changes.tolist() == [
+        Phase.PULL,
+        Phase.PULL_TO_RELEASE,
+        Phase.RELEASE,
+        Phase.RELEASE_TO_PULL,
+        Phase.PULL,
+    ]
+    released = T_in[np.flatnonzero(phase == Phase.RELEASE)[0]]
+    assert released == pytest.approx(20.0 * math.exp(-2.0 * K), abs=0.2)
+
+
+def test_a_reversal_inside_a_transition_makes_the_paper_jump_and_not_its_continuation(calibrated):
+    T_in, T_out, e = moved_through((20.0, 8.0, 15.0))
+    assert T_out[-1] == pytest.approx(T_out[99])  # the tip never heard of it
+    jumped, _ = largest_errors(run(calibrated, T_in), T_out, e)
+    assert jumped > 0.3
+    force, elongation = largest_errors(run(calibrated, T_in, continued=True), T_out, e)
+    assert force < 1e-4
+    assert elongation < 1e-4
+
+
+def test_uneven_curvature_misleads_it_as_theory_says():
+    T_in, T_out, e = moved_through((20.0,), UNEVEN)
+    model = paper_method.initialise(e[-1] / T_in[-1], L, EA)
+    true = MU * sum(length / radius for length, radius in UNEVEN)
+    assert true == pytest.approx(0.99)
+    assert pytest.approx(1.63, abs=0.01) == model.K
+    low = run(model, T_in).distal_tension[-1] / T_out[-1] - 1.0
+    assert low == pytest.approx(-0.47, abs=0.01)
+
+
+def test_more_stretch_than_without_friction_is_refused():
+    with pytest.raises(ValueError, match="M_e EA/L"):
+        paper_method.initialise(1.01 * L / EA, L, EA)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_noise_is_no_reversal(calibrated, noise):
+    clean = np.concatenate([np.linspace(0.0, 20.0, 3000), np.full(2000, 20.0)])
+    tension = clean + noise * np.random.default_rng(1).standard_normal(len(clean))
+    found = paper_method.run(calibrated, 1e-3 * np.arange(len(clean)), tension, noise)
+    assert set(found.phase) == {Phase.PULL}
+    off = found.distal_tension - clean * math.exp(-K)
+    lag = paper_method.TIME_CONSTANT * 20.0 / 3.0
+    assert np.abs(off).max() < math.exp(-K) * (lag + 2.0 * noise)
+
+
+def test_a_slow_turn_is_seen_through_the_noise_and_held_from_its_extreme(calibrated):
+    clean = np.concatenate([np.linspace(0.0, 20.0, 2000), np.linspace(20.0, 10.0, 8000)])
+    tension = clean + 0.03 * np.random.default_rng(2).standard_normal(len(clean))
+    found = paper_method.run(calibrated, 1e-3 * np.arange(len(clean)), tension, 0.03)
+    assert found.phase[-1] == Phase.PULL_TO_RELEASE
+    assert found.distal_tension[-1] == pytest.approx(20.0 * math.exp(-K), abs=0.05)

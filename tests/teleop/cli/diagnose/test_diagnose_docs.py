@@ -1,0 +1,56 @@
+"""What docs/diagnosis.md shows is so."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare
+from estimator.effects import Effect
+from teleop.cli import commands
+from teleop.cli.diagnose import catalogue
+from teleop.cli.diagnose.effect_choice import parse_effects
+from tests.studies import hidden
+
+DOCS = Path(__file__).parents[4] / "docs"
+PAGE = DOCS / "diagnosis.md"
+
+
+def block(language):
+    (text,) = re.findall(rf"^```{language}\n(.*?)^```", PAGE.read_text(), re.M | re.S)
+    return text
+
+
+def test_the_catalogue_of_the_page_is_that_of_the_estimator():
+    page = PAGE.read_text()
+    assert page == catalogue.replace_table(page), (
+        "run: python -m teleop.cli.diagnose.catalogue docs/diagnosis.md"
+    )
+
+
+def test_pictures_of_the_page_are_there():
+    pictures = re.findall(r"\]\((images/.*?)\)", PAGE.read_text())
+    assert pictures
+    assert all((DOCS / picture).is_file() for picture in pictures)
+
+
+def test_the_bench_of_the_page_is_simulated_with_its_fault(tmp_path, capsys):
+    config = tmp_path / "bench.yaml"
+    config.write_text(block("yaml"))
+    words = ["--profile", "nested", "--duration", "2", "--rate", "100", "--speed", "0.0015"]
+    assert commands.main(["simulate", str(config), "--out", str(tmp_path / "x.csv"), *words]) == 0
+    assert "friction_step (change 0.25)" in capsys.readouterr().out
+
+
+def test_the_effect_of_the_page_is_found_among_others():
+    names = {}
+    exec(block("python"), names)  # noqa: S102 - our own page
+    (effect,) = (one for one in names.values() if isinstance(one, Effect))
+    data = hidden.make(5, (), bench="spring", duration=16.0, rate=50.0)
+    T = data.channels["distal_tension"]
+    record = prepare(data.time, data.channels | {"distal_tension": T + 0.006 * T**2})
+    found = diagnose([record], [*parse_effects("distal_tension_gain,constant_drag"), effect])
+    assert (found.verdict, found.causes) == (Verdict.NAMED, (effect.name,))
+    assert found.parameters[f"{effect.name}.curve"].value == pytest.approx(0.006, rel=0.1)

@@ -1,0 +1,55 @@
+"""The diagnosis of a measured bench: a session with two load cells, and no travel."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis import report_text
+from estimator.diagnosis.engine import diagnose
+from estimator.diagnosis.outcome import Verdict
+from estimator.diagnosis.record import prepare
+
+ROOT = os.environ.get("TELEOP_SHARED_DATA")
+DATA = Path(ROOT) if ROOT else Path(__file__).resolve().parents[5] / "shared" / "data"
+SESSION = DATA / "sheath-bench" / "session1.csv"
+PLAIN = 0.467  # [N] that the symmetric law leaves, fitted to all of it
+
+pytestmark = [
+    pytest.mark.measured,
+    pytest.mark.skipif(not SESSION.exists(), reason=f"no measured data at {DATA}"),
+]
+
+
+@pytest.fixture(scope="module")
+def found():
+    table = np.genfromtxt(SESSION, delimiter=",", names=True)
+    signals = {name: table[f"{name}_N"] for name in ("proximal_tension", "distal_tension")}
+    return diagnose([prepare(table["time_s"], signals)], workers=2)
+
+
+def test_what_removes_most_of_the_error_is_found_with_its_look_alikes(found):
+    assert found.verdict is Verdict.AMBIGUOUS
+    assert {*found.causes, *found.ambiguous_with} == {
+        "distal_tension_gain",
+        "proximal_tension_gain",
+        "direction_asymmetry",
+    }
+    assert found.after.fit["distal_tension"].rmse < 0.185 < 0.4 * PLAIN
+
+
+def test_what_it_is_worth_on_held_out_blocks_is_what_it_is_worth_where_it_was_fitted(found):
+    before, after = (
+        [one.fit["distal_tension"].rmse, one.held_out["distal_tension"].rmse]
+        for one in (found.before, found.after)
+    )
+    fitted, held_out = (1.0 - b / a for a, b in zip(before, after, strict=True))
+    assert held_out == pytest.approx(fitted, rel=0.1)
+
+
+def test_the_experiments_that_would_tell_them_apart_and_what_is_left_are_said(found):
+    assert any("known weight" in what for what in found.experiments)
+    (left,) = report_text.remains(found)
+    assert "0.18" in left
+    assert "noise is 0.0" in left

@@ -1,0 +1,259 @@
+"""The `teleop` program: every command resolves, explains itself and complains in one line."""
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from teleop.cli import commands
+
+
+@pytest.mark.parametrize("command", commands.COMMANDS)
+def test_every_command_resolves_and_explains_itself(command, capsys):
+    module, _ = commands.COMMANDS[command]
+    assert callable(importlib.import_module(module).main)
+    with pytest.raises(SystemExit) as end:
+        commands.main([command, "--help"])
+    assert end.value.code == 0
+    assert len(capsys.readouterr().out.splitlines()) > 3
+
+
+@pytest.mark.parametrize("words", [["--session", "a\nb"], ["--session=a\x1b[2Jb"]])
+def test_control_characters_of_words_stay_in_a_line(words, capsys):
+    assert commands.main(["stop", *words]) == 2
+    captured = capsys.readouterr().err
+    assert captured.endswith("\n")
+    assert captured[:-1].isprintable()
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        ("rnu", "did you mean 'run'?"),
+        ("keys shwo", "did you mean 'show'?"),
+        ("run configs/demo.yaml", "did you mean --config configs/demo.yaml?"),
+        ("run --view none --set rate_hz 500", "did you mean --set rate_hz=500?"),
+        ("run --durration 3", "did you mean '--duration'?"),
+        ("bench loop --secnds 3", "see `teleop bench loop --help`"),
+    ],
+)
+def test_words_that_are_close_to_right_ones_get_a_hint(words, hint, capsys):
+    assert commands.main(words.split()) == 2
+    captured = capsys.readouterr()
+    assert hint in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["fly"],
+        ["run", "--fly"],
+        ["run", "--config", "no-such.yaml"],
+        ["run", "--duration", "soon"],
+        ["estimate", "no-such.csv", "--fit"],
+    ],
+)
+def test_wrong_words_get_one_line_and_exit_code_2(words, capsys):
+    assert commands.main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("teleop")
+    assert len(captured.err.splitlines()) == 1
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize("command", ["run", "master", "slave", "record", "view"])
+@pytest.mark.parametrize("option", ["--duration=-1", "--duration=inf", "--json=/no/where.json"])
+def test_every_command_refuses_a_wrong_duration_and_an_impossible_summary(command, option, capsys):
+    assert commands.main([command, option]) == 2
+    captured = capsys.readouterr()
+    assert option.split("=")[0] in captured.err
+    assert len(captured.err.splitlines()) == 1
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_are_no_defect(closed, tmp_path):
+    run = f"{sys.executable} -m teleop run --config no-such.yaml {closed}"
+    ended = subprocess.run(run, shell=True, capture_output=True, text=True, check=False)  # noqa: S602
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("teleop: no-such.yaml") or "2>&-" in closed
+    ended = subprocess.run(  # noqa: S602
+        f"{sys.executable} -m teleop doctor {closed}", shell=True, capture_output=True, check=False
+    )
+    assert ended.returncode in (0, 1)
+    assert ended.stderr == b""
+
+
+def test_a_closed_stream_is_replaced_by_one_that_takes_everything(monkeypatch):
+    for name in ("stdin", "stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    assert commands.main(["run", "--config", "no-such.yaml"]) == 2
+    with sys.stdin, sys.stdout, sys.stderr:
+        sys.stdout.write("nowhere")
+        sys.stderr.write("nowhere")
+        assert sys.stdin.read() == ""
+
+
+INTERRUPTED = """
+import os, signal, sys
+from teleop import __main__
+
+moment, number = sys.argv.pop(1), int(sys.argv.pop(1))
+
+def interrupt(*_):
+    os.kill(os.getpid(), number)
+
+if moment == "importing":
+    class Finder:
+        def find_spec(name, *_):
+            if name == "teleop.runtime.output_file":
+                interrupt()
+    sys.meta_path.insert(0, Finder)
+else:
+    import teleop.cli.doctor
+
+    def compiled(*_):
+        try:
+            interrupt()
+        except KeyboardInterrupt:
+            raise RuntimeError("no compiled object yet") from None
+
+    teleop.cli.doctor.main = compiled if moment == "compiling" else interrupt
+sys.exit(__main__.main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("moment", "number"),
+    [
+        ("importing", signal.SIGINT),
+        ("running", signal.SIGINT),
+        ("compiling", signal.SIGINT),
+        ("running", signal.SIGTERM),
+        ("running", signal.SIGHUP),
+    ],
+)
+def test_an_interrupted_command_says_so_in_one_line(moment, number):
+    ended = run_program(INTERRUPTED, moment, str(int(number)), "doctor")
+    wanted = 128 + number, "", "teleop: interrupted\n"
+    assert (ended.returncode, ended.stdout, ended.stderr) == wanted
+
+
+def run_program(text, *words, **options):
+    """Run Python text in a process; returns what it printed, and its exit code."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    return subprocess.run(
+        [sys.executable, "-c", text, *words],
+        check=False,
+        text=True,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment} | options,
+    )
+
+
+SAYING = """
+import errno, sys
+import teleop.cli.doctor
+from teleop import __main__
+
+said = sys.argv.pop()
+
+def work(_):
+    print(said)
+    {}
+    return 0
+
+teleop.cli.doctor.main = work
+sys.exit(__main__.main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("work", "line"),
+    [
+        ("open('/no/where')", "/no/where: No such file or directory"),
+        ("raise OSError(errno.EMFILE, 'Too many open files')", "Too many open files; raise"),
+        ("raise MemoryError", "not enough memory: close other programs"),
+        ("bytearray(1 << 60)", "not enough memory"),
+        ("import numpy; numpy.empty(1 << 58)", "not enough memory (Unable to allocate"),
+        ("raise EOFError", "the input ended before a question was answered"),
+    ],
+)
+def test_what_the_system_refuses_is_one_line(work, line):
+    ended = run_program(SAYING.format(work), "doctor", "begun")
+    assert (ended.returncode, ended.stdout) == (1, "begun\n")
+    assert ended.stderr.startswith(f"teleop: {line}")
+    assert len(ended.stderr.splitlines()) == 1
+
+
+def test_a_defect_of_ours_shows_its_traceback():
+    ended = run_program(SAYING.format("raise LookupError('a defect')"), "doctor", "begun")
+    assert ended.returncode == 1
+    assert "Traceback" in ended.stderr
+    assert "LookupError: a defect" in ended.stderr
+
+
+@pytest.mark.parametrize("work", ["pass", "print('more', flush=True)", "open('/no/where')"])
+def test_a_full_output_is_one_line(work):
+    with open("/dev/full", "w") as full:
+        ended = run_program(SAYING.format(work), "doctor", "begun", stdout=full)
+    assert ended.returncode == 1
+    assert ended.stderr == "teleop: standard output: No space left on device\n"
+    with open("/dev/full", "w") as full:
+        ended = run_program(SAYING.format("open('/no/where')"), "doctor", "begun", stderr=full)
+    assert ended.returncode == 1
+
+
+@pytest.mark.parametrize("work", ["pass", "print('more', flush=True)"])
+def test_a_reader_of_the_output_that_left_is_no_fault(work):
+    for environment in ({}, {"PYTHONUNBUFFERED": "1"}):
+        end, start = os.pipe()
+        os.close(end)
+        ended = run_program(
+            SAYING.format(work), "doctor", "begun", stdout=start, env=os.environ | environment
+        )
+        os.close(start)
+        assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def test_an_output_without_the_characters_gets_replacements():
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    ended = run_program(SAYING.format("pass"), "doctor", "0.3 ± 0.1", env=environment)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "0.3 ? 0.1\n", "")
+
+
+@pytest.mark.parametrize("folder", ["/proc/keys", "file/keys", "/dev/null"])
+def test_keys_in_an_impossible_folder_are_one_line(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    assert commands.main(["keys", "init", "authority"]) == 0
+    issue = ["keys", "issue", "authority", "--session", "a", "--role", "slave", "--out", folder]
+    for words in (["keys", "init", folder], issue):
+        capsys.readouterr()
+        assert commands.main(words) in (1, 2)
+        captured = capsys.readouterr()
+        assert folder in captured.err
+        assert len(captured.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("words", [["keys", "init", ""], ["run", "--config", ""]])
+def test_no_path_is_empty(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert commands.main(words) == 2
+    assert "the name is empty" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_needs_no_device_transport_or_viewer_library():
+    program = (
+        "import sys; from teleop.cli import commands\n"
+        "try: commands.main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'zenoh', 'rerun', 'numba', 'hidraw', 'hid', 'scipy'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)

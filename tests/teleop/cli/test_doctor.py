@@ -1,0 +1,120 @@
+"""The checks of a machine, on machines that are not this one."""
+
+import argparse
+import os
+import tomllib
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+
+import pytest
+
+from teleop.cli import doctor
+from teleop.cli.doctor import Finding
+from tests.hid.descriptors import LAYOUTS
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_what_is_needed_is_what_the_project_says():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(doctor.dependencies()) == {line.split(">")[0] for line in project["dependencies"]}
+    assert doctor.packages().good
+
+
+def test_a_missing_package_is_named_with_the_remedy(monkeypatch):
+    def version(name):
+        if name == "numba":
+            raise PackageNotFoundError(name)
+        return "1"
+
+    monkeypatch.setattr(doctor, "version", version)
+    finding = doctor.packages()
+    assert (finding.good, finding.essential) == (False, True)
+    assert finding.detail == "missing: numba"
+    assert finding.remedy == "pip install numba"
+
+
+@pytest.mark.parametrize(("count", "good"), [(1, False), (2, True), (None, False)])
+def test_two_loops_want_two_processors(monkeypatch, count, good):
+    monkeypatch.setattr(os, "cpu_count", lambda: count)
+    assert doctor.processors().good == good
+
+
+def test_real_time_scheduling_is_tried_and_put_back(monkeypatch):
+    set_to = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *words: set_to.append(words[1]))
+    assert doctor.real_time().good
+    assert set_to == [os.SCHED_FIFO, os.sched_getscheduler(0)]
+
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert "rtprio" in doctor.real_time().remedy
+
+
+@pytest.mark.parametrize(
+    ("name", "there"), [("DISPLAY", True), ("WAYLAND_DISPLAY", True), ("X", False)]
+)
+def test_a_screen_is_found_by_the_environment(monkeypatch, name, there):
+    monkeypatch.setattr("sys.platform", "linux")
+    for known in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(known, raising=False)
+    monkeypatch.setenv(name, ":0")
+    assert doctor.screen().good == there
+
+
+@pytest.mark.parametrize(
+    ("findings", "code", "verdict"),
+    [
+        ([Finding("a", True, "fine")], 0, "Ready"),
+        ([Finding("a", True, "fine"), Finding("b", False, "slow", "hurry")], 0, "Ready"),
+        ([Finding("a", False, "old", "renew", essential=True)], 1, "Not ready"),
+    ],
+)
+def test_only_what_is_essential_fails(monkeypatch, capsys, findings, code, verdict):
+    monkeypatch.setattr(doctor, "CHECKS", [lambda f=f: f for f in findings])
+    assert doctor.main(argparse.Namespace()) == code
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert last.startswith(verdict)
+    for finding, line in zip(findings, lines, strict=True):
+        assert finding.detail in line
+        assert (finding.remedy in line) or finding.good
+
+
+@pytest.fixture
+def plug(tmp_path, monkeypatch):
+    """Plug in a node of a descriptor, one that may not be opened if told so."""
+    barred = set()
+    monkeypatch.setattr(doctor, "HID_NODES", tmp_path / "dev")
+    monkeypatch.setattr(doctor, "HID_DESCRIPTORS", tmp_path / "sys")
+    monkeypatch.setattr(os, "access", lambda path, _mode: Path(path).name not in barred)
+
+    def plug(name, descriptor, may=True):
+        for folder in (tmp_path / "dev", place := tmp_path / "sys" / name / "device"):
+            folder.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "dev" / name).touch()
+        (place / "report_descriptor").write_bytes(descriptor)
+        if not may:
+            barred.add(name)
+
+    return plug
+
+
+@pytest.mark.parametrize(
+    "name", ["openffboard 2", "rhino", "ffbeast pid", "dualsense", "spacemouse", "logitech g29"]
+)
+def test_a_haptic_device_that_may_not_be_opened_is_a_note_with_the_remedy(plug, name):
+    plug("hidraw7", LAYOUTS[name], may=False)
+    finding = doctor.hid_nodes()
+    assert (finding.good, finding.essential) == (False, False)
+    assert finding.detail == "1 attached, no permission: hidraw7"
+    assert "teleop devices rules" in finding.remedy
+
+
+def test_keyboards_and_mice_do_not_matter(plug):
+    plug("hidraw0", b"\x05\x01\x09\x06\xa1\x01\xc0", may=False)
+    plug("hidraw1", b"\x05\x01\x09\x02\xa1\x01\xc0", may=False)
+    assert doctor.hid_nodes().detail.startswith("none attached")
+    plug("hidraw2", LAYOUTS["openffboard 1"])
+    assert (doctor.hid_nodes().good, doctor.hid_nodes().detail) == (True, "1 attached")

@@ -1,0 +1,118 @@
+"""A recording brings the config of its session along: models, names of tendons, the view."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from slave.config import SlaveConfig
+from teleop.cli import commands
+from teleop.config.loading import load
+from teleop.data.table import read_table, write_table
+from teleop.link import LinkConfig, ReceivedMessage
+from teleop.messages.messages import MAX_TENDONS, TendonState
+from teleop.messages.topics import TENDONS
+from teleop.recording.config import RecordConfig
+from teleop.recording.writer import RecordingWriter
+from teleop.session.config import RunConfig
+from teleop.view.config import ViewConfig
+from tests.root import ROOT
+from tests.teleop.recorded import SENDER, START_NS
+
+SAMPLES = 400
+NOWHERE = (math.nan,) * MAX_TENDONS
+
+
+def record(folder, config, *overrides, tendons=8):
+    """A recording of tendons that are pulled and released, tendon k to k + 1 newtons."""
+    text = (ROOT / "configs" / config).read_text() if config else ""
+    messages = []
+    for k in range(SAMPLES):
+        pull = 1.0 - math.cos(2.0 * math.pi * k / SAMPLES)
+        state = TendonState(
+            tendons=tendons,
+            time_s=k * 1e-3,
+            proximal_tension=tuple(2.0 + 0.5 * pull * (i + 1) for i in range(MAX_TENDONS)),
+            proximal_displacement=NOWHERE,
+            bench_distal_tension=NOWHERE,
+            bench_distal_displacement=NOWHERE,
+        )
+        sent_ns = START_NS + k * 1_000_000
+        data = state.pack(SENDER, k, sent_ns)
+        messages.append(ReceivedMessage(TENDONS, data, sent_ns, SENDER, k, sent_ns))
+    with RecordingWriter(
+        RecordConfig(directory=str(folder)), "demo", START_NS, text, overrides
+    ) as writer:
+        writer.write(messages, START_NS + 1_000_000_000)
+    return writer.path
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    here = ["session=arm-1234", "link.master=127.0.0.1:1", "rate_hz=500", "view.tension_scale_N=9"]
+    friction = "slave.rig.joints.3.tendons.0.sheath.friction=0.25"
+    return record(tmp_path_factory.mktemp("arm"), "arm.yaml", *here, friction)
+
+
+def test_a_recording_is_a_config_but_for_where_its_session_ran(arm):
+    shared = load(arm, RunConfig, None)
+    assert (shared.session, shared.link) == (RunConfig().session, LinkConfig())
+    assert shared.rate_hz == 500.0
+    assert load(arm, ViewConfig, "view").tension_scale_N == 9.0
+    slave = load(arm, SlaveConfig, "slave", ["slave.rig.seed=7"])
+    assert len(slave.rig.joints) == 4
+    assert slave.rig.joints[3].tendons[0].sheath.friction == 0.25
+    assert slave.rig.seed == 7
+
+
+def test_its_models_and_names_of_tendons_are_those_of_the_session(arm, tmp_path, capsys):
+    def model(*words):
+        out = tmp_path / "summary.json"
+        assert commands.main(["estimate", *map(str, words), "--json", str(out), "--force"]) == 0
+        return json.loads(out.read_text())["model"]
+
+    assert model(arm, "--tendon", "4a") == model(arm, "--tendon", "7")
+    assert model(arm, "--tendon", "4a") != model(arm, "--tendon", "4b")
+    with_config = model(arm, "--tendon", "4b", "--config", ROOT / "configs" / "arm.yaml")
+    assert model(arm, "--tendon", "4b") == with_config
+    capsys.readouterr()
+    for command in (["estimate"], ["diagnose"], ["estimate", "--fit"]):
+        assert commands.main([*command, str(arm), "--tendon", "9"]) == 2
+        names = ", ".join([f"{joint}{side}" for joint in "1234" for side in "ab"])
+        said = f"teleop: --tendon 9: must be one of {names}, 1, 2, 3, 4, 5, 6, 7, 8\n"
+        assert capsys.readouterr().err == said
+
+
+def test_each_tendon_is_written_into_columns_of_its_own(arm, tmp_path):
+    out = tmp_path / "estimates.csv"
+    assert commands.main(["estimate", str(arm), "--tendon", "7", "--out", str(out)]) == 0
+    first, seventh = read_table(arm), read_table(out).extra
+    assert np.array_equal(read_table(out).proximal_tension, first.proximal_tension)
+    assert max(seventh["proximal_tension_7_N"]) == pytest.approx(9.0)
+    named = ["distal_tension_estimate_7_N", "distal_tension_low_7_N", "front_7_m", "status_7"]
+    assert set(named) <= set(seventh)
+    assert not {"distal_tension_estimate_N", "status"} & set(seventh)
+
+
+def test_a_session_on_defaults_has_a_config_too(tmp_path, capsys):
+    path = record(tmp_path, "", tendons=1)
+    assert commands.main(["estimate", str(path)]) == 2  # a slave without a calibration
+    assert "slave.tendons" in capsys.readouterr().err
+
+
+def test_a_calibration_that_the_recording_only_names_is_asked_for(tmp_path, capsys):
+    path = record(tmp_path, "arm.yaml", "slave.calibration=mine.yaml")
+    assert commands.main(["estimate", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert f"{path} was recorded with it; --calibration FILE names another" in said
+    path = record(tmp_path / "at-start", "arm.yaml", "slave.initialise.at_start=true")
+    assert commands.main(["estimate", str(path)]) == 2
+    assert "calibrated its rig at its start" in capsys.readouterr().err
+
+
+def test_other_data_need_a_model_named(tmp_path, capsys):
+    table = tmp_path / "data.csv"
+    write_table(table, {"time_s": np.arange(50) * 1e-3, "proximal_tension_N": np.ones(50)})
+    assert commands.main(["estimate", str(table)]) == 2
+    assert "no model of the sheath" in capsys.readouterr().err

@@ -1,0 +1,583 @@
+"""The launcher: its words, whom it can do without, and in which order things happen."""
+
+import io
+import json
+import sys
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from teleop.cli import commands
+from teleop.config import extensions
+from teleop.errors import PeerError, TeleopError
+from teleop.launch import command, watch
+from teleop.launch.console import Console, status_text
+from teleop.launch.keys import Keys
+from teleop.launch.supervisor import Supervisor, wait_for
+from teleop.link import ReceivedMessage
+from teleop.messages.messages import (
+    Event,
+    Latency,
+    LinkReport,
+    LoopReport,
+    SlaveState,
+    padded,
+    text_bytes,
+)
+from teleop.messages.topics import COMMAND, EVENT, LATENCY, LINK, REPORT, STATE, STOP, Role
+from teleop.remote.requests import CALL, RESET
+from teleop.runtime import process
+from teleop.runtime.status_line import StatusLine
+from teleop.session import summary as summaries
+from teleop.session.stages import StageMeter
+from teleop.session.state_machine import Reason, State
+from teleop.session.summary import loop_lines
+
+
+def loop(ticks=1000, latencies=0):
+    """A loop's summary, as `teleop.session.meter` makes it."""
+    none = {"n": 0, "p50": None, "p99": None, "p99_9": None}
+    some = {"n": max(ticks, 1), "p50": 2.0, "p99": 3.0, "p99_9": 4.0}
+    return {
+        "ticks": ticks, "rate_hz": 1000.0, "seconds": 1.0, "overruns": 3, "lateness_max_ms": 0.5,
+        "work_us": some if ticks else none, "latency_ms": some if latencies else none,
+        "role": "slave", "faults": [Reason.RIG_FAULT.text] if ticks else [],
+        "ticks_in": {"off": ticks - ticks // 2, "ready": 0, "engaged": ticks // 2, "fault": 0},
+        "not_usable": "no calibration", "reason": "", "ended_in": "",
+        "gate": {"PASSED": 1, "SPEED": ticks // 4},
+        "received": 999, "lost": 7, "rejected": {"corrupted": 1, "foreign": 2},
+    }  # fmt: skip
+
+
+# words
+
+
+def test_the_summary_of_a_session_in_words():
+    recorder = {
+        "file": "a.mcap", "messages": {"state": 5, "hand": 6}, "missing": 1, "lag_max_s": 0.4,
+    }  # fmt: skip
+    slave = loop() | {"force_error": None}
+    whole = {"slave": slave, "master": loop(latencies=9), "record": recorder}
+    text = "\n".join(summaries.lines(whole))
+    for words in (
+        "received 999, lost 7, rejected 3",
+        f"1 fault, last: {Reason.RIG_FAULT.text}",
+        "speed 25.0 % of the ticks",
+        "command to force p50 2.00 ms",
+        "no distal tension measured",
+        "a.mcap: 11 messages, 1 missing, at most 0.4 s behind",
+    ):
+        assert words in text
+
+
+def ended_in(fault):
+    return loop() | {"ended_in": fault}
+
+
+def test_a_session_that_was_never_usable_or_ended_in_a_fault_is_told_from_a_good_one():
+    never = loop() | {"ticks_in": dict.fromkeys(("ready", "engaged", "fault"), 0) | {"off": 9}}
+    assert summaries.trouble({"slave": loop(), "master": loop()}) == ""
+    assert summaries.trouble({"slave": loop(ticks=0), "master": None}) == ""
+    assert summaries.trouble({"slave": never}) == "the slave was never usable: no calibration"
+    afar = ended_in(Reason.PEER_FAULT.text)
+    broken = ended_in("a tendon is broken: joint 1, tendon a")
+    said = "ended the session: a tendon is broken: joint 1, tendon a"
+    assert summaries.trouble({"slave": broken, "master": afar}) == f"a fault of the slave {said}"
+    assert summaries.trouble({"slave": afar, "master": broken}) == f"a fault of the master {said}"
+    assert Reason.PEER_FAULT.text in summaries.trouble({"slave": loop(), "master": afar})
+
+
+def test_of_a_tip_that_nothing_pulled_there_is_no_percentage():
+    error = {
+        "full_scale_N": 1.1, "rmse_N": 0.13, "mean_N": 0.1, "max_N": 0.6, "inside_interval": 1.0,
+        "rmse_percent": 11.6, "mean_percent": 9.0, "max_percent": 55.0, "pulled": False,
+    }  # fmt: skip
+    line = summaries.force_line(error)
+    assert "nothing was pulled: largest true force 1.1 N" in line
+    assert "max 0.600 N" in line
+    assert "55" not in line
+    assert "max 0.600 N (55.0 %) of 1.1 N" in summaries.force_line(error | {"pulled": True})
+
+
+def test_a_killed_side_is_named_and_one_that_never_ran_is_not():
+    assert summaries.lines({"slave": loop(), "master": None})[-2:] == [
+        "master    left no summary (killed?)",
+        "force     no distal tension measured to compare the estimate with",
+    ]
+    assert summaries.lines({}) == []
+    assert summaries.lines({"slave": loop(ticks=0), "master": loop(ticks=0)}) == []
+
+
+def test_the_status_of_a_session_grows_with_what_is_known():
+    assert status_text({}, None).plain == "waiting for the master │ slave starting"
+    assert status_text({}, None, insecure=True).plain.startswith("INSECURE │ waiting")
+    reports = {
+        Role.MASTER: LoopReport(state=State.ENGAGED, rate_hz=999.6, latency_p50_ns=2_000_000),
+        Role.SLAVE: LoopReport(rate_hz=1000, lost=2, rejected=1),
+    }
+    state = SlaveState(joints=2, force=padded((1.0, -2.5), 8))
+    text = status_text(reports, state).plain
+    for words in ("ENGAGED", "force 1.0 -2.5 N", "1000 / 1000 Hz", "latency 2.00 ms", "lost 3"):
+        assert words in text
+    latency = Latency(answered=5, p50_ns=(0, 0, 0, 0, 380_000), p99_ns=(0, 0, 0, 0, 500_000))
+    assert "latency 0.38 ms (99 %: 0.50)" in status_text(reports, state, latency).plain
+    # none was answered in its own tick: what there is, is the round trip
+    assert "latency 2.00 ms" in status_text(reports, None, Latency()).plain
+
+
+def test_the_status_shows_a_recorder_that_is_behind_and_a_link_beyond_its_bound():
+    hearing = watch.Hearing()
+    report = LinkReport(
+        role=Role.MASTER, round_trip_ns=5_200_000, jitter_ns=300_000, loss=0.31, scale=0.6,
+        reason=Reason.LINK_LOSS,
+    )  # fmt: skip
+    hearing.take([heard(LINK, report)])
+    text = status_text({}, None, None, "recorder 0.4 s behind", hearing.links).plain
+    assert "link 5.2 +- 0.3 ms, loss 31.0 %: loss of the link beyond its bound, scaled to 60 %" in (
+        text
+    )
+    assert text.endswith("recorder 0.4 s behind")
+    held = LinkReport(role=Role.SLAVE, reason=Reason.LINK_SLOW, holds=1)
+    assert ", held" in status_text({}, None, None, "", {Role.SLAVE: held}).plain
+    assert "link" not in status_text({}, None, None, "", {Role.SLAVE: LinkReport()}).plain
+
+
+def test_the_summary_tells_of_the_link():
+    figures = {"n": 5, "p50": 1.0, "p99": 2.0}
+    link = {
+        "round_trip_ms": figures, "jitter_ms": figures, "offset_ms": 7.0, "uncertainty_ms": 0.5,
+        "loss": 0.01, "scaled_s": 2.0, "held_s": 0.0,
+    }  # fmt: skip
+    told = loop_lines(loop() | {"link": link})
+    assert "round trip p50 1.00 p99 2.00 ms" in told[-2]
+    assert "offset of the peer's clock 7.000 +- 0.500 ms" in told[-2]
+    assert "because of the link scaled down for 2.0 s" in told[-1]
+    unmeasured = link | {"round_trip_ms": {"n": 0}}
+    assert loop_lines(loop() | {"link": unmeasured}) == loop_lines(loop())
+
+
+def test_the_summary_shows_where_the_time_from_hand_to_force_went():
+    meter = StageMeter()
+    for _ in range(10):
+        meter.add((20_000, 210_000, 100_000, 50_000, 380_000))
+    told = loop_lines(loop() | {"stages_us": meter.summary()})
+    assert told[-1] == (
+        "latency   hand to force p50 0.38 p99 0.38 p99.9 0.38 max 0.38 ms: "
+        "read 0.02, link 0.21, slave 0.10, render 0.05 (10 commands answered in their own tick)"
+    )
+    assert loop_lines(loop() | {"stages_us": StageMeter().summary()}) == loop_lines(loop())
+
+
+def test_a_latency_that_is_heard_is_kept():
+    hearing = watch.Hearing()
+    assert hearing.take([heard(LATENCY, Latency(answered=3))]) == []
+    assert hearing.latency.answered == 3
+
+
+def test_without_a_terminal_there_is_no_status_line():
+    stream = io.StringIO()
+    line = StatusLine(stream)
+    line.show("status")
+    line.say("a word")
+    line.clear()
+    assert stream.getvalue() == "a word\n"
+
+
+def test_words_are_printed_above_the_status_line():
+    stream = io.StringIO()
+    stream.isatty = lambda: True
+    line = StatusLine(stream)
+    line.show("status")
+    line.say("a word")
+    line.clear()
+    out = stream.getvalue()
+    assert out.count("status") >= 2  # drawn again below the word
+    assert out.index("status") < out.index("a word") < out.rindex("status")
+
+
+def console_on(stream):
+    return Console(StatusLine(stream), clock=lambda: "12:34:56.7")
+
+
+def test_lines_have_their_time_and_their_source_and_repeats_are_counted():
+    stream = io.StringIO()
+    console = console_on(stream)
+    for _ in range(17):
+        console.say("slave", "waiting for the master")
+    console.say("master", "ready")
+    console.say("slave", "ready")
+    for _ in range(3):
+        console.say("master", "off")
+    console.finish()
+    assert stream.getvalue().splitlines() == [
+        "12:34:56.7 [slave] waiting for the master",
+        "12:34:56.7 [master] ready",
+        "12:34:56.7 [slave] waiting for the master (17 times)",
+        "12:34:56.7 [slave] ready",
+        "12:34:56.7 [master] off",
+        "12:34:56.7 [master] off (3 times)",
+    ]
+
+
+def test_the_summary_is_a_table_in_a_terminal_and_plain_lines_in_a_pipe():
+    summary = {"slave": loop() | {"force_error": None}, "master": loop(latencies=9)}
+    plain, terminal = io.StringIO(), io.StringIO()
+    terminal.isatty = lambda: True
+    console_on(plain).summarise(summary)
+    console_on(terminal).summarise(summary)
+    assert plain.getvalue().splitlines() == summaries.lines(summary)
+    for words in ("overruns", "last fault", Reason.RIG_FAULT.text, "command to force"):
+        assert words in terminal.getvalue()
+    assert "received 999" not in terminal.getvalue()  # once is enough
+
+
+# what is heard
+
+
+def heard(topic, message):
+    return ReceivedMessage(topic, message.pack(1, 1, 0), 0, 1, 1, 0)
+
+
+def event(role, state, text):
+    return heard(EVENT, Event(role=role, state=state, text=text_bytes(text)))
+
+
+def test_events_become_lines_of_their_source():
+    hearing = watch.Hearing()
+    events = [event(Role.SLAVE, State.OFF, "off"), event(Role.MASTER, State.READY, "ready")]
+    assert hearing.take(events) == [("slave", "off"), ("master", "ready")]
+
+
+def test_what_is_not_understood_neither_steers_the_terminal_nor_ends_the_session():
+    hearing = watch.Hearing()
+    (line,) = hearing.take([event(9, State.READY, "a\x1b[2Jb\nc\u202ed\x00e")])
+    assert line == ("role_9", "a [2Jb c d e")
+    assert hearing.take([heard(REPORT, LoopReport(role=9))]) == []
+    assert not hearing.running
+
+
+def test_a_session_runs_when_both_loops_have_reported():
+    hearing = watch.Hearing()
+    for role, running in ((Role.SLAVE, False), (Role.SLAVE, False), (Role.MASTER, True)):
+        hearing.take([heard(REPORT, LoopReport(role=role))])
+        assert hearing.running == running
+
+
+# children
+
+
+@pytest.fixture
+def family(tmp_path, monkeypatch):
+    """A supervisor whose children run the Python given in place of arguments."""
+    said = []
+    family = Supervisor(tmp_path, lambda name, line: said.append((name, line)))
+    family.said = said
+    program = tmp_path / "python"
+    program.write_text(f'#!/bin/sh\nshift 4\nexec {sys.executable} -c "$@"\n')
+    program.chmod(0o755)
+    monkeypatch.setattr("teleop.runtime.process.sys.executable", str(program))
+    yield family
+    family.stop(list(family.children))
+
+
+COMPLAIN = "print('teleop: no room'); raise SystemExit({})"
+
+
+def ended(family, name, code):
+    family.start(name, [code])
+    assert wait_for(lambda: family.children[name].exit_code is not None, 20.0)
+
+
+@pytest.mark.parametrize("name", ["view", "record"])
+def test_a_session_goes_on_without_a_viewer_or_recorder_and_says_so_once(family, name):
+    ended(family, name, COMPLAIN.format(1))
+    assert family.casualty() is None
+    assert family.casualty() is None
+    ((who, line),) = family.said
+    assert who == name
+    assert line.startswith("no room; the session goes on")
+    assert ("teleop view" in line) == (name == "view")  # how to start it again
+
+
+ANNOUNCE = "print('Web view: http://127.0.0.1:1/', flush=True)\nprint(chr(6), flush=True)\n"
+
+
+@pytest.mark.parametrize(
+    ("then", "why"),
+    [("raise SystemExit(1)", "ended with exit code 1"), ("__import__('signal').pause()", "hung")],
+)
+def test_a_view_that_worked_is_started_again_in_one_line(family, monkeypatch, then, why):
+    monkeypatch.setattr("teleop.launch.supervisor._HUNG_S", 1.0)
+    first = family.start("view", [ANNOUNCE + then])
+
+    def again():
+        assert family.casualty() is None
+        return any("started again" in line for _, line in family.said)
+
+    assert wait_for(again, 30.0)
+    assert family.children["view"].process.pid != first.process.pid
+    assert family.children["view"].arguments == first.arguments
+    (_, announced), (who, line) = family.said[:2]
+    assert announced == "Web view: http://127.0.0.1:1/"
+    assert who == "view"
+    assert why in line
+    assert line.endswith("xdg-open http://127.0.0.1:1/")
+
+
+def test_a_window_that_was_closed_stays_closed(family):
+    ended(family, "view", ANNOUNCE)
+    assert wait_for(lambda: family.casualty() is None and len(family.said) == 2, 20.0)
+    time.sleep(0.2)
+    assert family.casualty() is None
+    assert [line for _, line in family.said if "started again" in line] == []
+
+
+@pytest.mark.parametrize(("name", "code"), [("view", 2), ("slave", 1), ("master", 0), ("slave", 2)])
+def test_a_vital_child_or_a_wrong_option_ends_the_session(family, name, code):
+    ended(family, name, COMPLAIN.format(code))
+    child = family.casualty()
+    assert (child.name, child.exit_code, child.complaint) == (name, code, "no room")
+    assert family.said == []
+
+
+def test_children_are_ended_in_order_and_know_their_launcher(family):
+    code = (
+        "import os, signal, sys\n"
+        f"assert os.environ['{process.SUPERVISED}'] == str(os.getppid())\n"
+        "signal.signal(signal.SIGTERM, lambda *_: sys.exit('bye'))\n"
+        "print('here', flush=True)\n"
+        "signal.pause()\n"
+    )
+    for name in ("record", "slave", "master"):
+        family.start(name, [code])
+    assert wait_for(lambda: len(family.said) == 3, 20.0)
+    family.stop(command.ENDING)
+    assert family.said[3:] == [("master", "bye"), ("slave", "bye"), ("record", "bye")]
+
+
+SAY_AND_END = (
+    "import signal, sys, time\n"
+    "def end(*_):\n"
+    "    for _ in range({}):\n"
+    "        time.sleep(0.2)\n"
+    "        print('lowering the tensions', flush=True)\n"
+    "    {}\n"
+    "signal.signal(signal.SIGTERM, end)\n"
+    "print('here', flush=True)\n"
+    "while True: signal.pause()\n"
+)
+
+
+@pytest.mark.parametrize(("after", "killed"), [("sys.exit(0)", False), ("time.sleep(60)", True)])
+def test_a_child_that_still_speaks_is_given_time_and_a_silent_one_is_killed(
+    family, monkeypatch, after, killed
+):
+    monkeypatch.setattr("teleop.launch.supervisor._PATIENCE_S", 1.0)
+    child = family.start("slave", [SAY_AND_END.format(10, after)])
+    assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
+    family.stop(["slave"])
+    assert family.said.count(("slave", "lowering the tensions")) == 10
+    assert (child.exit_code != 0) == killed
+    assert any("was killed" in line for _, line in family.said) == killed
+
+
+def test_a_child_that_only_speaks_is_killed_in_the_end(family, monkeypatch):
+    monkeypatch.setattr("teleop.launch.supervisor._LONGEST_S", 1.0)
+    family.start("slave", [SAY_AND_END.format(1000, "pass")])
+    assert wait_for(lambda: family.said == [("slave", "here")], 20.0)
+    family.stop(["slave"])
+    assert any("was killed" in line for _, line in family.said)
+
+
+class Mute:
+    """A link on which no slave has answered yet, and a listener that hears of its calibration."""
+
+    def subscribe_latest(self, _topic):
+        pass
+
+    def latest(self, _topic):
+        return self
+
+    message = None
+
+    def drain(self):
+        return [event(Role.SLAVE, State.OFF, "off: calibrating")]
+
+
+class StopAt:
+    def __init__(self, asked):
+        self.left = asked
+
+    def __call__(self):
+        self.left -= 1
+        return self.left < 0
+
+
+def test_what_a_slave_says_while_it_starts_is_passed_on_and_counts_as_life(family, monkeypatch):
+    stream = io.StringIO()
+    child = family.start("slave", ["import signal; signal.pause()"])
+    monkeypatch.setattr(watch, "START_S", 600.0)
+    waiting = (Mute(), Mute(), watch.Hearing(), family, console_on(stream))
+    keyboard = watch.Keyboard(Keys(), Mute())
+    assert watch.wait_for_slave(*waiting, StopAt(2), keyboard) is None
+    assert stream.getvalue() == "12:34:56.7 [slave] off: calibrating\n"
+    child.heard_s -= 300.0
+    assert watch.wait_for_slave(*waiting, StopAt(7), keyboard) is None
+    child.heard_s -= 600.0
+    with pytest.raises(TeleopError, match="did not start"):
+        watch.wait_for_slave(*waiting, StopAt(7), keyboard)
+
+
+class Pressed:
+    """Keys that are pressed one look after the other."""
+
+    def __init__(self, *keys):
+        self.keys = list(keys)
+
+    def wait(self, _seconds):
+        return self.keys.pop(0) if self.keys else ""
+
+
+class Sides:
+    """A link to two sides, each in the state and with the stops that a test says."""
+
+    def __init__(self):
+        self.states, self.stops, self.sent = {}, {}, []
+
+    def latest(self, topic):
+        side = {STATE: Role.SLAVE, COMMAND: Role.MASTER}[topic]
+        state = self.states.get(side)
+        told = (
+            None if state is None else SimpleNamespace(state=state, stops=self.stops.get(side, 0))
+        )
+        return SimpleNamespace(message=told)
+
+    def publish(self, topic, message):
+        assert topic is STOP
+        self.sent.append((message.action, message.side, message.number))
+
+
+STOPPING = (CALL, 0, 0)
+
+
+def test_a_stop_from_the_keyboard_is_called_until_both_sides_have_stopped():
+    sides = Sides()
+    keyboard = watch.Keyboard(Pressed(" "), sides)
+    for _ in range(3):  # nobody is there yet
+        keyboard.look(0.0)
+    sides.states[Role.SLAVE] = State.STOPPED
+    keyboard.look(0.0)
+    sides.states[Role.MASTER] = State.READY
+    keyboard.look(0.0)
+    assert sides.sent == [STOPPING] * 5
+    sides.states[Role.MASTER] = State.STOPPED
+    keyboard.look(0.0)
+    sides.states[Role.MASTER] = State.READY  # reset by another process
+    keyboard.look(0.0)
+    assert len(sides.sent) == 5
+
+
+def test_a_reset_from_the_keyboard_names_the_stops_that_it_takes_back_and_no_later_one():
+    sides = Sides()
+    sides.states = dict.fromkeys((Role.MASTER, Role.SLAVE), State.STOPPED)
+    sides.stops = {Role.MASTER: 4, Role.SLAVE: 6}
+    keyboard = watch.Keyboard(Pressed("r", "", " r"), sides)
+    keyboard.look(0.0)
+    assert sorted(sides.sent) == [(RESET, Role.MASTER, 4), (RESET, Role.SLAVE, 6)]
+    sides.sent.clear()
+    sides.stops[Role.SLAVE] = 7  # somebody has called anew
+    sides.states[Role.MASTER] = State.READY
+    keyboard.look(0.0)
+    assert sides.sent == []
+    keyboard.look(0.0)
+    assert sides.sent == [STOPPING]
+
+
+# the order of events
+
+
+class Scene:
+    """Stands in for link and supervisor; writes down what is asked of them."""
+
+    def __init__(self):
+        self.log, self.children = [], {}
+        self.there, self.casualties = set(), []
+        self.session = "demo"
+        self.arguments = {}
+
+    def __enter__(self):
+        self.log.append("link")
+        return self
+
+    def __exit__(self, *_):
+        self.log.append("unlink")
+
+    def present(self, role):
+        return role in self.there
+
+    def listen(self, _topics):
+        self.log.append("listen")
+
+    def start(self, name, arguments, *_held):
+        self.log.append(name)
+        self.arguments[name] = arguments
+
+    def stop(self, _order):
+        self.log.append("stop")
+
+
+class NeverStop:
+    reason = ""
+
+    def __call__(self):
+        return False
+
+
+@pytest.fixture
+def scene(monkeypatch, tmp_path):
+    scene = Scene()
+    monkeypatch.setattr(command, "Link", lambda *_: scene)
+    monkeypatch.setattr(command, "Supervisor", lambda *_: scene)
+    monkeypatch.setattr(command, "Stop", NeverStop)
+    monkeypatch.setattr(command.watch, "wait_for_slave", lambda *_: scene.log.append("wait"))
+    monkeypatch.setattr(command.watch, "watch", lambda *_: scene.log.append("watch"))
+    monkeypatch.setattr(command, "_summary", lambda *_: {"reason": "", "exit_code": 0})
+    return scene
+
+
+def test_the_master_starts_last_and_all_is_heard_from_the_beginning(scene):
+    assert commands.main(["run", "--record", "somewhere", "--view", "web"]) == 0
+    assert scene.log[:8] == ["link", "listen", "record", "slave", "view", "wait", "master", "watch"]
+    assert scene.log[-2:] == ["unlink", "stop"]
+
+
+def test_both_sides_may_import_only_if_the_session_may(scene, monkeypatch):
+    monkeypatch.setattr(extensions, "policy", extensions.ImportPolicy())
+    for words, handed_on in ((["run"], False), (["run", "--allow-imports"], True)):
+        assert commands.main([*words, "--view", "none"]) == 0
+        assert {"slave", "master"} <= scene.arguments.keys()
+        for side in ("slave", "master"):
+            assert ("--allow-imports" in scene.arguments[side]) == handed_on
+
+
+@pytest.mark.parametrize("role", [Role.SLAVE, Role.MASTER])
+def test_nothing_is_started_in_a_session_that_is_taken(scene, role, capsys):
+    scene.there.add(role)
+    assert commands.main(["run", "--record", "somewhere"]) == PeerError.exit_code
+    assert set(scene.log) == {"link", "unlink", "stop"}
+    assert f"has a {role.name.lower()} already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--duration=nan", "--json=/no/where.json", "--record="])
+def test_a_wrong_option_is_found_before_anything_else(scene, option, capsys):
+    assert commands.main(["run", option]) == 2
+    assert scene.log == []
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_an_interrupted_start_says_nothing(capsys, tmp_path):
+    summary = {"slave": loop(ticks=0), "reason": "SIGINT", "exit_code": 0}
+    assert command._conclude(summary, tmp_path / "run.json") == 130
+    assert capsys.readouterr().out == ""
+    assert json.loads((tmp_path / "run.json").read_text())["reason"] == "SIGINT"
